@@ -9,21 +9,28 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.cycles import RATES
 from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import rates_at, special_points
+from tasks.continuation.special_points import RATES, special_points, state_at
+from tasks.continuation.tracking import correct
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
-from tasks.follow_cycles import from_arrays
 from tasks.measures import violations
-from tasks.sample_cycles import COLUMNS, SPECIAL, sample_cycles
 from tasks.step.problem import EPS, Problem
+from tasks.step.several_steps import from_largest
 from tasks.walkers.resolve import resolve
 
+#: Columns of the tables `branches` and `special_points`.
+COLUMNS = (
+    *("branch", "slope", "stance_angle", *RATES),
+    *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
+)
+SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
+#: Least share of ln slope in a branch's direction for points to be corrected at their slopes.
+_STEEP = 1e-2
 
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -46,30 +53,29 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         in the walker's units.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
-    problem = Problem(walker)
-    if int(params.get("steps", 1)) > 1:
-        return sample_cycles(problem, from_arrays(inputs[0]), params)
+    problem = Problem(walker, int(params.get("steps", 1)))
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     rows: dict[str, list[np.ndarray]] = {k: [] for k in COLUMNS}
     points: list[dict[str, Any]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
-        Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(curve, low, high, least)
+        Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(problem, curve, low, high, least)
         if not len(Z):
             continue
         m = curve.m
-        stride, scale = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
+        w = from_largest(np.delete(Z, m, axis=1).T, m, problem.steps)
+        stride, scale = problem.stride(w, Z[:, m])
         rates = problem.start(stride.y * scale, np.exp(Z[:, m]))[1:] / time_unit
-        radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
-        times = Z[:, m + 1 :] * time_unit
-        knee = times[:, 0] if problem.phases == 2 else np.full(len(Z), np.nan)
+        radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
+        times = w[m:] * time_unit
+        knee = times[0] if walker.knees else np.full(len(Z), np.nan)
         for key, value in (
             ("branch", np.full(len(Z), number)),
             ("slope", np.exp(Z[:, m])),
-            ("stance_angle", np.exp(Z[:, 0])),
+            ("stance_angle", np.exp(w[0])),
             *zip(RATES, rates, strict=True),
-            ("period", times[:, -1]),
+            ("period", times[-1]),
             ("kneestrike_time", knee),
             ("spectral_radius", radius),
             ("stable", (radius < 1).astype("i1")),
@@ -105,9 +111,11 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
 
     def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
         stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
-        return violations.measure(
-            problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times, np.exp(X[m])
-        )["least_normal_force"]
+        each, (scale, slope) = stride.singles, np.tile([scale, np.exp(X[m])], stride.steps)
+        # A step begins with the heelstrike that ends the one before it.
+        impact, motion = np.roll(each.impact, X.shape[1], axis=1) * scale, [part * scale for part in each.motion]
+        force = violations.measure(problem.walker, motion, impact, each.times, slope)["least_normal_force"]
+        return force.reshape(stride.steps, -1).min(axis=0)
 
     ends = np.sort([branch.q[1:], branch.q[:-1]], axis=0)
     meets = (ends[0] <= np.log(high)) & (ends[1] >= np.log(low))  # segments: a window may lie within one
@@ -128,8 +136,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
             {
                 "kind": "end_contact_lost",
                 "slope": float(np.exp(point.X[m, 0])),
-                "stance_angle": float(np.exp(point.X[0, 0])),
-                "rates": rates_at(problem, point, 0),
+                **state_at(problem, point, 0),
                 "period": float(point.times[-1, 0]),
                 "error_bound": slope_error + 64 * EPS,
             }
@@ -137,11 +144,20 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
     return records
 
 
-def _dense(branch: Branch, low: float, high: float, least: int) -> np.ndarray:
+def _dense(problem: Problem, branch: Branch, low: float, high: float, least: int) -> np.ndarray:
     """Rows of the branch within the window, at its nodes and as many points between as `least` rows need."""
     parts = 1
     while True:
-        _, rows = within(branch, np.log(low), np.log(high), parts)
+        place, rows = within(branch, np.log(low), np.log(high), parts)
         if not len(rows) or len(rows) >= least or parts >= _MAX_PARTS:
-            return rows
+            break
         parts *= 2
+    # The polynomials of gaits of several steps are coarse. Beside folds, slopes do not tell gaits apart.
+    between = np.flatnonzero(place % 1 > 0) if branch.steps > 1 else np.zeros(0, int)
+    if len(between):
+        border, m = branch.direction[place[between].astype(int)].T.copy(), branch.m
+        border[:, np.abs(border[m]) > _STEEP] = np.eye(len(border))[:, [m]]
+        Z = rows[between].T
+        point = correct(problem, Z[: m + 1], Z[m + 1 :], border)
+        rows[between[point.ok]] = point.Z.T[point.ok]
+    return rows

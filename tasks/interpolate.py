@@ -122,7 +122,15 @@ class Sheet:
 
     @classmethod
     def of(cls, span: Span, chart: Chart, passes: int, drawn: np.ndarray) -> Sheet:
-        """Return the sheet of a chart that was checked at some positions (n,): nearer to a fold nothing is known."""
+        """Return the sheet of a chart that was checked at some positions: nearer to a fold nothing is known.
+
+        Parameters
+        ----------
+        span : Span
+        chart : Chart
+        passes : int
+        drawn : ndarray, shape (n,)
+        """
         nearest = 1 + drawn.min(), 1 - drawn.max()
         at_fold = span.folds[0] and span.part[0] == 0, span.folds[1] and span.part[1] == 1
         low, high = (
@@ -132,7 +140,16 @@ class Sheet:
         return cls(span, chart, passes, (low, high))
 
     def is_measured(self, points: np.ndarray) -> np.ndarray:
-        """Whether errors are known at points (n, 1 + d) of the span, shape (n,)."""
+        """Whether errors are known at points of the span.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 1 + d)
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
         low, high = self.unmeasured
         return np.asarray((1 + points[:, 0] > low) & (1 - points[:, 0] > high))
 

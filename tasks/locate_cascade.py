@@ -11,25 +11,18 @@ import numpy as np
 from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.cycle_events import slope_error
-from tasks.continuation.cycles import (
-    MAX_POINTS,
-    RATES,
-    Cycle,
-    Path,
-    Test,
-    all_at_slope,
-    doubled,
-    flip_test,
-    fold_test,
-    from_start,
-    largest,
-    really_walks,
-)
+from tasks.continuation.defining import scalar, slope_error
+from tasks.continuation.flips import doubled
+from tasks.continuation.lockstep import lanes_of
+from tasks.continuation.special_points import RATES, state_at
+from tasks.continuation.tracking import Path, Point, correct
 from tasks.dynamics.crisis import lost
 from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.fits import feigenbaum as scaling
+from tasks.fixed_points.newton import newton
+from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
+from tasks.step.several_steps import begun_at, distances_of_steps, joined, sections
 from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
@@ -40,6 +33,13 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
 #: First step along a branch over the window, and the longest interval to the next flip, in ln slope, that is expected:
 #: the first intervals of a cascade need not follow Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
+#: Largest step of Newton's method by which a guess is not lost.
+_MAX_STEP = 1.0
+#: Most points of a branch on which no event is found.
+_MAX_POINTS = 400
+#: Distances of a gait's sections from each other, over the first angle, beyond which it does not repeat sooner, and
+#: from another gait's up to which they are the same.
+_APART, _SAME = 1e-5, 1e-6
 #: Columns of the tables.
 _CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", *RATES, "walks")
 _ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
@@ -48,11 +48,22 @@ _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 @dataclass(frozen=True)
 class _Event:
-    """A fold or flip of a family, and the relative error of its slope."""
+    """A fold or flip of a family, with its problem, and the relative error of its slope."""
 
     kind: str
-    cycle: Cycle
+    problem: Problem
+    gait: Point
     error: float
+
+    @property
+    def q(self) -> float:
+        """Its ln slope."""
+        return float(self.gait.q[0])
+
+    @property
+    def slope(self) -> float:
+        """Its slope [rad]."""
+        return float(np.exp(self.q))
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -102,20 +113,22 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             )
         for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
-            flips = np.array([e.cycle.slope for e in family if e.kind == "flip"])
+            flips = np.array([e.slope for e in family if e.kind == "flip"])
             ratios = scaling.ratios(flips)
             ratio = iter(ratios)
             for event in family:
-                c = event.cycle
+                state = state_at(event.problem, event.gait, 0)
+                _, check = verify_steps(event.problem, event.gait.w, event.gait.q)
                 values = (
                     name,
-                    c.period,
+                    event.problem.steps,
                     event.kind,
-                    c.slope,
+                    event.slope,
                     event.error,
                     next(ratio) if event.kind == "flip" else np.nan,
-                    *largest(problem, c).values(),
-                    int(really_walks(problem, c)),
+                    state["stance_angle"],
+                    *(np.array(state["rates"]) / np.sqrt(walker.leg / walker.g)).tolist(),
+                    int(check.step[0]),
                 )
                 rows.append(dict(zip(_CASCADE, values, strict=True)))
             value, low, high = scaling.accumulation(flips)
@@ -123,7 +136,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
             if int(options["steps"]) and np.isfinite(value):
                 end = float(np.clip(value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]))
-                low, high = lost(problem, _spread_around(family[-1].cycle), value, end, int(options["steps"]))
+                low, high = lost(problem, _spread_around(family[-1]), value, end, int(options["steps"]))
                 reason = _unbracketed(low, high, value, end)
                 bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
                 ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"]), reason), strict=True)))
@@ -151,20 +164,20 @@ def _unbracketed(low: float, high: float, accumulation: float, end: float) -> st
     return f"Orbits persist to slope {end:.6g}, where the search ends." if np.isnan(high) else ""
 
 
-def _spread_around(cycle: Cycle) -> np.ndarray:
+def _spread_around(event: _Event) -> np.ndarray:
     """Initial conditions near the steps of a gait, in turn, shape (m, _ORBITS)."""
-    steps = (
-        np.arange(_ORBITS) * cycle.period // _ORBITS if cycle.period > _ORBITS else np.arange(_ORBITS) % cycle.period
-    )
-    return cycle.Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(cycle.Y), _ORBITS) - 1))
+    n, w = event.problem.steps, event.gait.w
+    Y = np.exp(w[0]) * sections(w, event.problem.m, n)[0][:, :, 0].T
+    steps = np.arange(_ORBITS) * n // _ORBITS if n > _ORBITS else np.arange(_ORBITS) % n
+    return Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(Y), _ORBITS) - 1))
 
 
 def _is_same(a: _Event, b: _Event) -> bool:
     """Whether two folds are one."""
-    return a.kind == b.kind and abs(a.cycle.q - b.cycle.q) < 1e-9 and _distance(a.cycle, b.cycle) < 1e-4
+    return a.kind == b.kind and abs(a.q - b.q) < 1e-9 and _distance(a.problem, a.gait.w, b.gait.w) < 1e-3
 
 
-def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
+def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Point]:
     """A gait of each family of period n, sought from those of a walker `near` and its atlas."""
     if n == 1:
         branches = atlases.from_arrays(atlas)
@@ -173,18 +186,37 @@ def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarr
         tried = np.unique([slope[0], *between[(between > slope[0]) & (between < slope[-1])]])
         known, y = gaits_at(near, branches, tried, "long")
         for k, start in zip(known, y.T, strict=True):
-            cycle = from_start(problem, start, float(tried[k]), 1)
-            if cycle:
-                return [cycle]
+            step = stride(problem, start[:, None], tried[[k]])
+            guess = np.vstack([np.log(start[:1, None]), start[1:, None] / start[0], step.times])
+            gaits = _solved(problem, guess[:, step.outcome == STRUCK], float(tried[k]))
+            if gaits:
+                return gaits
         return []
     for s in slope:
-        cycles = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
-        if cycles:
-            return cycles
+        gaits = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
+        if gaits:
+            return gaits
     return []
 
 
-def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int, starts: int) -> list[Cycle]:
+def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
+    """Distinct gaits, of exactly so many steps, to which Newton's method leads from guesses (m + k, n) at one slope."""
+    m, n, q = problem.m, problem.steps, np.full(w.shape[1], np.log(slope))
+    result = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
+    exact = (distances_of_steps(result.w, m, n) > _APART).all(axis=0)
+    kept: list[int] = []
+    for i in np.flatnonzero(result.converged & exact).tolist():
+        if all(_distance(problem, result.w[:, [i]], result.w[:, [k]]) > _SAME for k in kept):
+            kept.append(i)
+    if not kept:
+        return []
+    w, q = result.w[:, kept], q[kept]
+    _, check = verify_steps(problem, w, q)
+    gaits = correct(problem, np.vstack([w[:m], q]), w[m:], None)
+    return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
+
+
+def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int, starts: int) -> list[Point]:
     """Search for the distinct gaits of exact period n at one slope, in order of their largest multiplier.
 
     Parameters
@@ -217,74 +249,72 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
         return []
     # The first step maps all initial conditions onto the strongly contracted image of the map.
     distance = np.abs(Y[n + 1] - Y[1]).max(axis=0)
-    cycles: list[Cycle] = []
     nearest = np.argsort(distance, kind="stable")[:60]
-    sections, strikes = (np.stack(a[1 : n + 1], axis=1)[..., nearest] for a in (Y, times))
-    for cycle in all_at_slope(problem, sections, strikes, slope):
-        if not cycle.ok or not _is_period_exact(cycle) or any(_distance(cycle, other) <= 1e-7 for other in cycles):
-            continue
-        if really_walks(problem, cycle):
-            cycles.append(cycle)
-    return sorted(cycles, key=lambda c: float(np.abs(c.multipliers()[0])))
+    y, strikes = (np.stack(a[1 : n + 1])[..., nearest] for a in (Y, times))
+    gaits = _solved(problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope)
+    return sorted(gaits, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
 
 
-def _is_period_exact(cycle: Cycle) -> bool:
-    n = cycle.period
-    return all(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max() > 1e-6 for k in range(1, n) if n % k == 0)
-
-
-def _distance(a: Cycle, b: Cycle) -> float:
-    return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
+def _distance(problem: Problem, a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of two gaits (m + k, 1), whichever of their steps are the first."""
+    n = problem.steps
+    return float(np.abs(begun_at(np.repeat(a, n, axis=1), problem.m, n, np.arange(n)) - b).max(axis=0).min())
 
 
 def _follow_family(
-    problem: Problem, start: Cycle, slope: np.ndarray, longest: int, others: Sequence[list[_Event]] = ()
+    problem: Problem, start: Point, slope: np.ndarray, longest: int, others: Sequence[list[_Event]] = ()
 ) -> tuple[list[_Event], str | None]:
     """A family's fold, then its flips, switching at each to the branch of twice the period; and why no more follow.
 
     Of a family that is the other side of the fold of one of the `others` only the fold, and None.
     """
     low, high = np.log(slope[0]), np.log(slope[-1])
-    up = np.zeros(start.Y.size + 1)
-    up[-1] = 1.0
+    problem = problem.of_steps(start.stride.steps)
+    up = np.zeros(len(start.Z))
+    up[problem.m] = 1.0
     events: list[_Event] = []
-    if start.period > 1:
+    if problem.steps > 1:
         # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
         down = Path(problem, start, -up, _FIRST_STEP * (high - low))
-        fold, _ = _first_event(down, fold_test, "fold", low, high)
+        fold, _ = _first_event(down, "fold", low, high)
         if fold:
             events.append(fold)
             if any(_is_same(fold, other[0]) for other in others if other):
                 return events, None
-            start = min(down.points[-2:], key=lambda c: float(np.abs(c.multipliers()[0])))
+            start = min(down.points[-2:], key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
     path: Path | None = Path(problem, start, up, _FIRST_STEP * (high - low))
-    expected, period = high - low, start.period
+    expected, period = high - low, problem.steps
     while path is not None and period <= longest:
-        flip, stopped = _first_event(path, flip_test, "flip", low, high)
+        flip, stopped = _first_event(path, "flip", low, high)
         if flip is None:
             return events, f"No flip of period {period}: {stopped}."
-        before = [e.cycle.q for e in events]
+        before = [e.q for e in events]
         events.append(flip)
         # The next interval by Feigenbaum's law from the last.
-        expected = min(_MAX_INTERVAL, (flip.cycle.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
+        expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
         period *= 2
-        path = doubled(problem, flip.cycle, expected) if period <= longest else None
+        path = doubled(flip.problem, flip.gait, expected) if period <= longest else None
     if period <= longest:
         return events, f"No gait of period {period} was found beside the flip."
     return events, f"The longest period of the search, {longest}, is reached."
 
 
-def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
-    """The first zero of a test function along a branch inside the window, or why there is none."""
-    for _ in range(MAX_POINTS):
+def _first_event(path: Path, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
+    """The first fold or flip along a branch inside the window, or why there is none."""
+
+    def test(gait: Point) -> float:
+        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.tangent[-1, 0])
+
+    for _ in range(_MAX_POINTS):
         if not path.advance():
-            return None, f"the branch could not be continued beyond a slope of {path.points[-1].slope:.6g}"
+            return None, f"the branch could not be continued beyond a slope of {np.exp(path.points[-1].q[0]):.6g}"
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
-            cycle = path.locate_root(test)
-            if not low <= cycle.q <= high:
-                return None, f"the next one lies outside the window, at a slope of {cycle.slope:.6g}"
-            return _Event(kind, cycle, slope_error(path.problem, cycle, kind)), ""
-        if not low - 0.05 <= after.q <= high + 0.05:
-            return None, f"the branch leaves the window at a slope of {after.slope:.6g}"
-    return None, f"none on {MAX_POINTS} points of the branch, up to a slope of {path.points[-1].slope:.6g}"
+            gait = path.locate_root(test)
+            event = _Event(kind, path.problem, gait, slope_error(path.problem, kind, gait.Z[:, 0]))
+            if not low <= event.q <= high:
+                return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
+            return event, ""
+        if not low - 0.05 <= after.q[0] <= high + 0.05:
+            return None, f"the branch leaves the window at a slope of {np.exp(after.q[0]):.6g}"
+    return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(path.points[-1].q[0]):.6g}"

@@ -51,12 +51,12 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)
     y = problem.section_of((state * units)[:, None], slope) / scale
-    start = problem.map.start(y, parameters)[: problem.map.start_size, 0]
+    start = problem.step.start(y, parameters)[: problem.step.start_size, 0]
     located = take_step(problem, start, parameters[:, 0])
     if located.outcome != STRUCK:
         cause = CAUSES[located.outcome]
         raise WalkerError("state", tuple(state.tolist()), f"leads to no heelstrike ({cause})")
-    step = problem.map(y, np.array(located.times)[:, None], parameters, slope=True)
+    step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
     times = step.times
     before, after = (_start(problem, section, parameters) for section in (y, step.image))
     image = after[0] * scale / units

@@ -16,13 +16,13 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.locate import settle_on_branches
 from tasks.continuation.lockstep import lanes_of
 from tasks.continuation.refine import COARSE, FINE
+from tasks.continuation.tracking import MAX_MULTIPLIER
 from tasks.fixed_points.polish import Guesses, join, settle
-from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
+from tasks.follow_cycles import cycle_branches
 from tasks.interpolate import Interpolation
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import GAITS, PROVED, VARIABLES
-from tasks.solve_cycles import cycle_points
 from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
@@ -54,15 +54,14 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads; of gaits of several steps
-        `tasks.follow_cycles.from_arrays`.
+        The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
     problem = Problem(_walker(params["line"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
         # They are followed far from the branches where they begin.
         (single,) = _survey([problem.walker], problem.structure, FINE)
-        return to_arrays(cycle_branches(problem, single, steps))
+        return atlases.to_arrays(cycle_branches(problem, single, steps))
     (branches,) = _survey([problem.walker], problem.structure, COARSE if params.get("coarse") else FINE)
     return atlases.to_arrays(branches)
 
@@ -86,9 +85,7 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Each wanted variable in the walker's units, shape (n, len(GAITS)[, multipliers]), and `reasons`, the sentences
         that `reason` indexes.
     """
-    problem = Problem(_walker(params["line"]))
-    if int(params.get("steps", 1)) > 1:
-        return cycle_points(problem, from_arrays(inputs[0]), params)
+    problem = Problem(_walker(params["line"]), int(params.get("steps", 1)))
     branches = atlases.from_arrays(inputs[0])
     accuracy, want, slope = params.get("accuracy", 0.0), params["want"], np.asarray(params["slope"], float)
     is_interpolated = params.get("interpolated", False)
@@ -155,13 +152,16 @@ def _solve_lines(
     want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
     limits = params.get("violation_limits")
-    n, width = len(slope), 4 if problem.phases == 2 else 3
+    n, width = len(slope), 4 if problem.walker.knees else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
     problems = [problem.alone(i) for i in range(len(lines))]
     searched = f"searched from {atlases.searched(problem.walker)}"
     results = [
-        {**nothing_solved((*solved, *proofs), n, width), "reasons": np.array(_reasons(branches, searched))}
+        {
+            **nothing_solved((*solved, *proofs), n, width),
+            "reasons": np.array(_reasons(branches, searched, problem.steps)),
+        }
         for branches in atlas
     ]
     block = _INTERPOLATED_BLOCK if polynomials else _BLOCK
@@ -197,13 +197,25 @@ def _solve_lines(
     return [{name: out[name] for name in (*want, "reasons")} for out in results]
 
 
-def _reasons(branches: list[Branch], searched: str) -> list[str]:
+def _reasons(branches: list[Branch], searched: str, steps: int = 1) -> list[str]:
     """Sentences that `reason` indexes."""
+    if steps > 1:
+        outside = _outside(branches, steps)
+        return status.reasons(outside, outside)
     lost = sorted(slope for branch in branches for slope in branch.lost())
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched, lost) for label in GAITS[:2]
     )
     return status.reasons(long, short)
+
+
+def _outside(branches: list[Branch], n: int) -> str:
+    """Why no branch has a gait of n steps at some slope."""
+    if not branches:
+        return f"No gait of period {n} found: no flip of fewer steps begins one."
+    spans = "; ".join(f"{np.exp(branch.q.min()):.6g} to {np.exp(branch.q.max()):.6g}" for branch in branches)
+    limit = f"followed up to multipliers of {MAX_MULTIPLIER:g}"
+    return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
 
 
 def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:

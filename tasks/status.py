@@ -14,7 +14,6 @@ SETTLED = "Converged, and verified to be a step."
 NO_FURTHER = "No further gait was found at this slope."
 NEWTON_LOST = "Newton's method did not converge from the atlas's guess."
 COARSE = "Converged to a step, but its error bound exceeds the accuracy wanted."
-BESIDE_FOLD = "Whether there is a gait is open: the slope is that of a fold, within what rounding leaves uncertain."
 NOT_A_STEP = "The solution is not a step: a guard is crossed before the event solved for."
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from soak.extended_reference import Precise
 from tasks.continuation import defining
-from tasks.continuation.cycles import Cycle, system
 from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import Problem
+from tasks.step.several_steps import sections
 
 _MAX_STEPS = 30
 
@@ -102,30 +102,53 @@ def _newton(problem, kind, Z, h):
     return None
 
 
-def exact_cycle_slope(problem: Problem, kind: str, cycle: Cycle):
+def _mapped(problem: Problem, Z: np.ndarray, times: np.ndarray):
+    """Images less the next sections, their derivative by Z = (sections over sqrt(n), ln slope), and Jacobians."""
+    m, n = problem.structure.dimension, times.shape[1]
+    Y, slope = Z[:-1].reshape(n, m).T * np.sqrt(n), np.full(n, np.exp(Z[-1]))
+    scale = np.exp2(np.floor(np.log2(Y[0])))
+    single = problem.of_steps(1)
+    for _ in range(2):  # each step's times are corrected for its own Jacobian
+        steps = single.map(Y / scale, times, single.parameters(slope, scale), slope=True)
+        times = steps.times
+    derivative = np.zeros((n, m, n * m + 1))
+    for i in range(n):
+        derivative[i, :, m * i : m * i + m] += steps.jacobian[..., i]
+        after = m * ((i + 1) % n)
+        derivative[i, :, after : after + m] -= np.eye(m)
+        derivative[i, :, -1] = steps.by_slope[:, i] * scale[i] * slope[i] / np.sqrt(n)
+    residual = (steps.image * scale - np.roll(Y, -1, axis=1)).T.ravel() / np.sqrt(n)
+    return residual, derivative.reshape(n * m, -1), steps.jacobian
+
+
+def steps_of(problem: Problem, Z: np.ndarray):
+    """Sections (m, n) [rad, rad/sqrt(leg/g)] and event times (k, n) [sqrt(leg/g)] of the steps of a gait."""
+    y, durations = (part[..., 0].T for part in sections(np.delete(Z, problem.m)[:, None], problem.m, problem.steps))
+    return np.exp(Z[0]) * y, np.cumsum(durations, axis=0)
+
+
+def exact_cycle_slope(problem: Problem, kind: str, Z: np.ndarray):
     """Slope of a flip or fold of gaits of n steps [rad] in 113 bits, or None where Newton's method does not converge.
 
-    `cycle` is the gait there in doubles. The derivative of det(M + 1) or det(M - 1) is that of differences in doubles.
+    `Z` is the gait there in doubles. The derivative of det(M + 1) or det(M - 1) is that of differences in doubles.
     """
-    m, n, number, sign = len(cycle.Y), cycle.period, hy.real128, {"flip": 1.0, "fold": -1.0}[kind]
+    m, n, number, sign = problem.structure.dimension, problem.steps, hy.real128, {"flip": 1.0, "fold": -1.0}[kind]
+    (Y, times), q = steps_of(problem, Z), Z[problem.m]
+    Z = np.append(Y.T.ravel() / np.sqrt(n), q)
 
     def determinant(Z):
-        Y = Z[:-1].reshape(n, m).T * np.sqrt(n)
-        times = cycle.times
-        for _ in range(2):  # each step's times are corrected for its own Jacobian
-            _, _, A, after = system(problem, Y, times, Z[-1])
-            times = after(np.zeros(len(Z)))
+        _, _, A = _mapped(problem, Z, times)
         M = functools.reduce(lambda M, i: A[..., i] @ M, range(n), np.eye(m))
         return np.linalg.det(M + sign * np.eye(m))
 
-    Z, h = cycle.Z, 1e-6
+    h = 1e-6
     row = np.array([(determinant(Z + h * e) - determinant(Z - h * e)) / (2 * h) for e in np.eye(len(Z))])
     size = np.linalg.norm(row)
-    matrix = np.vstack([system(problem, cycle.Y, cycle.times, cycle.q)[1], row / size])
+    matrix = np.vstack([_mapped(problem, Z, times)[1], row / size])
     exact = lump(problem.walker, number)
     constants = [exact[name] for name in problem.structure.constants]
-    Y, times = (np.vectorize(number, otypes=[object])(a) for a in (cycle.Y, cycle.times))
-    slope, last = number(float(np.exp(cycle.q))), 1e-3
+    Y, times = (np.vectorize(number, otypes=[object])(a) for a in (Y, times))
+    slope, last = number(float(np.exp(q))), 1e-3
     for _ in range(_MAX_STEPS):
         steps = []
         for i in range(n):

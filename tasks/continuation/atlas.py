@@ -9,7 +9,7 @@ Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a li
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from tasks.continuation.branch import MIN_NODES, Branch
 from tasks.continuation.checks import checked
 from tasks.continuation.ends import BranchEnd, locate_end
+from tasks.continuation.flips import begun_at_flips
 from tasks.continuation.locate import (
     check_steps,
     correct_at,
@@ -41,6 +42,7 @@ from tasks.continuation.tracking import (
 from tasks.fixed_points.search import search_lines, starts
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes, Problem
+from tasks.step.several_steps import begun_at
 from tasks.walkers.walker import Walker
 
 #: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
@@ -58,15 +60,29 @@ _TWIN = 1e-10
 _FEW = 8
 
 
-def _join(m: int, down: Track, up: Track) -> tuple[Branch, int]:
+def _join(problem: Problem, down: Track, up: Track) -> tuple[Branch, int]:
     """Join the tracks down and up to one branch; also the index of their start on it."""
     Z, tangent = np.vstack([down.Z[:0:-1], up.Z]), np.vstack([-down.tangent[:0:-1], up.tangent])
-    return Branch(m, Z, tangent, np.zeros(len(Z)), (down.stop_reason, up.stop_reason)), len(down.Z) - 1
+    why = down.stop_reason, up.stop_reason
+    return Branch(problem.m, Z, tangent, np.zeros(len(Z)), why, steps=problem.steps), len(down.Z) - 1
 
 
-def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[list[Branch]]:
-    """Join both directions, keep the parts that are steps up to their located ends, refine and measure them."""
-    raw, start = _join(m, down, up)
+def branches_along(
+    problem: Problem, down: Track, up: Track, tolerance: float, flips: Sequence[Point] = ()
+) -> Procedure[list[Branch]]:
+    """Join both directions, keep the parts that are steps up to their located ends, refine and measure them.
+
+    Parameters
+    ----------
+    problem : Problem
+    down, up : Track
+    tolerance : float
+        FINE or COARSE.
+    flips : sequence of Point
+        Of gaits of half as many steps: where branches of several steps begin.
+    """
+    m = problem.m
+    raw, start = _join(problem, down, up)
     if len(raw.Z) < 4:
         return []
     check = yield Call(check_steps, (raw.Z[:, : m + 1].T, raw.Z[:, m + 1 :].T))
@@ -76,7 +92,8 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
     if is_closed := down.stop_reason == CLOSED:
         order = _loop(len(down.Z), steps, raw.tangent[:, m])
         # A loop of steps alone is cut at a fold, where it begins and ends; any other where a gait is no step.
-        raw, steps = Branch(m, raw.Z[order], raw.tangent[order], np.zeros(len(order)), ("", "")), steps[order]
+        Z, tangent, steps = raw.Z[order], raw.tangent[order], steps[order]
+        raw = Branch(m, Z, tangent, np.zeros(len(order)), ("", ""), steps=raw.steps)
     branches: list[Branch] = []
     for first, last in _runs(steps):
         branch = yield from _with_ends(raw, first, last)
@@ -84,6 +101,7 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
             branch = yield from _with_folds(branch)
             if is_closed and steps.all():
                 branch = _cut_at_fold(branch)
+            branch = begun_at_flips(problem, branch, flips)
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order(gait), gait)
             branch = yield from checked(branch, gait)
@@ -144,7 +162,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     for side, segment in ((0, 0), (1, len(raw.Z) - 2)):
         if whole[side] and raw.why[side] == "a fall":
             fall = yield from locate_root(
-                raw, segment, lambda point, direction: float(fall_margin(point.X, point.times)[0])
+                raw, segment, lambda point, direction: float(fall_margin(point.X, point.times, raw.steps)[0])
             )
             ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
@@ -265,7 +283,9 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
             turn[:] = 0
         for k in range(turn.max() + 1):
             chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], m, w[:, i], q)]
-            parts = side_by_side(problem, lines[chosen], [_from_tracks(m, *pairs[i], tolerance) for i in chosen])
+            parts = side_by_side(
+                problem, lines[chosen], [branches_along(problem, *pairs[i], tolerance) for i in chosen]
+            )
             for i, part in zip(chosen, parts, strict=True):
                 if is_known(branches[lines[i]], m, w[:, i], q):
                     continue
@@ -273,7 +293,7 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
                     middle = branch.Z[len(branch.Z) // 2]
                     if not is_known(branches[lines[i]], m, np.delete(middle, m), middle[m]):
                         branches[lines[i]].append(branch)
-    return [_rank(each) for each in branches]
+    return [ranked(each) for each in branches]
 
 
 def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
@@ -291,7 +311,7 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[float, np.ndarray, np.nd
         yield float(q[k]), w[:, kept], lines[kept]
 
 
-def _rank(branches: list[Branch]) -> list[Branch]:
+def ranked(branches: list[Branch]) -> list[Branch]:
     """Sort branches in the order of their numbers: by their lowest ln slope, then by ln angle there.
 
     How far below `MIN_SLOPE` a branch was followed is arbitrary: those that reach it are equal in the first.
@@ -321,7 +341,9 @@ def is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
     """
     for branch in branches:
         for _, Z, _ in branch.guesses(np.array([q])):
-            if np.abs(np.delete(Z[0], m) - w).max() < _SAME:
+            own = np.repeat(np.delete(Z[0], m)[:, None], branch.steps, axis=1)
+            # A gait is the same whichever of its steps is the first.
+            if np.abs(begun_at(own, m, branch.steps, np.arange(branch.steps)) - w[:, None]).max(axis=0).min() < _SAME:
                 return True
     return False
 
@@ -340,6 +362,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     return {
         "lengths": lengths,
         "m": np.array([branches[0].m]),
+        "steps": np.array([branches[0].steps]),
         "why": np.array([b.why for b in branches]),
         "end_errors": np.array([b.end_errors for b in branches]),
         **{name: np.concatenate([getattr(b, name) for b in branches]) for name in _BY_NODE},
@@ -361,6 +384,7 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
     return [
         Branch(
             m=int(arrays["m"][0]),
+            steps=int(arrays["steps"][0]),
             why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
             end_errors=(float(arrays["end_errors"][i][0]), float(arrays["end_errors"][i][1])),
             **{name: arrays[name][a:b] for name in _BY_NODE},

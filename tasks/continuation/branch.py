@@ -9,6 +9,7 @@ import numpy as np
 
 from tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
 from tasks.fixed_points.polish import UNKNOWN, Guesses
+from tasks.step.several_steps import from_largest
 
 #: Nodes of the shortest branch.
 MIN_NODES = 3
@@ -27,7 +28,7 @@ class Branch:
     Attributes
     ----------
     m : int
-        Number of section coordinates.
+        Number of section coordinates, of all steps.
     Z : ndarray, shape (n, m + 1 + k)
         X = (ln angle, rates/angle, ln slope), then the k event times [sqrt(leg/g)].
     tangent : ndarray, shape (n, m + 1 + k)
@@ -48,6 +49,8 @@ class Branch:
         How often the swing leg passes the stance leg.
     safe : ndarray of bool, shape (n,)
         Whether, by the motion at the nodes, every gait on the segment after each is a step whose legs pass that often.
+    steps : int
+        Number of steps after which its gaits repeat.
     """
 
     m: int
@@ -61,6 +64,7 @@ class Branch:
     ratio: np.ndarray = field(default_factory=lambda: np.zeros(0))
     leg_passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     safe: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    steps: int = 1
 
     def __post_init__(self) -> None:
         self._interpolate()
@@ -114,7 +118,7 @@ class Branch:
         Z, tangent : ndarray, shape (k, c) or (c,)
         """
         Z, tangent = np.insert(self.Z, at, Z, axis=0), np.insert(self.tangent, at, tangent, axis=0)
-        return Branch(self.m, Z, tangent, np.zeros(len(Z)), self.why, self.end_errors)
+        return Branch(self.m, Z, tangent, np.zeros(len(Z)), self.why, self.end_errors, steps=self.steps)
 
     def part(self, nodes: np.ndarray) -> Branch:
         """Branch of some nodes, with nothing measured yet; where it is cut there is `no further point`.
@@ -126,9 +130,9 @@ class Branch:
         """
         ends = zip(self.why, self.end_errors, (nodes[0] == 0, nodes[-1] == len(self.Z) - 1), strict=True)
         low, high = ((why, error) if whole else ("no further point", 0.0) for why, error, whole in ends)
-        return Branch(
-            self.m, self.Z[nodes], self.tangent[nodes], np.zeros(len(nodes)), (low[0], high[0]), (low[1], high[1])
-        )
+        why, errors = (low[0], high[0]), (low[1], high[1])
+        Z, tangent = self.Z[nodes], self.tangent[nodes]
+        return Branch(self.m, Z, tangent, np.zeros(len(nodes)), why, errors, steps=self.steps)
 
     def lost(self) -> list[float]:
         """Return the slopes of ends at which the branch could be continued no further [rad]."""
@@ -270,11 +274,13 @@ class Branch:
     def folds(self) -> np.ndarray:
         """Return the nodes that are folds; the one at which a closed branch is cut is its first and last.
 
+        So are the flips at which branches of twice the steps begin: their slope turns there.
+
         Returns
         -------
         ndarray of int, shape (k,)
         """
-        ends = [i for i, why in zip((0, len(self.Z) - 1), self.why, strict=True) if why == "fold"]
+        ends = [i for i, why in zip((0, len(self.Z) - 1), self.why, strict=True) if why in ("fold", "branch_point")]
         return np.array(sorted([*ends, *(first for first, _ in self.pieces()[1:])]), int)
 
     def distance_from_fold(self) -> np.ndarray:
@@ -321,6 +327,9 @@ class Branch:
         leg_passes = np.where(self.safe[segment], self.leg_passes[segment], UNKNOWN)
         gradient = np.moveaxis((self.gradient[segment] + self.gradient[segment + 1]) / 2, 0, -1)
         w = np.delete(Z, self.m, axis=1).T
+        if self.steps > 1:  # what is known of a branch's own first step does not serve
+            w, unknown = from_largest(w, self.m, self.steps), np.full(len(slope), np.nan)
+            return Guesses(w, slope, unknown, unknown + gradient, unknown + self.rounding_std[segment].T, leg_passes)
         return Guesses(w, slope, lipschitz, gradient, self.rounding_std[segment].T, leg_passes)
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -11,9 +11,8 @@ import numpy as np
 
 from tasks.continuation.branch import Branch
 from tasks.continuation.defining import SCALARS, scalar
-from tasks.continuation.locate import correct_and_evaluate
 from tasks.continuation.lockstep import Call, Procedure
-from tasks.continuation.tracking import correct, fall_margin
+from tasks.continuation.tracking import correct, correct_and_evaluate, fall_margin
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
@@ -112,7 +111,7 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     at_ends = replace(point, X=Z[: m + 1], times=Z[m + 1 :])
     for side, kind in enumerate(branch.why):
         if kind == "a fall":
-            value = fall_margin(at_ends.X, at_ends.times)[side]
+            value = fall_margin(at_ends.X, at_ends.times, branch.steps)[side]
         elif kind in SCALARS and kind not in ("fold", "window"):
             value = scalar(kind, at_ends)[side]
         else:

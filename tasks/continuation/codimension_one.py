@@ -255,7 +255,10 @@ def turning(
     tangents = [along(point)[component] for point in ends]
     if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
         return None
-    turn = engine.root_between(a, b, measured, curve.correct, lambda point: float(along(point)[component]), 1e-11)
+    values = float(tangents[0]), float(tangents[1])
+    turn = engine.root_between(
+        a, b, values, measured, curve.correct, lambda point: float(along(point)[component]), 1e-11
+    )
     if not turn.ok[0]:
         return None
     Z, tangent = turn.Z[:, 0], along(turn)

@@ -9,6 +9,7 @@ walker of its own, and c = m + 1 + k is the length of Z.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
-from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
+from tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
 from tasks.continuation.tracking import Point
 from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes, Problem
-from tasks.step.step_map import Stride, matvec
+from tasks.step.several_steps import AnyStride
+from tasks.step.step_map import matvec
 from tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
@@ -43,23 +45,14 @@ class Evaluation:
     Attributes
     ----------
     Z : ndarray, shape (c, n)
-    stride : Stride
+    stride : Stride or Strides
         Differentiated by the slope too.
-    residual : ndarray, shape (n, m + k)
-        Of the joint equations.
-    derivative : ndarray, shape (n, m + k, c)
-        By X and the durations of the phases.
-    times_by : ndarray, shape (k, c, n)
-        Derivatives of the event times by the same.
     problem : Problem
         Of one walker, or of the n lanes.
     """
 
     Z: np.ndarray
-    stride: Stride
-    residual: np.ndarray
-    derivative: np.ndarray
-    times_by: np.ndarray
+    stride: AnyStride
     problem: Problem
 
     @property
@@ -67,9 +60,28 @@ class Evaluation:
         """Number of section coordinates."""
         return len(self.stride.y)
 
+    @functools.cached_property
+    def _joint(self) -> tuple[np.ndarray, np.ndarray]:
+        return joint(self.stride, self.Z)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Residual of the joint equations, shape (n, m + k)."""
+        return self._joint[0]
+
+    @property
+    def derivative(self) -> np.ndarray:
+        """Its derivative by X and the durations of the phases, shape (n, m + k, c)."""
+        return self._joint[1]
+
+    @functools.cached_property
+    def times_by(self) -> np.ndarray:
+        """Derivatives of the event times by the same, shape (k, c, n)."""
+        return joint_by_X(self.stride.times_by, self.stride, self.Z)
+
     @property
     def jacobians(self) -> np.ndarray:
-        """Jacobians of the step map, shape (n, m, m)."""
+        """Jacobians of all steps of a gait, shape (n, d, d)."""
         return np.moveaxis(self.stride.jacobian, -1, 0)
 
     @property
@@ -179,26 +191,37 @@ def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
     """
     m = problem.m
     stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
-    return _evaluation(problem, Z, stride)
-
-
-def _evaluation(problem: Problem, Z: np.ndarray, stride: Stride) -> Evaluation:
-    residual, derivative = joint(stride, Z)
-    times_by = joint_by_X(stride.times_by, stride, Z)
-    return Evaluation(Z, stride, residual, derivative, times_by, problem)
+    return Evaluation(Z, stride, problem)
 
 
 def _flip(at: Evaluation) -> np.ndarray:
-    return determinants(at.jacobians + np.eye(at.m))
+    return determinants(at.jacobians + np.eye(at.jacobians.shape[-1]))
 
 
 def _neimark_sacker(at: Evaluation) -> np.ndarray:
     """Product over i < j of (lambda_i lambda_j - 1): the determinant of the second compound matrix less one."""
     A = at.jacobians
-    if at.m == 2:
+    if A.shape[-1] == 2:
         return determinants(A) - 1
     minors = np.array([[A[:, i, k] * A[:, j, q] - A[:, i, q] * A[:, j, k] for k, q in _PAIRS] for i, j in _PAIRS])
     return determinants(np.moveaxis(minors, -1, 0) - np.eye(3))
+
+
+def _nearest(values: np.ndarray, at: Any) -> np.ndarray:
+    """Of the values at each step of gaits, (s, n) or (s n,), those nearest zero, shape (n,)."""
+    values = values.reshape(at.stride.steps, -1)
+    return np.take_along_axis(values, np.nan_to_num(np.abs(values)).argmin(axis=0)[None], axis=0)[0]
+
+
+def _closing(at: Any, strike: int) -> np.ndarray:
+    """Rate of the guard of a step's first (0) or last (-1) strike, over the stance angle."""
+    return _nearest(at.stride.singles.closing[strike], at) / at.stride.y[0]
+
+
+def _last_phase(at: Any) -> np.ndarray:
+    """Duration of a step's last phase."""
+    durations = np.diff(at.Z[at.m + 1 :], axis=0, prepend=0)
+    return _nearest(durations.reshape(at.stride.steps, -1, durations.shape[1])[:, -1], at)
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -224,11 +247,11 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "fold": _fold,
     "flip": _flip,
     "neimark_sacker": _neimark_sacker,
-    "end_kneestrike_at_heelstrike": lambda at: at.Z[-1] - at.Z[at.m + 1],
-    "end_tangential_heelstrike": lambda at: at.stride.closing[-1] / at.stride.y[0],
-    "end_tangential_kneestrike": lambda at: at.stride.closing[0] / at.stride.y[0],
-    "foot_at_kneestrike": lambda at: (at.stride.knee[0] + at.stride.knee[1]) / at.stride.y[0],
-    "release_hyperextension": lambda at: (at.stride.start[4] - at.stride.start[5]) / at.stride.y[0],
+    "end_kneestrike_at_heelstrike": _last_phase,
+    "end_tangential_heelstrike": lambda at: _closing(at, -1),
+    "end_tangential_kneestrike": lambda at: _closing(at, 0),
+    "foot_at_kneestrike": lambda at: _nearest(at.stride.knee[0] + at.stride.knee[1], at) / at.stride.y[0],
+    "release_hyperextension": lambda at: _nearest(at.stride.start[4] - at.stride.start[5], at) / at.stride.y[0],
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.Z[at.m],
@@ -404,11 +427,8 @@ def newton_step(
     matrix = at.bordered(rows)
     matrix[:, -1] /= size[:, None]
     right = -np.concatenate([at.residual, (value / size)[:, None]], axis=1)
-    solvable = replace_singular(matrix, right)
-    unit = np.zeros_like(right)
-    unit[:, -1] = 1.0
-    solution = np.linalg.solve(matrix, np.stack([right, unit], axis=-1))
-    change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in solution.transpose(2, 1, 0))
+    *both, solvable = solve_bordered(matrix, right)
+    change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in both)
     change[:, ~solvable] = np.nan
     return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride), rows)
 
@@ -529,7 +549,7 @@ def slope_error(problem: Problem, kind: str, Z: np.ndarray) -> float:
     points = np.repeat(column, len(units), axis=1)
     parameters = problem.parameters(np.exp(points[m]), scale * units)
     parameters[2:, -2 * n - 1 :] *= 1 + varied
-    at = _evaluation(problem, points, problem.map(y, points[m + 1 :], parameters, slope=True))
+    at = Evaluation(points, problem.map(y, points[m + 1 :], parameters, slope=True), problem)
     off = by_values @ np.vstack([at.residual.T, scalar(kind, at)])
     rounded, by_constants = np.split(off[:-1], [_STATES * len(UNITS)])
     std = np.sqrt(rounded.reshape(_STATES, -1).var(axis=1, ddof=1).mean())

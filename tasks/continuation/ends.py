@@ -24,8 +24,8 @@ from tasks.continuation.locate import (
 from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
+from tasks.fixed_points.step_check import verified
 from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import verify
 
 #: Shares of the way to an end at which gaits must still be steps.
 _SHARES = 1 - 0.1 ** np.arange(1, 7)
@@ -58,7 +58,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_bad = yield from correct_at(branch, segment, branch.Z[bad, axis])
     ends: list[tuple[float, BranchEnd]] = []
     for kind in _ENDS:
-        if "kneestrike" in kind and len(at_good[0].times) == 1:
+        if "kneestrike" in kind and not len(at_good[0].stride.knee):
             continue
         test = test_function(kind)
         if test(*at_good) * test(*at_bad) < 0:
@@ -74,10 +74,17 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
 
 def _with_a_kneestrike(branch: Branch, segment: int, end: BranchEnd) -> Procedure[BranchEnd]:
     """Where the knee strikes as soon as it is released, the end at the earliest kneestrike that rounding resolves."""
-    if end.kind != "end_tangential_kneestrike" or end.point.times[0, 0] > _EARLIEST_KNEESTRIKE:
+    if end.kind != "end_tangential_kneestrike" or _earliest_kneestrike(end.point) > _EARLIEST_KNEESTRIKE:
         return end
-    earliest = yield from locate_root(branch, segment, lambda point, _: float(point.times[0, 0] - _EARLIEST_KNEESTRIKE))
+    earliest = yield from locate_root(
+        branch, segment, lambda point, _: _earliest_kneestrike(point) - _EARLIEST_KNEESTRIKE
+    )
     return BranchEnd(end.kind, *earliest, abs(float(earliest[0].X[-1, 0] - end.point.X[-1, 0])))
+
+
+def _earliest_kneestrike(point: Point) -> float:
+    """Shortest time to kneestrike of a gait's steps [sqrt(leg/g)]."""
+    return float(np.diff(point.times[:, 0], prepend=0)[::2].min())
 
 
 def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Procedure[bool]:
@@ -139,4 +146,4 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
 def _is_step_finely(point: Point) -> Procedure[bool]:
     """Whether a corrected point is a step that happens, by four times as many samples as settle a doubt."""
     stride, _ = yield Call(sampled_steps, (point.X, point.times), (("samples", 64 * SAMPLES),))
-    return bool(verify(stride.motion, stride.closing, stride.times).step[0])
+    return bool(verified(stride).step[0])

@@ -5,33 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.step.problem import EPS
-from tasks.step.step_map import Stride, matvec
+from tasks.step.several_steps import AnyStride
+from tasks.step.step_map import matvec
 
 
-def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and derivative of the fixed-point equations P(y) - y = 0, both over the stance angle.
-
-    Parameters
-    ----------
-    stride : Stride
-        Differentiated by the slope too.
-    X : ndarray, shape (m + 1, n)
-        Where it was evaluated.
-
-    Returns
-    -------
-    residual : ndarray, shape (n, m)
-    derivative : ndarray, shape (n, m, m + 1)
-        By X.
-    """
-    m = len(stride.y)
-    J = stride.jacobian - np.eye(m)[:, :, None]
-    # Rows over the angle are of order one on any slope.
-    derivative = _by_X(J, stride.by_slope, stride, X) / stride.y[0]
-    return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
-
-
-def joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joint(stride: AnyStride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual and derivative of the joint equations of state and event times, both over the stance angle.
 
     Parameters
@@ -51,7 +29,7 @@ def joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (stride.residual / stride.y[0]).T, (derivative / stride.y[0]).transpose(2, 0, 1)
 
 
-def joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
+def joint_by_X(by: np.ndarray, stride: AnyStride, X: np.ndarray) -> np.ndarray:
     """Return derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope.
 
     Parameters
@@ -68,7 +46,7 @@ def joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
     return np.concatenate([_by_X(by[:, :m], by[:, -1], stride, X), by[:, m:-1]], axis=1)
 
 
-def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
+def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: AnyStride, X: np.ndarray) -> np.ndarray:
     """Derivatives by X, shape (i, m + 1, n), of what has the derivatives by y, (i, m, n), and by the slope, (i, n)."""
     y, slope = stride.y, np.exp(X[len(stride.y)])
     return np.concatenate([matvec(by_y, y)[:, None], by_y[:, 1:] * y[0], (by_slope * slope)[:, None]], axis=1)
@@ -92,7 +70,7 @@ def determinants(matrices: np.ndarray) -> np.ndarray:
     return out
 
 
-def rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
+def rounding_step(matrix: np.ndarray, stride: AnyStride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes.
 
     Parameters
@@ -106,10 +84,9 @@ def rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     ndarray, shape (n,)
     """
     m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
-    inverse = np.linalg.inv(matrix).transpose(1, 2, 0)[: m + 1]
-    error = matvec(np.abs(inverse), np.vstack([y, np.ones((len(matrix[0]) - m, y.shape[1]))]))
-    for k in range(m):
-        # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
-        carried = stride.derivative[:, k] + np.eye(len(stride.derivative))[k][:, None]
-        error = error + np.abs(matvec(inverse[:, :-1], carried)) * y[k]
-    return 6 * EPS * np.nan_to_num(error).max(axis=0)
+    inverse = np.linalg.inv(matrix)[:, : m + 1]
+    error = np.abs(inverse) @ np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))]).T[..., None]
+    # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
+    carried = stride.derivative[:, :m].transpose(2, 0, 1) + np.eye(len(stride.derivative), m)
+    error = error + np.abs(inverse[..., :-1] @ carried) @ y.T[..., None]
+    return 6 * EPS * np.nan_to_num(error).max(axis=(1, 2))

@@ -16,12 +16,12 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.defining import scalar
 from tasks.continuation.lockstep import Call, Procedure, lanes_of, run
 from tasks.continuation.root import root_search
-from tasks.continuation.tracking import Point, correct
+from tasks.continuation.tracking import Point, correct_and_evaluate
 from tasks.fixed_points.polish import Guesses, Polished, settle
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem
-from tasks.step.step_map import Stride
+from tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
 from tasks.step.verify_step import StepCheck, strike_distance
 
 TestFunction = Callable[[Point, np.ndarray], float | bool]
@@ -31,6 +31,9 @@ TestFunction = Callable[[Point, np.ndarray], float | bool]
 _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 #: Farthest that Newton's method may move a guess of a branch, commonly by less than 1e-5: beyond lie others' gaits.
 _MAX_MOVE = 1e-4
+#: Least distance of a gait's steps from each other, over that of its guess, and over the first angle, that of rounding:
+#: nearer ones are those of a gait of fewer steps, beside whose flip it lies.
+_LEAST_SHARE, _LEAST_APART = 0.5, 1e-10
 #: Error of a fold's ln slope up to which doubles locate it well enough.
 _SHARP = 1e-13
 
@@ -73,27 +76,6 @@ def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point,
     direction = direction / np.linalg.norm(direction)
     point = yield Call(correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
     return point, direction
-
-
-def correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
-    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself.
-
-    Parameters
-    ----------
-    problem : Problem
-    X : ndarray, shape (m + 1, n)
-    times : ndarray, shape (k, n) [sqrt(leg/g)]
-    border : ndarray, shape (m + 1 + k, n)
-        Directions along which the points may not move.
-
-    Returns
-    -------
-    Point
-    """
-    point = correct(problem, X, times, border)
-    at_point = correct(problem, point.X, point.times, border, max_iterations=1)
-    at_point.ok = point.ok
-    return at_point
 
 
 def search_segment(
@@ -152,7 +134,7 @@ def settle_on_branches(
         As for `settle`.
     """
     gaits = settle(problem, guesses, accuracy=accuracy)
-    lost = np.flatnonzero(~(gaits.converged & _is_near(gaits, guesses.w)))
+    lost = np.flatnonzero(~(gaits.converged & _is_near(problem, gaits, guesses.w)))
     if not len(lost):
         return gaits
     again = lanes_of(guesses, lost)
@@ -166,19 +148,21 @@ def settle_on_branches(
         for part, own in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
             point, _ = run(walker, locate_root(part, own, beyond))
             if point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]:
-                again.w[:, i] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
+                again.w[:, i] = from_largest(point.w, branch.m, branch.steps)[:, 0]
                 break
     located = settle(problem.some(lost), again, accuracy=accuracy)
-    located.converged &= _is_near(located, again.w)
+    located.converged &= _is_near(problem, located, again.w)
     gaits.assign(lost, located)
     return gaits
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def _is_near(at: Polished, w: np.ndarray) -> np.ndarray:
-    """Whether gaits lie where Newton's method began, shape (n,)."""
+def _is_near(problem: Problem, at: Polished, w: np.ndarray) -> np.ndarray:
+    """Whether gaits lie where Newton's method began and repeat no sooner, shape (n,)."""
     reached = np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
-    return np.asarray(np.abs(reached - w).max(axis=0) < _MAX_MOVE)
+    near = np.abs(reached - w).max(axis=0) < _MAX_MOVE
+    apart, guessed = (distances_of_steps(each, problem.m, problem.steps) for each in (reached, w))
+    return np.asarray(near & (apart > np.maximum(_LEAST_SHARE * guessed, _LEAST_APART)).all(axis=0))
 
 
 def _beyond(q: float, point: Point, _: np.ndarray) -> float:
@@ -287,7 +271,7 @@ def strike_distances(problem: Problem, X: np.ndarray, times: np.ndarray, samples
     return sampled_steps(problem, X, times, samples)[1]
 
 
-def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> tuple[Stride, np.ndarray]:
+def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> tuple[AnyStride, np.ndarray]:
     """Evaluate the steps at points of branches with samples of their motion.
 
     Parameters
@@ -303,7 +287,9 @@ def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: i
         From an earlier strike, as `strike_distance` has it.
     """
     stride, _ = problem.stride(np.vstack([X[: problem.m], times]), X[problem.m], samples=samples)
-    return stride, strike_distance(stride.scaled_motion(), stride.times)
+    each = stride.singles
+    distance = strike_distance(each.scaled_motion(), each.times)
+    return stride, distance.reshape(stride.steps, -1).min(axis=0)
 
 
 def _fold_covector(point: Point, lane: int) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from tasks.continuation.root import bracketed_root, hermite
 from tasks.step.step_map import matvec
 
-Point = TypeVar("Point")
+Point = TypeVar("Point", bound=Any)
 
 
 @dataclass
@@ -125,23 +125,32 @@ def bordered_matrix(derivative: np.ndarray, by_Z: np.ndarray, times_by: np.ndarr
     return np.concatenate([derivative, row.T[:, None]], axis=1)
 
 
-def replace_singular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Replace linear systems without a solution by the identity and zeros, in place.
+def solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve linear systems, and find the directions in which all equations but the last stay satisfied.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, u, u)
+        Becomes the identity, in place, where there is no solution.
     right : ndarray, shape (n, u)
 
     Returns
     -------
-    ndarray of bool, shape (n,)
-        Which have a solution.
+    solution, direction : ndarray, shape (u, n)
+        Along the direction the last equation's value grows by 1; both are 0 where there is no solution.
+    solvable : ndarray of bool, shape (n,)
     """
     solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
-    matrix[~solvable], right[~solvable] = np.eye(matrix.shape[1]), 0.0
-    return np.asarray(solvable)
+    both = np.zeros((*right.shape, 2))
+    both[..., 0], both[:, -1, 1] = right, 1.0
+    try:
+        solution = np.linalg.solve(matrix[solvable], both[solvable])
+    except np.linalg.LinAlgError:  # one of them is singular to the last digit
+        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+        solution = np.linalg.solve(matrix[solvable], both[solvable])
+    both[:] = 0.0
+    both[solvable], matrix[~solvable] = solution, np.eye(matrix.shape[1])
+    return both[..., 0].T, both[..., 1].T, solvable
 
 
 # Where a strike is tangential to the last digit the map has no derivative.
@@ -184,8 +193,7 @@ def bordered_newton(
         matrix = bordered_matrix(system.derivative, normal, system.times_by)
         off = (normal * (start[:, active] - points)).sum(axis=0)
         right = np.concatenate([-system.residual, off[:, None]], axis=1)
-        solvable = replace_singular(matrix, right)
-        change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
+        change, direction, solvable = solve_bordered(matrix, right)
         size = np.abs(change[:own]).max(axis=0)
         new_times = points[own:] + (system.late + matvec(system.times_by, change))
         moving = solvable & (size <= limits.max_step) & np.isfinite(new_times).all(axis=0)
@@ -196,14 +204,14 @@ def bordered_newton(
         ok[active], error[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
         if not iteration:
-            at = system
+            at, null = system, direction
         else:
             at.assign(active, system)
+            null[:, active] = direction
         active = active[moving & ~done]
         if not len(active):
             break
     ok[active] |= error[active] < limits.stalled
-    null = np.linalg.svd(np.nan_to_num(at.derivative))[2][:, -1].T
     direction = np.vstack([null[:own], matvec(np.nan_to_num(at.times_by), null)])
     length = np.sqrt((direction[:measured] ** 2).sum(axis=0))
     length[length == 0] = 1.0  # in lanes that are lost
@@ -344,6 +352,7 @@ class Tracks:
 def root_between(
     a: tuple[np.ndarray, np.ndarray],
     b: tuple[np.ndarray, np.ndarray],
+    values: tuple[float, float],
     measured: int,
     correct: Callable[[np.ndarray, np.ndarray], Point],
     test: Callable[[Point], float],
@@ -355,6 +364,8 @@ def root_between(
     ----------
     a, b : tuple of ndarray, shape (c,)
         The points, each with the curve's tangent there.
+    values : tuple of float
+        Those of the test function at both.
     measured : int
         Number of coordinates, the first, that lengths are measured in.
     correct : callable
@@ -376,11 +387,29 @@ def root_between(
     chord = b[0] - a[0]
     chord[measured:] = 0.0
     length = float(np.linalg.norm(chord))
+    along, known, points = chord / length, {0.0: a, length: b}, dict[float, Point]()
 
     def at(s: float) -> Point:
-        return correct(hermite(*a, *b, length, s / length), chord / length)
+        if s in points:
+            return points[s]
+        if s in known:
+            guess = known[s][0]
+        else:
+            # Near the root the nearest points that are known are so near that a step of Newton's or two remain.
+            low, high = max(x for x in known if x < s), min(x for x in known if x > s)
+            (Z_low, T_low), (Z_high, T_high) = known[low], known[high]
+            distance = float(np.linalg.norm((Z_high - Z_low)[:measured]))
+            guess = hermite(Z_low, T_low, Z_high, T_high, distance, (s - low) / (high - low))
+            guess = guess + along * (s - along @ (guess - a[0]))
+        points[s] = point = correct(guess, along)
+        tangent = point.direction[:, 0]
+        known[s] = point.Z[:, 0], tangent if tangent @ along >= 0 else -tangent
+        return point
 
-    return at(bracketed_root(lambda s: test(at(s)), 0.0, length, tolerance * length))
+    def value(s: float) -> float:
+        return values[s > 0] if s in (0.0, length) else test(at(s))
+
+    return at(bracketed_root(value, 0.0, length, tolerance * length))
 
 
 def column(Z: np.ndarray, times: np.ndarray) -> np.ndarray:

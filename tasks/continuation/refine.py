@@ -100,6 +100,7 @@ def without_jumps(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border), (("max_iterations", 1),))
     side = np.sign(branch_point_determinant(point, border))
     jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(Z, axis=1), axis=0) > MAX_CROSSING_STEP)
+    jumps[[0, -1]] &= np.array(branch.why) != "branch_point"
     return branch.part_of(gait, np.flatnonzero(jumps)) if jumps.any() else branch
 
 
@@ -142,7 +143,8 @@ def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Proce
             if (yield from _is_interrupted(branch, place[k], fine[k])):
                 gaps.append(float(place[k]))
                 break
-            k = int(np.diff(stride.motion[0][0, 4] < stride.motion[0][0, 5]).argmax())
+            against = stride.start[4] < stride.start[5]
+            k = int(np.diff(against.reshape(stride.steps, -1).any(axis=0)).argmax())
             low, high = place[k], place[k + 1]
     return sorted(set(gaps))
 
@@ -180,18 +182,19 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, Ste
     if tolerance == FINE:
         measured = yield from _roughness(X, times, folds)
     else:
-        measured = not_measured(m, len(times), len(X.T))
+        measured = not_measured(m, len(times), len(X.T), branch.steps)
     branch.lipschitz, branch.gradient, branch.rounding_std = (np.moveaxis(each, -1, 0) for each in measured)
     stride, distance = yield Call(sampled_steps, (X, times), _FINER)
     branch.ratio = gait_ratio(stride)
-    motion = stride.scaled_motion()
-    n = len(branch.Z)
-    margin = np.zeros(n)
-    apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in motion], axis=0)
+    n, each = len(branch.Z), stride.singles
+    motion = each.scaled_motion()
+    margin = np.zeros((stride.steps, n))
+    phases = [part.reshape(*part.shape[:2], stride.steps, n) for part in motion]
+    apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in phases], axis=0)
     # A guard adds two angles, and a gait between two nodes is no farther from one of them than they are apart.
-    margin[:-1] = 2 * apart
-    margin[1:] = np.maximum(margin[1:], 2 * apart)
-    check = verify(motion, stride.closing / stride.y[0], stride.times, margin)
+    margin[:, :-1] = 2 * apart
+    margin[:, 1:] = np.maximum(margin[:, 1:], 2 * apart)
+    check = verify(motion, each.closing / each.y[0], each.times, margin.ravel()).of_all(stride.steps)
     clear = check.step & ~check.doubt
     branch.leg_passes = check.leg_passes
     branch.safe = np.append(clear[1:] & clear[:-1] & (check.leg_passes[1:] == check.leg_passes[:-1]), False)

@@ -13,6 +13,8 @@ from tasks.step.problem import Problem
 
 #: Rounds in which points are added where the spectral radius bends or stability changes.
 _MAX_ROUNDS = 16
+#: Distance of places that are the same but for rounding.
+_SAME_PLACE = 1e-9
 #: Fractions of the distance between two points at which the spectral radius is evaluated.
 _PROBES = (0.33, 0.67)
 
@@ -58,9 +60,8 @@ def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance:
 
 def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
     """Spectral radius at rows; infinite where heelstrike is tangential and the map has no derivative."""
-    m = problem.m
-    stride, _ = problem.stride(np.delete(rows, m, axis=1).T, rows[:, m])
-    return np.nan_to_num(np.abs(multipliers(stride.jacobian, m)).max(axis=1), nan=np.inf)
+    stride, _ = problem.stride(np.delete(rows, problem.m, axis=1).T, rows[:, problem.m])
+    return np.nan_to_num(np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1), nan=np.inf)
 
 
 def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
@@ -94,8 +95,11 @@ def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndar
         at = Z[np.arange(len(Z)), branch.axis[segment]]
         a, b = (branch.Z[segment + i, branch.axis[segment]] for i in (0, 1))
         place, rows = np.append(place, segment + (at - a) / (b - a)), np.vstack([rows, Z])
-    place, order = np.unique(place, return_index=True)
-    return place, rows[order]
+    order = np.argsort(place, kind="stable")
+    place, rows = place[order], rows[order]
+    # A node on an edge is that edge.
+    kept = np.diff(place, prepend=-1.0) > _SAME_PLACE
+    return place[kept], rows[kept]
 
 
 def _folds(branch: Branch) -> np.ndarray:

@@ -6,18 +6,22 @@ tangential or an earlier strike occurs; and the hyperextension of the released k
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
 from tasks.continuation.defining import SCALARS, scalar, slope_error
-from tasks.continuation.locate import fold_error, locate_root, test_function
+from tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
 from tasks.step.problem import EPS, Problem
+from tasks.step.several_steps import from_largest
 
+#: Rates at the start of a step.
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Height of the foot at kneestrike, in angles of order one, that is rounding.
 _ON_GROUND = 1e-12
 #: Points from which the slope of vanishing steps is extrapolated, and how far they reach, over the first's distance.
@@ -36,33 +40,13 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         [sqrt(leg/g)], `error_bound` (relative, of the slope), and `place`: the number of its node, or a number between
         those of its neighbours.
     """
-    m = branch.m
-    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    direction = branch.direction.T
-    nodes = correct(problem, X, times, direction)
+    nodes = corrected(problem, branch)
     # Folds have nodes of their own.
     records = [(float(first), _record("fold", problem, nodes, first)) for first, _ in branch.pieces()[1:]]
-    kinds = ["flip", "neimark_sacker", *(["release_hyperextension"] if problem.phases == 2 else [])]
-    tests = {kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds}
-    tests["branch_point"] = (
-        branch_point_determinant(nodes, direction),
-        lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
-    )
-    crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
-    for kind, (values, test) in tests.items():
-        crosses = np.sign(values[1:]) != np.sign(values[:-1])
-        if kind != "release_hyperextension":
-            # The derivative has a pole where a strike turns tangential: that sign change is no root.
-            for i in (0, -1):
-                crosses[i] &= not branch.why[i].startswith("end_tangential")
-        crossed += [
-            (kind, int(i), locate_root(branch, int(i), test))
-            for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
-        ]
-    located = side_by_side(problem, [0] * len(crossed), [procedure for *_, procedure in crossed])
-    for (kind, segment, _), (point, _) in zip(crossed, located, strict=True):
-        if point.ok[0] and _is_genuine(kind, point):
-            records.append((segment + 0.5, _record(kind, problem, point, 0)))
+    kinds = ["flip", "neimark_sacker", "branch_point"]
+    kinds += ["release_hyperextension"] if problem.walker.knees else []
+    for kind, segment, point in crossings(problem, branch, nodes, kinds):
+        records.append((segment + 0.5, _record(kind, problem, point, 0)))
     ends = list(zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True))
     # Both ends of a closed branch are one fold.
     for index, kind, error in ends[: 1 if branch.why == ("fold", "fold") else 2]:
@@ -71,6 +55,67 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
             record |= _limit_of_short_steps(branch, index)
         records.append((float(index), record))
     return [{**record, "place": place} for place, record in sorted(records, key=lambda entry: entry[0])]
+
+
+def corrected(problem: Problem, branch: Branch) -> Point:
+    """Return the nodes of a branch as points."""
+    m = branch.m
+    nodes = correct(problem, branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T, branch.direction.T)
+    for end in np.flatnonzero(np.array(branch.why) == "branch_point"):  # a flip, known better than by these equations
+        nodes.X[:, -end], nodes.times[:, -end] = branch.Z[-end, : m + 1], branch.Z[-end, m + 1 :]
+    return nodes
+
+
+def flips(problem: Problem, branch: Branch) -> list[Point]:
+    """Return the flips of a branch of anthropomorphic gaits.
+
+    Returns
+    -------
+    list of Point
+        Of one lane each.
+    """
+    found = crossings(problem, branch, corrected(problem, branch), ["flip"])
+    return [point for _, segment, point in found if branch.leg_passes[segment] == 1]
+
+
+@np.errstate(invalid="ignore")
+def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
+    """Yield what a branch passes between its nodes: kinds, segments and points of one lane.
+
+    Parameters
+    ----------
+    problem : Problem
+    branch : Branch
+    nodes : Point
+        Its nodes.
+    kinds : sequence of str
+        Of SCALARS, and `branch_point`.
+    """
+    direction = branch.direction.T
+    tests: dict[str, tuple[np.ndarray, TestFunction]] = {
+        kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds if kind in SCALARS
+    }
+    if "branch_point" in kinds:
+        tests["branch_point"] = (
+            branch_point_determinant(nodes, direction),
+            lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
+        )
+    crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
+    for kind, (values, test) in tests.items():
+        crosses = np.sign(values[1:]) != np.sign(values[:-1])
+        if kind != "release_hyperextension":
+            # The derivative has a pole where a strike turns tangential: that sign change is no root.
+            # At a flip of half the steps branches touch.
+            for i in (0, -1):
+                crosses[i] &= not branch.why[i].startswith(("end_tangential", "branch_point"))
+        crossed += [
+            (kind, int(i), locate_root(branch, int(i), test))
+            for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
+        ]
+    located = side_by_side(problem, [0] * len(crossed), [procedure for *_, procedure in crossed])
+    for (kind, segment, _), (point, _) in zip(crossed, located, strict=True):
+        if point.ok[0] and _is_genuine(kind, point):
+            yield kind, segment, point
 
 
 #: Names among special points of the reasons for which a branch is followed no further.
@@ -126,15 +171,21 @@ def _is_genuine(kind: str, point: Point) -> bool:
 def _strikes_with_knee(point: Point, lane: int) -> bool:
     """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
     knee = point.stride.knee
-    return len(knee) > 0 and bool(abs(knee[0, lane] + knee[1, lane]) < _ON_GROUND)
+    return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
-def rates_at(problem: Problem, point: Point, lane: int) -> tuple[float, ...]:
-    """Rates of stance leg, thigh and shank at the start of a point's step [sqrt(g/leg)]."""
-    X = point.X[:, [lane]]
-    angle = np.exp(X[:1])
-    stance, thigh, shank = problem.start(np.vstack([angle, angle * X[1 : problem.m]]), np.exp(X[problem.m]))[1:, 0]
-    return float(stance), float(thigh), float(shank)
+def state_at(problem: Problem, point: Point, lane: int) -> dict[str, Any]:
+    """State at the start of a point's step, of several that with the largest stance angle.
+
+    Returns
+    -------
+    dict
+        `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
+    """
+    w = from_largest(point.w[:, [lane]], problem.m, problem.steps)
+    angle = np.exp(w[:1])
+    state = problem.start(np.vstack([angle, angle * w[1 : problem.m]]), np.exp(point.X[-1:, lane]))[:, 0].tolist()
+    return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
 def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, Any]:
@@ -144,13 +195,12 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
         error += slope_error(problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])
-    else:
+    elif not (kind == "branch_point" and error):  # that of a flip at which the branch begins is known
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {
         "kind": kind,
         "slope": float(np.exp(point.X[problem.m, lane])),
-        "stance_angle": float(np.exp(point.X[0, lane])),
-        "rates": rates_at(problem, point, lane),
+        **state_at(problem, point, lane),
         "period": float(point.times[-1, lane]),
         "error_bound": error + 8 * EPS,
     }

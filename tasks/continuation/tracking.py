@@ -10,19 +10,28 @@ In shapes, n counts lanes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tasks.continuation.joint import joint, joint_by_X, rounding_step
-from tasks.continuation.pseudo_arclength import Linearisation, Newton, StepControl, Tracks, bordered_newton
+from tasks.continuation.pseudo_arclength import (
+    Linearisation,
+    Newton,
+    StepControl,
+    Tracks,
+    bordered_newton,
+    root_between,
+)
 from tasks.continuation.root import passes
+from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import SLOPES
 from tasks.step.problem import Problem
+from tasks.step.several_steps import AnyStride, sections
 from tasks.step.simulate import MAX_LOG_ANGLE
-from tasks.step.step_map import Stride
 
 #: Slopes over which branches are followed [rad]: at the least, rounding changes tangents by parts in a thousand.
 MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
@@ -38,9 +47,16 @@ _CONTROL = StepControl(
     reduction=0.3,
     max_error=0.02,
 )
+#: Gaits of several steps that flips begin lie near each other.
+_CONTROL_OF_SEVERAL = replace(_CONTROL, shortest=1e-12, max_bend=0.2)
+#: Of these the largest multiplier up to which branches are followed, and the largest change of the multipliers' sum
+#: over a continuation step, so that no flip is passed unseen.
+MAX_MULTIPLIER, _MAX_CHANGE = 20.0, 0.6
 #: Largest error of predicted event times.
 _MAX_TIME_ERROR = 0.1
 _MAX_NODES = 1500
+#: Distance from a root at which it is located, over the distance of the points between which it lies.
+_LOCATED = 3e-13
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
 MAX_CROSSING_STEP = 1e-4
@@ -60,7 +76,7 @@ class Point:
         Event times, and their derivatives along the branches; with `tangent` a unit vector.
     ok : ndarray of bool, shape (n,)
         Whether Newton converged.
-    stride : Stride
+    stride : Stride or Strides
         The last one evaluated, at the point or a Newton step away.
     derivative : ndarray, shape (m + k, m + 1 + k, n)
         Of its joint equations by X and the durations of the phases.
@@ -71,7 +87,7 @@ class Point:
     tangent: np.ndarray
     times_tangent: np.ndarray
     ok: np.ndarray
-    stride: Stride
+    stride: AnyStride
     derivative: np.ndarray
 
     @property
@@ -81,8 +97,13 @@ class Point:
 
     @property
     def jacobians(self) -> np.ndarray:
-        """Jacobians of the step map, shape (n, m, m)."""
+        """Jacobians of all steps of a gait, shape (n, d, d)."""
         return np.moveaxis(self.stride.jacobian, -1, 0)
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Multipliers, largest magnitude first, shape (n, d); NaN where there are none."""
+        return multipliers(self.stride.jacobian, self.stride.jacobian.shape[0])
 
     @property
     def Z(self) -> np.ndarray:
@@ -93,6 +114,21 @@ class Point:
     def direction(self) -> np.ndarray:
         """Unit tangents of Z, shape (m + 1 + k, n)."""
         return np.vstack([self.tangent, self.times_tangent])
+
+    @property
+    def q(self) -> np.ndarray:
+        """Values of ln slope, shape (n,)."""
+        return self.X[-1]
+
+    @property
+    def w(self) -> np.ndarray:
+        """Similarity coordinates and event times, shape (m + k, n)."""
+        return np.vstack([self.X[:-1], self.times])
+
+    def oriented(self, direction: np.ndarray) -> Point:
+        """Return the points with their tangents turned to the side of some directions (m + 1 + k, n)."""
+        sign = np.where((self.direction * direction).sum(axis=0) < 0, -1.0, 1.0)
+        return replace(self, tangent=sign * self.tangent, times_tangent=sign * self.times_tangent)
 
 
 def correct(
@@ -134,6 +170,27 @@ def correct(
     return Point(X, times, tangent, times_tangent, at.ok, at.at.evaluation, at.at.derivative.transpose(1, 2, 0))
 
 
+def correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
+    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself.
+
+    Parameters
+    ----------
+    problem : Problem
+    X : ndarray, shape (m + 1, n)
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+    border : ndarray, shape (m + 1 + k, n)
+        Directions along which the points may not move.
+
+    Returns
+    -------
+    Point
+    """
+    point = correct(problem, X, times, border)
+    at_point = correct(problem, point.X, point.times, border, max_iterations=1)
+    at_point.ok = point.ok
+    return at_point
+
+
 def _rounding(matrix: np.ndarray, at: Linearisation) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
     return rounding_step(matrix, at.evaluation)
@@ -156,19 +213,19 @@ class Track:
     stop_reason: str
 
 
-def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray) -> np.ndarray:
+def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray, steps: int) -> np.ndarray:
     """Why tracks stop at their points, X (m + 1, n), of which they have `count`: indices into `_STOP_REASONS`."""
     slope = (X[-1] <= np.log(MIN_SLOPE)) | (X[-1] >= np.log(MAX_SLOPE))
     vanished = np.abs(X[1:-1]).max(axis=0) > 30
     early = np.diff(times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = X[0] < np.minimum(-40, X[-1] - 10)
-    tests = (slope, no_step, fall_margin(X, times) > 0, vanished, early, count > _MAX_NODES)
+    tests = (slope, no_step, fall_margin(X, times, steps) > 0, vanished, early, count > _MAX_NODES)
     return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
 
 
-#: Why a track that returns to its start stops.
-CLOSED = "closed"
+#: Why a track that returns to its start stops, and one of several steps that passes the flip of half as many.
+CLOSED, HALVED = "closed", "halved"
 _STOP_REASONS = (
     "",
     "end of the window",
@@ -180,11 +237,13 @@ _STOP_REASONS = (
     "no further point",
     "no start",
     CLOSED,
+    HALVED,
+    "multiplier_limit",
 )
 
 
-def fall_margin(X: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return a number that is positive where a gait's angle or period exceeds those of walking.
+def fall_margin(X: np.ndarray, times: np.ndarray, steps: int = 1) -> np.ndarray:
+    """Return a number that is positive where a gait's angle or mean step's duration exceeds those of walking.
 
     Parameters
     ----------
@@ -192,15 +251,16 @@ def fall_margin(X: np.ndarray, times: np.ndarray) -> np.ndarray:
         Similarity coordinates and ln slope.
     times : ndarray, shape (k, n) [sqrt(leg/g)]
         Event times.
+    steps : int
 
     Returns
     -------
     ndarray, shape (n,)
     """
-    return np.maximum(X[0] - MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD)
+    return np.maximum(X[0] - MAX_LOG_ANGLE, times[-1] - steps * LONGEST_PERIOD)
 
 
-def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple[Track, Track]]:
+def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray, step: float = 0.05) -> list[tuple[Track, Track]]:
     """Follow branches in both directions from solved gaits.
 
     Parameters
@@ -211,6 +271,8 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
         Gaits in similarity coordinates.
     log_slope : ndarray, shape (n,)
         ln of the slope in rad.
+    step : float
+        Length of the first steps.
 
     Returns
     -------
@@ -224,7 +286,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
     problem = problem.some(lanes)
-    tracks = _Branches(first, lanes, sign * upwards[:, lanes])
+    tracks = _Branches(first, lanes, sign * upwards[:, lanes], step)
     tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
     tracks.stop[~first.ok[lanes]] = _STOP_REASONS.index("no start")
     while len(active := np.flatnonzero(tracks.stop == 0)):
@@ -244,30 +306,111 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
             # Another root of a guard is another solution, even if the gait is nearly the same.
             fair = (np.abs(point.times - guess[m + 1 :]) < _MAX_TIME_ERROR).all(axis=0)
             side[:] = np.sign(branch_point_determinant(point, border))
-            return fair & ((tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)), error
+            fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
+            return (fair, error) if problem.steps == 1 else _of_several(fair, error, point, tracks.trace[active])
 
         before = tracks.Z[:, active], tracks.tangent[:, active]
         point, fair = tracks.advance(active, correct_active, judge)
         new, refused = active[fair], active[~fair]
-        tracks.side[new] = side[fair]
-        tracks.record(new)
-        tracks.stop[new] = _stop_reasons(point.X[:, fair], point.times[:, fair], tracks.count[new])
+        tracks.side[new], tracks.trace[new] = side[fair], _trace(point)[fair]
+        tracks.stop[new] = _stop_reasons(point.X[:, fair], point.times[:, fair], tracks.count[new], problem.steps)
+        if problem.steps > 1:
+            too_large = np.abs(point.multipliers[fair, 0]) > MAX_MULTIPLIER
+            tracks.stop[new[too_large]] = _STOP_REASONS.index("multiplier_limit")
+            halved = ~_keeps_apart(before[0][:, fair], point.Z[:, fair], problem)
+            tracks.stop[new[halved]] = _STOP_REASONS.index(HALVED)
+        # Beyond the flip of half its steps a branch repeats itself.
+        tracks.record(new[tracks.stop[new] != _STOP_REASONS.index(HALVED)])
         closed = tracks.pass_start(new, *(each[:, fair] for each in before))
         tracks.stop[new[closed]] = _STOP_REASONS.index(CLOSED)
-        tracks.stop[refused[tracks.step[refused] < _CONTROL.shortest]] = _STOP_REASONS.index("no further point")
+        tracks.stop[refused[tracks.step[refused] < tracks.control.shortest]] = _STOP_REASONS.index("no further point")
         checked = new[(tracks.stop[new] == 0) & (tracks.count[new] % _CHECK_EVERY == 0)]
         if len(checked):
             tracks.stop[checked[~_are_steps(problem, tracks, checked)]] = _STOP_REASONS.index("not a step")
     return tracks.pairs()
 
 
+def _trace(point: Point) -> np.ndarray:
+    """Sum of the multipliers, shape (n,)."""
+    return np.trace(point.jacobians, axis1=1, axis2=2)
+
+
+def _of_several(fair: np.ndarray, error: np.ndarray, point: Point, trace: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which points of gaits of several steps are fair, and a measure of their errors that counts multipliers too."""
+    change = np.abs(_trace(point) - trace)
+    worth = _CONTROL.target * (2 * change / _MAX_CHANGE) ** (1 / _CONTROL.power)
+    return fair & (change < _MAX_CHANGE), np.maximum(error, worth)
+
+
+def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.ndarray:
+    """Whether the halves of gaits Z (c, n) have not changed sides between two points of their branches, shape (n,)."""
+    if problem.steps % 2:
+        return np.ones(before.shape[1], bool)
+    halves = [sections(np.delete(Z, problem.m, axis=0), problem.m, problem.steps)[0] for Z in (before, after)]
+    apart = [y - np.roll(y, problem.steps // 2, axis=0) for y in halves]
+    return (apart[0] * apart[1]).sum(axis=(0, 1)) > 0
+
+
+class Path:
+    """A branch followed in one direction, a point at each call of `advance`, for what lies soon on it.
+
+    Parameters
+    ----------
+    problem : Problem
+    first : Point
+        Of one lane.
+    direction : ndarray, shape (c,)
+    step : float
+        Length of the first step.
+    """
+
+    def __init__(self, problem: Problem, first: Point, direction: np.ndarray, step: float):
+        self.problem, self.points = problem, [first.oriented(direction[:, None])]
+        self._tracks = Tracks(_CONTROL_OF_SEVERAL, first.Z, self.points[0].direction, step)
+
+    @property
+    def step(self) -> float:
+        """Length of the next step."""
+        return float(self._tracks.step[0])
+
+    def advance(self) -> bool:
+        """Add a point; False where none can be found."""
+        tracks, last = self._tracks, self.points[-1]
+
+        def judge(point: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return _of_several(np.ones(1, bool), error, point, _trace(last))
+
+        while tracks.step[0] > tracks.control.shortest:
+            point, fair = tracks.advance(np.array([0]), self._correct, judge)
+            if fair[0]:
+                self.points.append(point.oriented(tracks.tangent))
+                return True
+        return False
+
+    def _correct(self, guess: np.ndarray, border: np.ndarray) -> Point:
+        return correct(self.problem, guess[: self.problem.m + 1], guess[self.problem.m + 1 :], border)
+
+    def locate_root(self, test: Callable[[Point], float]) -> Point:
+        """Locate the root of a test function between the last two points, where it changes sign."""
+        a, b = ((point.Z[:, 0], point.direction[:, 0]) for point in self.points[-2:])
+
+        def corrected(guess: np.ndarray, along: np.ndarray) -> Point:
+            X, times = np.split(guess[:, None], [self.problem.m + 1])
+            return correct_and_evaluate(self.problem, X, times, along[:, None]).oriented(along[:, None])
+
+        before, after = self.points[-2:]
+        return root_between(a, b, (test(before), test(after)), len(a[0]), corrected, test, _LOCATED)
+
+
 class _Branches(Tracks):
     """Branches in progress: their last points, all points in the order they were found, and why they stopped."""
 
-    def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray):
+    def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray, step: float):
         tangent = first.direction[:, lanes]
         tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        super().__init__(_CONTROL, first.Z[:, lanes], tangent, 0.05)
+        control = _CONTROL if first.stride.steps == 1 else _CONTROL_OF_SEVERAL
+        super().__init__(control, first.Z[:, lanes], tangent, step)
+        self.trace = _trace(first)[lanes]
         n, self.first = len(lanes), (self.Z.copy(), self.tangent.copy())
         self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.zeros(n, int)
         self.recent = np.zeros((_CHECK_EVERY // 3, *self.Z.shape))

@@ -24,7 +24,7 @@ from tasks.fixed_points.newton import newton, newton_step
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
-from tasks.step.step_map import Stride
+from tasks.step.several_steps import AnyStride
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.walker_array import WalkerArray
 
@@ -282,7 +282,7 @@ class _Maker:
         end_errors = span.ends.tails().max(axis=0) * events
         return Patch(tensor_nodes(lines), numbers, span, events, end_errors, gaits, along, float(sides[0]))
 
-    def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> Stride:
+    def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> AnyStride:
         """Steps from gaits (m + k, n) at points of a span."""
         return self.problem(points[:, 1:]).stride(w, span.log_slope(points))[0]
 

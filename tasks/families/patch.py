@@ -13,7 +13,7 @@ from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished
 from tasks.fixed_points.rounding import rounding_std
 from tasks.step.problem import Problem
-from tasks.step.step_map import Stride
+from tasks.step.several_steps import AnyStride
 
 #: How far Newton's method may move a prediction, in units of the largest error that was measured.
 PREDICTED_WITHIN = 8.0
@@ -21,7 +21,7 @@ PREDICTED_WITHIN = 8.0
 _LIPSCHITZ_SAFETY = 4.0
 
 
-def side_of_fold(stride: Stride) -> np.ndarray:
+def side_of_fold(stride: AnyStride) -> np.ndarray:
     """Return a sign that changes where gaits pass a fold: that of the determinant of the equations' derivative.
 
     Parameters

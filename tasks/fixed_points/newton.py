@@ -10,9 +10,10 @@ import numpy as np
 from tasks.fixed_points.multipliers import characteristic
 from tasks.fixed_points.rounding import characteristic_scale, rounding
 from tasks.step.problem import Problem, joint_sizes
-from tasks.step.step_map import Stride, matvec
+from tasks.step.several_steps import AnyStride
+from tasks.step.step_map import matvec
 
-#: Periods beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
+#: Mean durations of steps beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
@@ -22,13 +23,13 @@ _MAX_ITERATIONS = 25
 _DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
 
 
-def _similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
-    """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to first order."""
+def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to first order; all (m, n)."""
     d = dy / y[0]
     return np.vstack([d[:1], d[1:] - y[1:] / y[0] * d[:1]])
 
 
-def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
+def newton_step(stride: AnyStride, w: np.ndarray) -> np.ndarray:
     """Newton step of P(y) = y in similarity coordinates.
 
     Parameters
@@ -42,7 +43,7 @@ def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (m + phases, n)
     """
-    return np.vstack([_similarity(stride.y, stride.newton), stride.newton_times - w[len(stride.y) :]])
+    return np.vstack([similarity(stride.y, stride.newton), stride.newton_times - w[len(stride.y) :]])
 
 
 def relative_sizes(w: np.ndarray, m: int) -> np.ndarray:
@@ -120,7 +121,7 @@ def newton(
         # Done when the step is rounding, or has become small and stopped shrinking.
         done = alive & ((size < (1e-5 if coarse else rounding_std)) | ((size < 1e-6) & (size > 0.3 * last[active])))
         sane = (np.abs(w[1 : problem.m, active]) < 50).all(axis=0) & (w[problem.m :, active] > 0.05).all(axis=0)
-        sane &= (w[-1, active] < LONGEST_PERIOD) & (w[0, active] < 0.4)
+        sane &= (w[-1, active] < LONGEST_PERIOD * problem.steps) & (w[0, active] < 0.4)
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]
@@ -147,12 +148,12 @@ def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.nd
     -------
     lipschitz : ndarray, shape (n,)
         Estimate for the Newton map: maximum over directions of |F'^-1 dF'|/|dw|.
-    gradient : ndarray, shape (m, m + phases, n)
+    gradient : ndarray, shape (d, m + phases, n)
         Derivatives of the coefficients of the characteristic polynomial by w, over their `characteristic_scale`.
     """
     w, m = np.vstack([X[: problem.m], times]), problem.m
     lipschitz, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
-    gradient = np.full((m, *w.shape), np.nan)
+    gradient = np.full((problem.structure.dimension, *w.shape), np.nan)
     for h in _DIFFERENCES:
         lipschitz[lanes], gradient[..., lanes] = _curvature(problem.some(lanes), w[:, lanes], X[m, lanes], h)
         # Where the derivative changes much over the difference, that must be smaller.
@@ -165,7 +166,7 @@ def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.nd
 def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """What `curvature` returns, at w by differences h."""
     base, _ = problem.stride(w, log_slope)
-    worst, gradient = np.zeros(w.shape[1]), np.zeros((problem.m, *w.shape))
+    worst, gradient = np.zeros(w.shape[1]), np.zeros((len(base.jacobian), *w.shape))
     # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
     for i in range(len(w)):

@@ -13,7 +13,8 @@ from tasks.fixed_points.rounding import apply_newton_step, characteristic_scale,
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, joint_sizes
-from tasks.step.step_map import SAMPLES, Stride, matvec
+from tasks.step.several_steps import AnyStride
+from tasks.step.step_map import SAMPLES, matvec
 from tasks.step.verify_step import strikes_fall_in_order
 
 #: Leg passes where the atlas has not shown that a point's step happens.
@@ -33,6 +34,8 @@ _NEAR_STATES = 3
 _EIGENVALUES = 8 * EPS
 #: Relative distance from the fixed point up to which the multipliers there follow from their derivatives.
 _NEAR = 2e-12
+#: The same of gaits of several steps, whose multipliers change faster.
+_NEAR_SEVERAL = 2e-14
 
 
 @dataclass
@@ -44,15 +47,15 @@ class Polished:
     y : ndarray, shape (m, n)
         Scaled section coordinates.
     state : ndarray, shape (angles, n)
-        Scaled, just after heelstrike.
+        Scaled, just after the first heelstrike.
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
     scale : ndarray, shape (n,)
         Power of two by which angles and rates are divided.
-    stride : Stride
+    stride : Stride or Strides
         The last step evaluated, its impacts corrected to the fixed point.
     bound, doubles : ndarray, shape (n,)
         Bound of the relative error of angle, rates and period; the same before any extended precision.
-    change, error : ndarray, shape (m, n)
+    change, error : ndarray, shape (d, n)
         What the last Newton step adds to the coefficients of the derivative's characteristic polynomial, and bounds of
         their errors.
     converged, step : ndarray of bool, shape (n,)
@@ -65,7 +68,7 @@ class Polished:
     state: np.ndarray
     times: np.ndarray
     scale: np.ndarray
-    stride: Stride
+    stride: AnyStride
     bound: np.ndarray
     doubles: np.ndarray
     change: np.ndarray
@@ -84,7 +87,7 @@ class Polished:
             Of k lanes.
         """
         for name, values in vars(self).items():
-            if isinstance(values, Stride):
+            if isinstance(values, AnyStride):
                 values.assign(lanes, other.stride)
             else:
                 values[..., lanes] = getattr(other, name)
@@ -95,7 +98,7 @@ class Guesses:
     """Guesses of n gaits, with what the atlas knows of the steps around them.
 
     `w` (m + k, n) similarity coordinates and event times; `slope` (n,) [rad]; `lipschitz` (n,) and `gradient`
-    (m, m + k, n) what `curvature` measures, and `rounding_std` (o + m, n) what that function does, all NaN where they
+    (d, m + k, n) what `curvature` measures, and `rounding_std` (o + d, n) what that function does, all NaN where they
     are to be measured at the gait; `leg_passes` (n,) how often the legs pass where the step is known to happen,
     elsewhere UNKNOWN.
     """
@@ -122,12 +125,13 @@ def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
     slope : ndarray, shape (n,) [rad]
     """
     n = len(slope)
-    return Guesses(w, slope, *not_measured(problem.m, problem.phases, n), np.full(n, UNKNOWN))
+    return Guesses(w, slope, *not_measured(problem.m, problem.phases, n, problem.steps), np.full(n, UNKNOWN))
 
 
-def not_measured(m: int, phases: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def not_measured(m: int, phases: int, n: int, steps: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Curvatures and rounding of n gaits, as `Guesses` has them, that are to be measured at the gaits."""
-    return np.full(n, np.nan), np.full((m, m + phases, n), np.nan), np.full((3 + phases + m, n), np.nan)
+    d = m // steps
+    return np.full(n, np.nan), np.full((d, m + phases, n), np.nan), np.full((3 + phases // steps + d, n), np.nan)
 
 
 def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: float = 0.0) -> Polished:
@@ -148,10 +152,11 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     last, relative = newton_step(stride, w), relative_sizes(w, problem.m)
     eta = np.abs(last).max(axis=0)
     lipschitz, gradient = _curvature_at_points(problem, w, guesses, eta)
-    std, of_polynomial = np.split(_rounding_at_points(problem, w, slope, guesses.rounding_std), [-problem.m])
+    std, of_polynomial = np.split(
+        _rounding_at_points(problem, w, slope, guesses.rounding_std), [-problem.structure.dimension]
+    )
     # The states at the impacts are corrected to the fixed point, as the times are.
-    stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
-    stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
+    stride.move_impacts()
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
     y, times, state = gait.y, gait.times.copy(), gait.state
     # How far the values move if the unknowns move by 1, each in its unit.
@@ -174,7 +179,12 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         wide = extended_precision.refine(
             problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
         )
-        y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
+        y[:, lane], times[:, lane], stride.impact[..., lane], state[:, lane] = (
+            wide.y,
+            wide.times,
+            wide.impact,
+            wide.state,
+        )
         bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     if len(unsure):
@@ -182,7 +192,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         some, samples = problem.some(unsure), SAMPLES if sampled else 0
         parameters = some.parameters(slope[unsure], scale[unsure])
         better = some.map(y[:, unsure], times[:, unsure], parameters, samples=samples)
-        better.impact = stride.impact[:, unsure]
+        better.impact = stride.impact[..., unsure]
         stride.assign(unsure, better)
         last[:, unsure] = 0.0
     step = strikes_fall_in_order(stride.closing, times)
@@ -230,13 +240,13 @@ def _rounding_at_points(problem: Problem, w: np.ndarray, slope: np.ndarray, std:
 
 def _polish(
     problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, samples: int
-) -> tuple[Stride, np.ndarray, np.ndarray]:
+) -> tuple[AnyStride, np.ndarray, np.ndarray]:
     """Steps near enough to the fixed points that one more Newton step is exact to rounding, their scales and w.
 
     Lanes that are near enough are not evaluated again, so a lane's bits do not depend on the others.
     """
     q = np.log(slope)
-    w, before = w.copy(), np.full(len(q), np.inf)
+    w, before, near = w.copy(), np.full(len(q), np.inf), _NEAR if problem.steps == 1 else _NEAR_SEVERAL
     stride, scale = problem.stride(w, q)
     if samples:
         # Few guesses are gaits already; the motion of those is in doubt, and they are integrated again.
@@ -245,7 +255,7 @@ def _polish(
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
         # Far: Newton's next step would leave an error, or the multipliers of this step would show the distance.
-        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > _NEAR)
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > near)
         lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
         if not len(lanes):
             break

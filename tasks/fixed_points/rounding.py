@@ -8,7 +8,8 @@ import numpy as np
 
 from tasks.fixed_points.multipliers import characteristic
 from tasks.step.problem import EPS, Problem, residual_sizes, sizes
-from tasks.step.step_map import Stride, matvec
+from tasks.step.several_steps import AnyStride
+from tasks.step.step_map import matvec
 
 
 @dataclass
@@ -42,7 +43,7 @@ class NewtonStep:
     sensitivity: np.ndarray
 
 
-def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) -> NewtonStep:
+def apply_newton_step(problem: Problem, stride: AnyStride, parameters: np.ndarray) -> NewtonStep:
     """Apply the Newton step of P(y) = y.
 
     Parameters
@@ -62,17 +63,17 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
     times = stride.newton_times
     width = problem.map.start_size
     start, reported = problem.map.start(y, parameters), [0, *range(width // 2, width)]
-    state, by_y = start[:width], start[width:].reshape(width, *y.shape)
+    state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
     values = np.vstack([state[reported], times[-1:]])
     by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
-    by_unknowns[:-1, : len(y)], by_unknowns[-1, -1] = by_y[reported], 1.0
+    by_unknowns[:-1, : by_y.shape[1]], by_unknowns[-1, -1] = by_y[reported], 1.0
     size = np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
     moved = matvec(np.abs(stride.inverse), residual_sizes(y, len(times)))
     return NewtonStep(y, times, state, values, size, by_unknowns, size + matvec(np.abs(by_unknowns), moved))
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def characteristic_scale(stride: Stride) -> np.ndarray:
+def characteristic_scale(stride: AnyStride) -> np.ndarray:
     """How far a relative error of 1 on the way moves the coefficients of the derivative's characteristic polynomial.
 
     Eliminating the event times divides by the rates of the guards, twice: the derivative, and their own error.
@@ -83,13 +84,14 @@ def characteristic_scale(stride: Stride) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (m, n)
+    ndarray, shape (d, n)
+        d are the coordinates of a section.
     """
-    m, size = len(stride.y), sizes(stride.y)
-    norm = np.sqrt(((stride.jacobian * (size[None] / size[:, None])) ** 2).sum(axis=(0, 1)))
+    m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
+    norm = np.sqrt(((stride.jacobian * (size[None, :d] / size[:d, None])) ** 2).sum(axis=(0, 1)))
     by_time = np.sqrt(((stride.derivative[:m, m:-1] / size[:, None]) ** 2).sum(axis=(0, 1)))
     slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
-    return np.asarray(norm ** np.arange(1, m + 1)[:, None] * (1 + by_time / slowest))
+    return np.asarray(norm ** np.arange(1, d + 1)[:, None] * (1 + by_time / slowest))
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
@@ -130,8 +132,8 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
 
     Returns
     -------
-    ndarray, shape (o + m, n)
-        The coefficients' last. NaN where there is no step.
+    ndarray, shape (o + d, n)
+        The d coefficients last. NaN where there is no step.
 
     Notes
     -----
@@ -155,7 +157,7 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
     return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))
 
 
-def rounding(stride: Stride) -> np.ndarray:
+def rounding(stride: AnyStride) -> np.ndarray:
     """Estimate how far rounding of the step map alone can move the fixed point, relative to `sizes`.
 
     Parameters
@@ -177,11 +179,12 @@ def rounding(stride: Stride) -> np.ndarray:
     # Off balance, a short step has rates that far exceed its section's; their rounding accumulates on the way.
     # Where a strike is tangential to the last digit neither the image nor the rates are corrected.
     impact = np.where(np.isfinite(stride.impact), np.abs(stride.impact), 0.0)
-    fastest = np.maximum(impact.max(axis=0), np.abs(stride.start).max(axis=0))
+    n = size.shape[1]
+    fastest = np.maximum(impact.reshape(-1, n).max(axis=0), np.abs(stride.start).reshape(-1, n).max(axis=0))
     beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
     # Angles and rates mix on the way, so the rounding of all is that of the largest. A point foot's motion has few
     # constants; that of others many, each of them rounded, and several times the operations.
-    share = 0.5 if len(size) == 2 else 3.0
+    share = 0.5 if len(stride.jacobian) == 2 else 3.0
     image = np.broadcast_to(share * (size + np.abs(stride.residual[: len(size)] + stride.y)).max(axis=0), size.shape)
     inverse = stride.inverse[: len(size), : len(size)]
     through = np.abs(inverse - np.eye(len(size))[:, :, None])

@@ -11,7 +11,7 @@ from tasks.fixed_points.newton import newton
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.small_angles import exchange_periods, exchange_rates
 from tasks.step.problem import Lanes, Problem
-from tasks.step.step_map import Stride
+from tasks.step.several_steps import AnyStride
 from tasks.step.verify_step import StepCheck
 from tasks.walkers.walker import Walker
 
@@ -85,7 +85,7 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     return np.split(np.vstack(rows), np.cumsum(counts)[:-1], axis=1)
 
 
-def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, StepCheck | None]:
+def search(problem: Problem, slope: float) -> tuple[np.ndarray, AnyStride | None, StepCheck | None]:
     """Find the distinct fixed points that the lattice of guesses leads to at one slope, in order of the stance angle.
 
     Parameters

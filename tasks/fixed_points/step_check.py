@@ -5,13 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.step.problem import Problem
-from tasks.step.step_map import SAMPLES, Stride
+from tasks.step.several_steps import AnyStride, Strides
+from tasks.step.step_map import SAMPLES
 from tasks.step.verify_step import StepCheck, verify
 
 
+def verified(stride: AnyStride) -> StepCheck:
+    """What the sampled motion of gaits shows of all their steps."""
+    each = stride.singles
+    return verify(each.motion, each.closing, each.times).of_all(stride.steps)
+
+
 def verify_steps(
-    problem: Problem, w: np.ndarray, log_slope: np.ndarray, sampled: Stride | None = None
-) -> tuple[Stride, StepCheck]:
+    problem: Problem, w: np.ndarray, log_slope: np.ndarray, sampled: AnyStride | None = None
+) -> tuple[AnyStride, StepCheck]:
     """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely.
 
     Parameters
@@ -30,11 +37,11 @@ def verify_steps(
     check : StepCheck
     """
     stride = sampled or problem.stride(w, log_slope, samples=SAMPLES)[0]
-    check = verify(stride.motion, stride.closing, stride.times)
+    check = verified(stride)
     lanes = np.nonzero(check.doubt)[0]
     if len(lanes):
         fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
-        closer = verify(fine.motion, fine.closing, fine.times)
+        closer = verified(fine)
         for name in ("step", "leg_passes", "doubt"):
             getattr(check, name)[lanes] = getattr(closer, name)
     return stride, check
@@ -42,12 +49,14 @@ def verify_steps(
 
 # Where heelstrike is tangential to the last digit its rates have no value.
 @np.errstate(invalid="ignore", divide="ignore")
-def gait_ratio(stride: Stride) -> np.ndarray:
+def gait_ratio(stride: AnyStride) -> np.ndarray:
     """Return the gait ratio (swing rate - stance rate)/|stance rate| just before heelstrike.
+
+    Of gaits of several steps it is that of the step with the largest stance angle.
 
     Parameters
     ----------
-    stride : Stride
+    stride : Stride or Strides
         Of n lanes.
 
     Returns
@@ -55,4 +64,11 @@ def gait_ratio(stride: Stride) -> np.ndarray:
     ndarray, shape (n,)
         Below 1/2 a gait is long.
     """
-    return (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])
+    stance, swing = stride.impact
+    ratio = (swing - stance) / np.abs(stance)
+    return np.take_along_axis(ratio, _largest_step(stride)[None], axis=0)[0] if isinstance(stride, Strides) else ratio
+
+
+def _largest_step(stride: Strides) -> np.ndarray:
+    """Which step of each gait begins with the largest stance angle, ndarray of int, shape (n,)."""
+    return np.asarray(stride.one.y[0].argmax(axis=0))

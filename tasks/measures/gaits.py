@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
 from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import Problem, residual_sizes
+from tasks.step.several_steps import side_by_side
 from tasks.step.step_map import Stride
 from tasks.walkers.walker import Walker
 
@@ -207,11 +208,10 @@ def describe(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    steps = Steps(problem, walker, stride, at.y * at.scale, at.state * at.scale, at.times, at.scale, slope)
-    solved |= without_knees(want, walker, len(slope)) | steps.measure(want, limits)
-    solved |= travel(walker, slope, solved["step_length"], solved["period"])
+    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(problem, walker, at, slope, want, limits)
+    solved |= travel(walker, slope, solved["step_length"], solved["period"], problem.steps)
     if "energy_imbalance" in want:
-        solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, 1)
+        solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, problem.steps)
     if any(VARIABLES[name].group == "multipliers" for name in want):
         solved |= measured_multipliers(stride.jacobian, at.change, at.error, walker.knees)
     solved = {name: np.array(value) for name, value in solved.items()}
@@ -219,6 +219,47 @@ def describe(
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
     return solved
+
+
+def _of_all_steps(
+    problem: Problem,
+    walker: Walker,
+    at: Polished,
+    slope: np.ndarray,
+    want: Sequence[str],
+    limits: Mapping[str, float] | None,
+) -> Arrays:
+    """What gaits have of the variables of their steps, as the registry's `over_steps` says, shape (n,)."""
+    s, n, single = problem.steps, len(slope), problem.of_steps(1)
+    if s == 1:
+        steps = Steps(
+            problem, walker, at.stride.singles, at.y * at.scale, at.state * at.scale, at.times, at.scale, slope
+        )
+        return steps.measure(want, limits)
+    y, durations = side_by_side(at.y, s), side_by_side(np.diff(at.times, axis=0, prepend=0), s)
+    scale, slopes = np.tile([at.scale, slope], s)
+    state = problem.step.start(y, single.parameters(slopes, scale))[: problem.step.start_size]
+    state[:, :n] = at.state
+    after = np.roll(np.arange(s * n), -n)
+    times = np.cumsum(durations, axis=0)
+    steps = Steps(single, walker, at.stride.singles, y * scale, state * scale, times, scale, slopes, after)
+    measured = {name: values.reshape(s, n) for name, values in steps.measure(want, limits).items()}
+    if "unlocking_torque_time" in measured:  # of the step with the worst torque, after those before it
+        begins = np.cumsum(measured["period"], axis=0) - measured["period"]
+        worst = measured["unlocking_torque"].argmax(axis=0)[None]
+        measured["unlocking_torque_time"] = np.take_along_axis(begins + measured["unlocking_torque_time"], worst, 0)
+    return {name: _OVER_STEPS[VARIABLES[name].over_steps](values) for name, values in measured.items()}
+
+
+#: What a gait has of its steps' values, shape (s, n).
+_OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "first": lambda values: values[0],
+    "sum": lambda values: values.sum(axis=0),
+    "mean": lambda values: values.mean(axis=0),
+    "greatest": lambda values: values.max(axis=0),
+    "least": lambda values: np.fmin.reduce(values),
+    "any": lambda values: np.bitwise_or.reduce(values),
+}
 
 
 def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
@@ -346,9 +387,9 @@ def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error
 
     Parameters
     ----------
-    jacobian : ndarray, shape (m, m, n)
-        Derivative of the step map.
-    change, error : ndarray, shape (m, n)
+    jacobian : ndarray, shape (d, d, n)
+        Derivative of all steps.
+    change, error : ndarray, shape (d, n)
         What is to be added to the coefficients of its characteristic polynomial, and bounds of their errors.
     kneed : bool
 

@@ -17,7 +17,7 @@ from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import EPS, Problem, joint_sizes
-from tasks.step.step_map import Stride
+from tasks.step.several_steps import AnyStride
 from tasks.step.symbols import end_of_step, lock_knee, start_of_step
 from tasks.walkers.walker import Walker
 
@@ -37,7 +37,7 @@ _MAX_STEP = 1e-2
 
 
 class _ExtendedStepMap:
-    """The step map of one structure in a wider number, one lane at a time and without derivatives."""
+    """The map of one step or several of one structure in a wider number, one lane at a time, without derivatives."""
 
     def __init__(self, structure: Structure, number: Any, unit: float):
         self.structure, self.number, self.unit = structure, number, unit
@@ -96,27 +96,37 @@ class _ExtendedStepMap:
         return self.array([slope, scale, *wide])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike at y."""
-        return self._call(self._start, y, parameters)
+        """State just after heelstrike at y, of its first section."""
+        return self._call(self._start, y[: self.m], parameters)
 
     def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual of the joint equations at y and the event times, and the rates before heelstrike.
+        """Residual of the joint equations at y and the event times of all steps, and the rates before heelstrikes.
 
         Returns
         -------
         residual : ndarray, shape (m + k,)
-            The image less y, and the guards of the strikes, all in this number.
-        impact : ndarray, shape (2,)
-            Rates just before heelstrike.
+            The images less the sections after them, and the guards of the strikes, all in this number.
+        impact : ndarray, shape (2,) or (2, s)
+            Rates just before heelstrike, of every step.
         """
-        state, duration = self.start(y, parameters), times[-1]
+        steps = len(y) // self.m
+        durations = np.diff(times, prepend=self.number(0.0)).reshape(steps, -1)
+        each = [self._step(one, d, parameters) for one, d in zip(y.reshape(steps, -1), durations, strict=True)]
+        images, guards, impacts = (list(values) for values in zip(*each, strict=True))
+        residual = np.concatenate([*images[-1:], *images[:-1]]) - y
+        return np.concatenate([residual, *guards]), np.stack(impacts, axis=-1)[..., 0 if steps == 1 else slice(None)]
+
+    def _step(
+        self, y: np.ndarray, durations: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Image of a section, guards at the strikes and rates before heelstrike of one step."""
+        state = self.start(y, parameters)
         guards = self.array([])
         if self.kneed:
-            values = self._call(self._knee, self._integrate(0, state, parameters, times[0]), parameters)
-            guards, state, duration = values[:1], values[1:], times[1] - times[0]
-        values = self._call(self._finish, self._integrate(-1, state, parameters, duration), parameters)
-        section = values[1 : 1 + self.m]
-        return np.concatenate([section - y, guards, values[:1]]), values[1 + self.m :]
+            values = self._call(self._knee, self._integrate(0, state, parameters, durations[0]), parameters)
+            guards, state = values[:1], values[1:]
+        values = self._call(self._finish, self._integrate(-1, state, parameters, durations[-1]), parameters)
+        return values[1 : 1 + self.m], np.concatenate([guards, values[:1]]), values[1 + self.m :]
 
     def inverse(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """How far a residual moves the solution's y and event times, by differences from the residual at y and times.
@@ -132,7 +142,7 @@ class _ExtendedStepMap:
         for i in range(len(unknowns)):
             moved = unknowns.copy()
             moved[i] = moved[i] + difference
-            change = (self(moved[: self.m], moved[self.m :], parameters)[0] - residual) / difference
+            change = (self(moved[: len(y)], moved[len(y) :], parameters)[0] - residual) / difference
             columns.append([float(v) for v in change])
         try:
             return -np.linalg.inv(np.array(columns).T)
@@ -175,7 +185,14 @@ class ExtendedGait:
 
 
 def solved(
-    problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
+    problem: Problem,
+    lane: int,
+    stride: AnyStride,
+    y: np.ndarray,
+    times: np.ndarray,
+    slope: float,
+    scale: float,
+    tier: int,
 ) -> ExtendedGait:
     """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
@@ -260,7 +277,7 @@ def residual(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
 def refine(
     problem: Problem,
     lane: int,
-    stride: Stride,
+    stride: AnyStride,
     y: np.ndarray,
     times: np.ndarray,
     slope: float,
@@ -304,7 +321,7 @@ def refine(
         gait, error = at(1)
 
     def rounded(values: np.ndarray) -> np.ndarray:
-        return np.array([float(v) for v in values])
+        return np.vectorize(float)(values)
 
     y, times, impact, state = (rounded(each) for each in (gait.y, gait.times, gait.impact, gait.state))
     return ExtendedGait(y, times, impact, state, gait.last_step, error)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tasks.mechanics.lumped import Structure, constants_of, structure_of
-from tasks.step.step_map import Stride, StrideMap, stride_map
+from tasks.step.several_steps import AnyStride, StepSequence
+from tasks.step.step_map import StrideMap, stride_map
 from tasks.walkers.walker import Walker
 from tasks.walkers.walker_array import WalkerArray
 
@@ -16,17 +17,31 @@ EPS = np.finfo(float).eps
 
 
 class Problem:
-    """One walker's step map with its constants filled in.
+    """One walker's step map, or that of several steps in a row, with its constants filled in.
 
-    `m` is the number of section coordinates, `phases` that of the phases of a step: 2 for knees, 1 for straight legs.
+    `map` is that of all `steps` after which gaits repeat, `step` that of one. `m` is the number of the section
+    coordinates of all of them, and `phases` that of their phases: 2 a step for knees, 1 for straight legs.
     """
 
-    def __init__(self, walker: Walker):
-        self.walker = walker
+    map: StrideMap | StepSequence
+    step: StrideMap
+
+    def __init__(self, walker: Walker, steps: int = 1):
+        self.walker, self.steps = walker, 1
         self.structure: Structure = structure_of(walker)
-        self.map: StrideMap = stride_map(self.structure)
+        self.map = self.step = stride_map(self.structure)
         self.constants = constants_of([walker], self.structure)[:, 0]
-        self.m, self.phases = self.map.m, 2 if walker.knees else 1
+        self.m, self.phases = self.map.m, 1 + walker.knees
+        vars(self).update(vars(self.of_steps(steps)))
+
+    def of_steps(self, steps: int) -> Problem:
+        """Return the same walker's problem of so many steps."""
+        if steps == self.steps:
+            return self
+        other = copy.copy(self)
+        other.steps, other.map = steps, self.step if steps == 1 else StepSequence(self.step, steps)
+        other.m, other.phases = other.map.m, self.phases // self.steps * steps
+        return other
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Runtime parameters of every lane.
@@ -62,7 +77,7 @@ class Problem:
 
     def stride(
         self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, coarse: bool = False
-    ) -> tuple[Stride, np.ndarray]:
+    ) -> tuple[AnyStride, np.ndarray]:
         """Evaluate steps at similarity coordinates.
 
         Parameters
@@ -105,7 +120,7 @@ class Problem:
         return np.vstack([angle, angle * w[1 : self.m]]) / scale, scale
 
     def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """State just after heelstrike of section states.
+        """State just after heelstrike of section states; of those of several steps, of the first.
 
         Parameters
         ----------
@@ -156,9 +171,9 @@ class Lanes(Problem):
     """
 
     def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
-        self.walkers, self.walker = walkers, walkers[0]
+        self.walkers, self.walker, self.steps = walkers, walkers[0], 1
         self.structure = structure or structure_of(walkers[0])
-        self.map = stride_map(self.structure)
+        self.map = self.step = stride_map(self.structure)
         self.constants = constants_of(walkers, self.structure)
         self.lanes = np.arange(len(walkers))
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
@@ -196,7 +211,8 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
-        alone.walker, alone.structure, alone.map = self.walker_of(lane), self.structure, self.map
+        alone.walker, alone.steps, alone.structure, alone.map = self.walker_of(lane), 1, self.structure, self.map
+        alone.step = self.step
         alone.constants, alone.m, alone.phases = self.constants[:, self.lanes[lane]], self.m, self.phases
         return alone
 

@@ -364,7 +364,7 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
     steps, scale, parameters = _scan(problem, y, slope)
     lanes = np.flatnonzero(steps.outcome == STRUCK)
     if exact and len(lanes):
-        at = problem.map(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
+        at = problem.step(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
         steps.image[:, lanes], steps.times[:, lanes] = at.image * scale[lanes], at.times
         steps.jacobian[:, :, lanes] = at.jacobian
         steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST

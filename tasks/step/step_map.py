@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,13 +106,29 @@ class Stride:
         ----------
         lanes : ndarray of int, shape (k,)
         """
-        some = copy.copy(self)
-        for name, values in vars(self).items():
-            kept = [x[..., lanes] for x in values] if isinstance(values, list) else values[..., lanes]
-            setattr(some, name, kept)
-        return some
+        return self.mapped(lambda values: values[..., lanes])
 
-    def assign(self, lanes: np.ndarray, other: Stride) -> None:
+    def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Stride:
+        """Return a stride of changed arrays."""
+        changed = copy.copy(self)
+        for name, values in vars(self).items():
+            setattr(changed, name, [change(x) for x in values] if isinstance(values, list) else change(values))
+        return changed
+
+    #: Of a single step: see `tasks.step.several_steps.Strides`.
+    steps = 1
+
+    @property
+    def singles(self) -> Stride:
+        """The single steps in lanes."""
+        return self
+
+    def move_impacts(self) -> None:
+        """Correct the states at the impacts to the fixed point."""
+        self.impact = self.impact + matvec(self.impact_by_y, self.newton)
+        self.knee = self.knee + matvec(self.knee_by_y, self.newton)
+
+    def assign(self, lanes: np.ndarray, other: Any) -> None:
         """Replace some lanes by those of another stride.
 
         Parameters

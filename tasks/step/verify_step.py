@@ -39,6 +39,17 @@ class StepCheck:
     doubt: np.ndarray
     hyperextends: np.ndarray
 
+    def of_all(self, steps: int) -> StepCheck:
+        """What the checks of single steps, those of several gaits' first steps before the second ones, say of gaits."""
+        each = {name: values.reshape(steps, -1) for name, values in vars(self).items()}
+        return StepCheck(
+            each["step"].all(axis=0),
+            # Of legs that pass once at every step but one, the number at that.
+            np.where((each["leg_passes"] == 1).all(axis=0), 1, each["leg_passes"].max(axis=0)),
+            each["doubt"].any(axis=0),
+            each["hyperextends"].any(axis=0),
+        )
+
     @property
     def anthropomorphic(self) -> np.ndarray:
         """Lanes whose legs pass exactly once."""

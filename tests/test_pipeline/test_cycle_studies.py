@@ -17,8 +17,9 @@ from pipeline.graph.graph import Graph
 from pipeline.graph.plan import Plan, summary
 from pipeline.store.store import Store
 from pipeline.study.parse import read
+from tasks.continuation.atlas import to_arrays
+from tasks.follow_branches import branch
 from tasks.follow_cycles import cycle_branches
-from tasks.sample_cycles import sample_cycles
 
 GRID = """name = "two"
 walker = "D"
@@ -231,14 +232,22 @@ def test_adaptive_points_are_of_one_step(tmp_path):
         read(tmp_path / "s.toml")
 
 
+def sampled(steps, low, high, least):
+    """Branches of the simplest walker's gaits of several steps, and their table over a window of slopes."""
+    followed = cycle_branches(*atlas_of("D"), steps)
+    window = {"slope_from": low, "slope_to": high, "n": least}
+    line = {"walker": "D", "set": {}}
+    return followed, branch({"line": line, "steps": steps, **window}, [to_arrays(followed)])
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.016, 0.01602), (0.016, 0.0164), (0.015, 0.01509), (0.016, 0.03)])
 def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_for(low, high):
-    problem, known = atlas_of("D")
-    branches = cycle_branches(problem, known, 2)
-    table = sample_cycles(problem, branches, {"slope_from": low, "slope_to": high, "n": 20})
+    branches, table = sampled(2, low, high, 20)
     slope = table["branches/slope"]
     assert len(slope) >= 20 and (np.diff(slope) > 0).all()
-    assert slope[0] == max(low, branches[0].cycles[0].slope) and slope[-1] == pytest.approx(high, rel=1e-14)
+    assert slope[0] == pytest.approx(max(low, np.exp(branches[0].q[0])), rel=1e-14) and slope[-1] == pytest.approx(
+        high, rel=1e-14
+    )
     # Rows hold the whole state: two steps from it lead back to it.
     state = [table[f"branches/{name}"][10] for name in ("stance_angle", "stance_rate", "thigh_rate")]
     assert table["branches/shank_rate"][10] == state[2]
@@ -247,19 +256,15 @@ def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_
 
 
 def test_a_gait_of_the_branch_on_the_edge_of_a_window_is_listed_once():
-    problem, known = atlas_of("D")
-    branches = cycle_branches(problem, known, 2)
-    low, high = (branches[0].cycles[k].slope for k in (3, 8))
-    slope = sample_cycles(problem, branches, {"slope_from": low, "slope_to": high, "n": 20})["branches/slope"]
-    assert (slope[0], slope[-1]) == (low, high) and (np.diff(slope) > 0).all()
+    branches, _ = sampled(2, 0.016, 0.017, 2)
+    low, high = np.exp(branches[0].q[[3, 8]])
+    slope = sampled(2, low, high, 20)[1]["branches/slope"]
+    assert (slope[0], slope[-1]) == pytest.approx((low, high), rel=1e-14) and (np.diff(slope) > 1e-12).all()
 
 
 def test_a_branch_that_leaves_its_window_and_comes_back_is_not_sampled_outside():
     """Beyond the fold of the gaits of three steps, at 0.01228."""
-    problem, known = atlas_of("D")
-    table = sample_cycles(
-        problem, cycle_branches(problem, known, 3), {"slope_from": 0.0125, "slope_to": 0.0126, "n": 40}
-    )
+    _, table = sampled(3, 0.0125, 0.0126, 40)
     slope = table["branches/slope"]
     turn = np.flatnonzero(np.diff(slope) > 0)[0]
     assert len(slope) >= 40 and (slope.min(), slope.max()) == pytest.approx((0.0125, 0.0126), rel=1e-14)

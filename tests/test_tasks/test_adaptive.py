@@ -53,7 +53,7 @@ def test_the_same_figure_from_a_fifth_of_a_uniform_grid_s_points(walker, low, hi
         rows = chosen(problem, one, low, high, tolerance)
         if not len(rows):
             continue
-        truth = drawn(problem, _dense(one, low, high, 3000))
+        truth = drawn(problem, _dense(problem, one, low, high, 3000))
         adaptive = figure_error(truth, drawn(problem, rows))
         # At a corner of the radius, the tolerance along the branch and that across.
         assert adaptive < 2 * tolerance
@@ -118,6 +118,6 @@ def test_nonsense_is_refused_in_one_line(slope, more, said, tmp_path):
 
 @pytest.mark.parametrize("least", [2, 50, 1000])
 def test_a_branch_has_as_many_points_as_asked_for_and_no_more_than_that_takes(least):
-    _, (one, *_) = branches("E")
-    rows, nodes = (len(_dense(one, 1e-3, 0.1, n)) for n in (least, 0))
+    problem, (one, *_) = branches("E")
+    rows, nodes = (len(_dense(problem, one, 1e-3, 0.1, n)) for n in (least, 0))
     assert least <= rows <= max(nodes, 2 * least + 2)

@@ -1,13 +1,17 @@
 """Period-n gaits: the scaling of the logistic map, D's published flip, C's, and the families of other periods."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lines import _atlas
 from tasks import columns, locate_cascade
-from tasks.continuation import cycles
+from tasks.continuation import tracking
 from tasks.continuation.atlas import from_arrays
-from tasks.continuation.cycles import Cycle, from_start, really_walks
+from tasks.continuation.defining import scalar
+from tasks.continuation.special_points import flips as flips_of
+from tasks.continuation.tracking import Path
 from tasks.dynamics import crisis
 from tasks.dynamics.crisis import surviving_slopes
 from tasks.dynamics.initial_states import gaits_at
@@ -74,20 +78,17 @@ def test_a_cascade_tells_what_it_could_not_begin_with():
 def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(monkeypatch, sign):
     """Of doublings towards smaller slopes it was searched down to negative ones, and its ends were exchanged."""
     flips = 0.1 + sign * 0.04 * (1 - DELTA ** -np.arange(4.0))
-    cycles = [
-        Cycle(np.full((2, 2), 0.2), np.ones((1, 2)), q, np.empty(0), np.empty(0), True, 0.0) for q in np.log(flips)
-    ]
-    searched = []
+    problem, searched = Problem(resolve("D")), []
+    (gait,) = (flip for branch in from_arrays(_atlas("D", ())) for flip in flips_of(problem, branch))
+    gaits = [replace(gait, X=np.vstack([gait.X[:-1], [[q]]])) for q in np.log(flips)]
 
     def lost(problem, starts, low, high, strides):
         searched.append((low, high))
         return low + 0.25 * (high - low), low + 0.5 * (high - low)
 
     monkeypatch.setattr(locate_cascade, "_first_gaits", lambda *_: [None])
-    monkeypatch.setattr(
-        locate_cascade, "_follow_family", lambda *_: ([locate_cascade._Event("flip", c, 0.0) for c in cycles], "")
-    )
-    monkeypatch.setattr(locate_cascade, "really_walks", lambda *_: True)
+    family = [locate_cascade._Event("flip", problem, gait, 0.0) for gait in gaits]
+    monkeypatch.setattr(locate_cascade, "_follow_family", lambda *_: (family, ""))
     monkeypatch.setattr(locate_cascade, "lost", lost)
     found = cascade({"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}])
     assert searched == [pytest.approx((0.1 + sign * 0.04, 0.1 + sign * 0.06))]
@@ -123,33 +124,37 @@ def test_the_period_three_family_near_0_0125():
 
 def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
     """Each of sixty was corrected by itself."""
-    problem, corrected, correct = Problem(resolve("D")), [], cycles._correct
-    monkeypatch.setattr(cycles, "_correct", lambda *a: corrected.append(a[2].shape[1]) or correct(*a))
+    problem, corrected, newton = Problem(resolve("D")), [], locate_cascade.newton
+    monkeypatch.setattr(locate_cascade, "newton", lambda *a, **k: corrected.append(a[1].shape[1]) or newton(*a, **k))
     found = locate_cascade.search_cycles(problem, from_arrays(_atlas("D", ())), 0.0126, 3, 200)
-    assert [c.period for c in found] == [3, 3]  # of both sides of a fold
+    assert [gait.stride.steps for gait in found] == [3, 3]  # of both sides of a fold
     assert len(corrected) == 1 and corrected[0] > 2
 
 
 def test_of_a_fold_one_side_is_followed(monkeypatch):
     """Both were, through all their doublings, and one was dropped."""
     followed, switch = [], locate_cascade.doubled
-    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[1].period) or switch(*a))
+    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[0].steps) or switch(*a))
     found = doublings("D", 0.0122, 0.0128, n=4, families=[3], periods=6, steps=0, starts=200)
     assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [3]
 
 
 def test_roots_are_located_in_few_evaluations(monkeypatch):
     """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
-    evaluated, linearise = [], cycles.linearise
-    monkeypatch.setattr(cycles, "linearise", lambda *a: evaluated.append(a[2]) or linearise(*a))
-    problem, path = Problem(resolve("D")), None
+    evaluated, joint = [], tracking.joint
+    monkeypatch.setattr(tracking, "joint", lambda *a: evaluated.append(1) or joint(*a))
+    problem = Problem(resolve("D"))
     (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    path = cycles.Path(problem, start, np.array([0.0, 0.0, 1.0]), 0.02)
-    while path.advance() and cycles.flip_test(path.points[-2]) * cycles.flip_test(path.points[-1]) > 0:
+    path = Path(problem, start, np.array([0.0, 0.0, 1.0, 0.0]), 0.02)
+
+    def test(gait):
+        return float(scalar("flip", gait)[0])
+
+    while path.advance() and test(path.points[-2]) * test(path.points[-1]) > 0:
         pass
     evaluated.clear()
-    assert path.locate_root(cycles.flip_test).slope == pytest.approx(0.015088437941119463562, rel=1e-13)
-    assert 0 < len(evaluated) < 20
+    assert np.exp(path.locate_root(test).q[0]) == pytest.approx(0.015088437941119463562, rel=1e-13)
+    assert 0 < len(evaluated) < 25
 
 
 def test_a_walkers_cascade_begins_at_a_neighbours_gait():
@@ -160,17 +165,6 @@ def test_a_walkers_cascade_begins_at_a_neighbours_gait():
     near = cascade({"line": line, "near": {"walker": "D", "set": {}}, **options}, [_atlas("D", ())])
     assert own["cascade/kind"].tolist() == near["cascade/kind"].tolist() == ["flip"]
     assert near["cascade/slope"] == pytest.approx(own["cascade/slope"], rel=1e-12)
-
-
-def test_a_cycle_is_one_strides_after_another():
-    """The product of a two-step gait's Jacobians has the multipliers that its orbit shows."""
-    problem = Problem(resolve("D"))
-    y = np.array([0.23571329, -0.23133825])
-    cycle = from_start(problem, y, 0.016, 2)
-    assert cycle is not None and really_walks(problem, cycle)
-    again = from_start(problem, cycle.Y[:, 1], 0.016, 2)
-    assert np.abs(again.Y[:, ::-1] - cycle.Y).max() < 1e-13
-    assert np.sort(np.abs(again.multipliers())) == pytest.approx(np.sort(np.abs(cycle.multipliers())), rel=1e-9)
 
 
 def test_first_intervals_far_from_the_law_are_no_hindrance():

@@ -1,19 +1,18 @@
 """Bounds on the slopes of flips and folds of period n: against 113 bits, and their linearised equations."""
 
-from dataclasses import replace
-
 import heyoka as hy
 import numpy as np
 import pytest
 
-from exact_special_points import exact_cycle_slope
+from exact_special_points import exact_cycle_slope, steps_of
 from lines import _atlas, some
 from tasks import locate_cascade
-from tasks.continuation.cycle_events import _MIN_ERROR, _test, slope_error
+from tasks.continuation.defining import slope_error
+from tasks.continuation.special_points import corrected, crossings, special_points
 from tasks.mechanics.lumped import lump
-from tasks.sample_cycles import sample_cycles
 from tasks.step.extended_precision import _extended_step_map
 from tasks.step.problem import Problem
+from tasks.step.several_steps import joined, sections
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 from test_tasks.test_gaits_beside_folds import drawn, followed
@@ -24,7 +23,7 @@ R = hy.real128
 def family(walker, low, high, longest, first=1):
     problem, slopes = Problem(resolve(walker)), np.linspace(low, high, 3)
     start = locate_cascade._first_gaits(problem, problem, _atlas(walker, ()), slopes, first, 200)[0]
-    return problem, list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
+    return list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
 
 
 def wide(values):
@@ -68,11 +67,12 @@ def determinant(a):
     return sum(x if j % 2 == 0 else -x for j, x in enumerate(minors))
 
 
-def flip_in_113_bits(problem, cycle):
+def flip_in_113_bits(event):
     """Slope of a flip: the secant method on det(M + 1), the gait at each slope by Newton on all sections."""
+    problem = event.problem
     exact, constants = _extended_step_map(problem.structure, 1), lump(problem.walker, R)
     constants = [constants[name] for name in problem.structure.constants]
-    Y, times = wide(cycle.Y), wide(cycle.times)
+    Y, times = map(wide, steps_of(problem, event.gait.Z[:, 0]))
     m, n = Y.shape
 
     def test(slope):
@@ -95,7 +95,7 @@ def flip_in_113_bits(problem, cycle):
             M = product(A, M)
         return determinant(M + wide(np.eye(m)))
 
-    a = R(cycle.slope)
+    a = R(event.slope)
     b = a * (R(1) + R(1e-10))
     at_a, at_b = test(a), test(b)
     while abs(float((b - a) / b)) > 1e-19:
@@ -114,11 +114,10 @@ CASES = [
 
 @pytest.mark.parametrize(("walker", "low", "high", "longest"), CASES)
 def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, longest, tell):
-    problem, events = family(walker, low, high, longest)
-    for event in some(events):
-        slope = flip_in_113_bits(problem, event.cycle)
-        error = abs(float((R(event.cycle.slope) - slope) / slope))
-        tell(f"{walker}, period {event.cycle.period}: error {error:.1e}, bound {event.error:.1e}")
+    for event in some(family(walker, low, high, longest)):
+        slope = flip_in_113_bits(event)
+        error = abs(float((R(event.slope) - slope) / slope))
+        tell(f"{walker}, period {event.problem.steps}: error {error:.1e}, bound {event.error:.1e}")
         assert error < event.error < 1e-11
 
 
@@ -126,18 +125,29 @@ def shares(seed):
     """Errors over bounds of the folds, flips and births of the branches of a random walker's gaits of n steps."""
     walker, keys, steps, _ = drawn(seed)
     problem, branches = followed(walker, steps, **keys)
-    listed = sample_cycles(problem, branches, {"slope_from": 1e-6, "slope_to": 0.5, "n": 2})
-    kinds, slopes, bounds = (listed[f"special_points/{name}"] for name in ("kind", "slope", "error_bound"))
     for branch in branches:
-        points = [("fold", branch.cycles[k], branch.cycles[k].error) for k in sorted(branch.folds)]
-        points += [("flip", flip, slope_error(problem, flip, "flip")) for flip in branch.flips]
-        for end, cycle in zip(branch.ends, (branch.cycles[0], branch.cycles[-1]), strict=True):
-            if end == "branch_point":
-                half = replace(cycle, Y=cycle.Y[:, : steps // 2], times=cycle.times[:, : steps // 2])
-                points.append(("flip", half, bounds[(kinds == end) & (slopes == cycle.slope)].min()))
-        for kind, cycle, bound in points:
-            exact = exact_cycle_slope(problem, kind, cycle)
-            yield kind, cycle.period, np.nan if exact is None else abs(float((exact - R(cycle.slope)) / exact)) / bound
+        own = problem.of_steps(branch.steps)
+        flips = {k + 0.5: point.Z[:, 0] for _, k, point in crossings(own, branch, corrected(own, branch), ["flip"])}
+        for record in special_points(own, branch):
+            kind, place, of, Z = record["kind"], record["place"], own, branch.Z[int(record["place"])]
+            if kind == "branch_point":
+                kind, of, Z = "flip", problem.of_steps(branch.steps // 2), halved(own, Z)
+            elif kind == "flip":
+                Z = flips[place]
+            elif kind != "fold":
+                continue
+            exact = exact_cycle_slope(of, kind, Z)
+            slope = R(float(np.exp(Z[of.m])))
+            error = np.nan if exact is None else abs(float((exact - slope) / exact))
+            yield kind, of.steps, error / record["error_bound"]
+
+
+def halved(problem, Z):
+    """A gait that repeats after half its steps as one of so many."""
+    half = problem.steps // 2
+    y, durations = (part[:half] for part in sections(np.delete(Z, problem.m)[:, None], problem.m, problem.steps))
+    w, m = joined(Z[:1], y, durations)[:, 0], problem.m // 2
+    return np.insert(w, m, Z[problem.m])
 
 
 @pytest.mark.parametrize("seed", [2, 13])
@@ -165,27 +175,11 @@ def test_folds_flips_and_births_of_many_random_walkers_lie_within_their_bounds(r
 def test_a_slope_that_is_off_is_told(first):
     """The bound is linear in what is left to a solution: a gait at another slope is off by just that."""
     window = (0.0145, 0.0195) if first == 1 else (0.0122, 0.0130)
-    problem, events = family("D", *window, 2 * first, first)
+    events = family("D", *window, 2 * first, first)
     assert [e.kind for e in events] == (["flip", "flip"] if first == 1 else ["fold", "flip", "flip"])
     for event in events:
+        Z = event.gait.Z[:, 0]
         for off in (1e-9, -3e-8):
-            moved = replace(event.cycle, q=event.cycle.q + off)
-            assert slope_error(problem, moved, event.kind) == pytest.approx(abs(off), rel=1e-3)
-        assert _MIN_ERROR < slope_error(problem, event.cycle, event.kind) < 1e-12
-
-
-def test_the_derivative_of_the_test_function_is_that_of_the_determinant():
-    A = np.random.default_rng(1).normal(size=(3, 3, 4))
-
-    def value(A):
-        M = np.eye(3)
-        for i in range(4):
-            M = A[:, :, i] @ M
-        return np.linalg.det(M + np.eye(3))
-
-    test, by_A = _test(A)
-    assert test == pytest.approx(value(A), rel=1e-12)
-    for index in np.ndindex(A.shape):
-        h = np.zeros(A.shape)
-        h[index] = 1e-6
-        assert by_A[index] == pytest.approx((value(A + h) - value(A - h)) / 2e-6, rel=1e-6, abs=1e-7)
+            moved = Z + off * (np.arange(len(Z)) == event.problem.m)
+            assert slope_error(event.problem, event.kind, moved) == pytest.approx(abs(off), rel=1e-3)
+        assert 0 < slope_error(event.problem, event.kind, Z) < 1e-12

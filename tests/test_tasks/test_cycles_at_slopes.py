@@ -1,23 +1,25 @@
 """Gaits that repeat after n steps: against simulation, the product of single steps, orbits, and other units."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import mpmath as mp
 import numpy as np
 import pytest
 
 import oracle
 import pipeline
+from exact_special_points import steps_of
 from extended import Walker, _derivative
 from lines import branches as atlas_of
-from tasks import follow_cycles
-from tasks.continuation.cycles import Cycle, at_slope
-from tasks.follow_cycles import CycleBranch, _at_flip, _end, _flips, cubic, cycle_branches, from_arrays, to_arrays
+from tasks.continuation.atlas import from_arrays, to_arrays
+from tasks.continuation.flips import begun_at_flips
+from tasks.continuation.locate import _is_near
+from tasks.continuation.special_points import flips
+from tasks.continuation.tracking import HALVED, correct
+from tasks.fixed_points.polish import settle, unmeasured
+from tasks.follow_cycles import cycle_branches
 from tasks.solve_at_slope import solve_one
-from tasks.solve_cycles import _beside_flip, _keeps_apart, cycle_points, solve_cycle
-from tasks.status import NOT_CONVERGED
+from tasks.step.several_steps import begun_at, distances_of_steps, from_largest, joined, sections
 from tasks.walkers.catalogue import CATALOGUE
+from test_tasks.test_gaits_beside_folds import points
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate")
 #: Walkers, slopes and periods that have a gait, and its least magnitude of the largest multiplier.
@@ -133,53 +135,109 @@ def test_every_gait_is_listed_once_under_its_label():
 def test_the_two_gaits_beside_a_fold_are_on_two_pieces():
     problem, known = atlas_of("D")
     (branch,) = cycle_branches(problem, known, 3)
-    low, high = np.log(0.0122), np.log(0.0123)
-    while high - low > 1e-12:
-        middle = (low + high) / 2
-        low, high = (low, middle) if list(branch.guesses(middle)) else (middle, high)
-    # So near that both lie between the same two computed gaits.
-    assert [guess.piece for guess in branch.guesses(high + 1e-9)] == [0, 1]
-    assert np.exp(high) == pytest.approx(0.0122808, abs=1e-7)
+    ((fold, _),) = branch.pieces()[1:]
+    assert np.exp(branch.q[fold]) == pytest.approx(0.0122808, abs=1e-7)
+    # So near that both lie between the fold and the next node.
+    at = branch.guesses(branch.q[[fold]] + 1e-12)
+    assert [int(branch.piece(segment)[0]) for *_, segment in at] == [0, 1]
+    assert not branch.guesses(branch.q[[fold]] - 1e-9)
+
+
+def twice(problem, w):
+    """Gaits as gaits of twice as many steps."""
+    return joined(w[0], *(np.tile(part, (2, 1, 1)) for part in sections(w, problem.m, problem.steps)))
 
 
 def test_a_gait_that_repeats_sooner_is_none_of_n_steps():
     problem, known = atlas_of("D")
-    flip = cycle_branches(problem, known, 2)[0].cycles[0]
-    single = [at_slope(problem, flip.Y, flip.times, slope) for slope in (0.0140, 0.0145)]
-    assert all(cycle.ok for cycle in single)
-    asked = {"steps": 2, "slope": np.array([0.0142]), "want": ("period",)}
-    answer = cycle_points(problem, [CycleBranch(single, [])], asked)
-    assert answer["status"][0, 0] == NOT_CONVERGED and np.isnan(answer["period"][0, 0])
+    slope = np.array([0.0142])
+    ((_, Z, _),) = known[0].guesses(np.log(slope))
+    several, w = problem.of_steps(2), twice(problem, np.delete(Z, problem.m, axis=1).T)
+    gait = settle(several, unmeasured(several, w, slope))
+    assert gait.converged.all() and not _is_near(several, gait, w).any()
+    assert not distances_of_steps(w, several.m, 2).any()
+
+
+def test_a_gait_whose_halves_came_together_is_not_the_one_guessed():
+    """Beside a flip Newton's method may fall onto the gait of half the period, of which rounding leaves two copies."""
+    problem, known = atlas_of("D")
+    (branch,) = cycle_branches(problem, known, 2)
+    several, slope = problem.of_steps(2), np.exp(branch.q[[0]]) * (1 + 1e-9)
+    ((_, Z, segment),) = branch.guesses(np.log(slope))
+    guess = branch.known_guesses(Z, segment, slope)
+    gait = settle(several, guess)
+    assert gait.converged.all() and _is_near(several, gait, guess.w).all()
+    # The same guess, farther from repeating sooner than what was found.
+    y, durations = sections(guess.w, several.m, 2)
+    middle = y.mean(axis=0)
+    apart = joined(guess.w[0], middle + 3 * (y - middle), durations)
+    assert np.abs(apart - guess.w).max() < 2e-4 and not _is_near(several, gait, apart).any()
+    # Gaits of an odd number of steps repeat sooner only where all agree.
+    assert distances_of_steps(np.array([[0.0, 0.5, 1.0, 0.5, 1.1, 0.5, 1, 2, 3]]).T, 6, 3) == pytest.approx(0.1)
+
+
+def test_the_same_gait_begins_at_any_of_its_steps():
+    problem, known = atlas_of("D")
+    several, slope = problem.of_steps(4), first("D", 0.018, 4)
+    walk = pipeline.simulate("D", 0.018, state_of(slope), 4)
+    w = np.array([np.log(walk.stance_angle.values[:4]), walk.stance_rate.values[:4] / walk.stance_angle.values[:4]])
+    branch = cycle_branches(problem, known, 4)[-1]
+    ((_, Z, _),) = branch.guesses(np.log([0.018]))
+    own = from_largest(np.delete(Z, several.m, axis=1).T, several.m, 4)
+    for k in range(4):
+        begun = begun_at(own, several.m, 4, k)
+        assert begun[:2, 0] == pytest.approx(w[:, k], rel=1e-5)
+        assert begun[-1] == pytest.approx(walk.period.sum().item(), rel=1e-6)
+    np.testing.assert_allclose(begun_at(begun, several.m, 4, 1), own, rtol=1e-14)
 
 
 def test_a_branch_between_two_flips_is_followed_from_one_of_them():
     """The physical walker's gaits of two steps leave those of one at 0.019131 and come back to them at 0.020230."""
     problem, known = atlas_of("physical")
-    followed = cycle_branches(problem, known, 2)
-    spans = [sorted(branch.cycles[i].slope for i in (0, -1)) for branch in followed]
+    followed, several = cycle_branches(problem, known, 2), problem.of_steps(2)
+    spans = [sorted(np.exp(branch.q[[0, -1]])) for branch in followed]
     assert len(spans) == 2 and spans[0] == pytest.approx([0.0191312, 0.0202299], abs=2e-7)
-    first, *inner, last = followed[0].cycles
-    apart = [np.abs(c.Y - np.roll(c.Y, 1, axis=1)).max() for c in (first, *inner, last)]
-    assert apart[0] == apart[-1] == 0 and min(apart[1:-1]) > 1e-3
-    # A gait of two steps is none of one step.
-    assert not _keeps_apart(first.Y, first.Y) and all(_keeps_apart(c.Y, c.Y) for c in inner)
+    branch = followed[0]
+    assert branch.why == ("branch_point", "branch_point") and branch.folds()[[0, -1]].tolist() == [0, len(branch.q) - 1]
+    apart = distances_of_steps(np.delete(branch.Z, several.m, axis=1).T, several.m, 2)[0]
+    assert apart[[0, -1]] == pytest.approx(0, abs=1e-15) and apart[1:-1].min() > 1e-6
     # The slope falls to the flip at which the branch ends, too.
-    assert inner[0].q > first.q and last.q < inner[-1].q
-    for end, sign in ((first, 1), (last, 1)):
-        near = pipeline.gaits("physical", end.slope * (1 + sign * 1e-7), steps=2)
-        merged = np.abs(near.stance_angle / end.Y[0].max() - 1) < 3e-3
+    assert branch.q[1] > branch.q[0] and branch.q[-1] < branch.q[-2]
+    for end in (0, -1):
+        slope, angle = np.exp(branch.q[end]), np.exp(branch.Z[end, 0])
+        near = pipeline.gaits("physical", slope * (1 + 1e-7), steps=2)
+        merged = np.abs(near.stance_angle / angle - 1) < 3e-3
         assert near.status.values[merged].tolist() == [0]
 
 
-def test_a_gait_on_two_branches_is_listed_once():
+def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip():
     problem, known = atlas_of("D")
-    branches = cycle_branches(problem, known, 2) * 2
-    asked = {"steps": 2, "slope": np.array([0.016]), "want": ("period",)}
-    found, coarse = (cycle_points(problem, branches, {**asked, **more}) for more in ({}, {"accuracy": 1e-4}))
+    (branch,), several = cycle_branches(problem, known, 2), problem.of_steps(2)
+    (flip,) = [flip for each in known for flip in flips(problem, each)]
+    for side, order in enumerate((slice(1, None), slice(None, 0, -1))):  # the flip as its first end, and as its last
+        Z, why = branch.Z[order], (HALVED, "") if side == 0 else ("", HALVED)
+        cut = type(branch)(several.m, Z, branch.tangent[order], np.zeros(len(Z)), why, steps=2)
+        other = correct(problem, flip.X + 0.04, flip.times, None)
+        ended = begun_at_flips(several, cut, [other, flip])
+        assert ended.why[side] == "branch_point" and 0 < ended.end_errors[side] < 1e-12
+        end, beside = ((0, 1), (-1, -2))[side]
+        assert ended.q[end] == flip.q[0] and ended.tangent[end, several.m] == 0
+        # The neighbour lies along the tangent that leaves the flip, against the one that arrives there.
+        along = (ended.Z[beside] - ended.Z[end]) @ ended.tangent[end]
+        assert np.sign(along) == 1 - 2 * side
+        assert abs(along) == pytest.approx(np.linalg.norm(ended.Z[beside] - ended.Z[end]), rel=1e-3)
+        assert begun_at_flips(several, cut, [other]).why[side] == "no further point"
+
+
+def test_an_accuracy_spares_digits():
+    problem, known = atlas_of("D")
+    branches, several = cycle_branches(problem, known, 2), problem.of_steps(2)
+    found, coarse = (points(several, branches, np.array([0.016]), **more) for more in ({}, {"accuracy": 1e-4}))
     assert found["status"].tolist() == coarse["status"].tolist() == [[0, 1, 1, 1]]
     # Without an accuracy all digits are kept.
     assert found["error_bound"][0, 0] < 1e-11 < 1e-6 < coarse["error_bound"][0, 0] <= 1e-4
-    assert found["period"][0, 0] != coarse["period"][0, 0] == pytest.approx(found["period"][0, 0], rel=1e-4)
+    assert found["stance_angle"][0, 0] != coarse["stance_angle"][0, 0]
+    assert found["stance_angle"][0, 0] == pytest.approx(coarse["stance_angle"][0, 0], rel=1e-4)
 
 
 def test_gaits_that_no_flip_begins_are_searched_for():
@@ -195,8 +253,21 @@ def test_gaits_that_no_flip_begins_are_searched_for():
         assert gait.spectral_radius.item() == pytest.approx(radius, rel=1e-9)
     # They double again, which leads to gaits of four steps.
     assert (pipeline.gaits("E", 0.006, steps=4).status == 0).any()
-    # At the least slopes doubles do not resolve them, but there are such gaits.
-    assert (pipeline.gaits("E", [1e-18, 1e-13], steps=2).sel(gait="long").status == NOT_CONVERGED).all()
+
+
+@pytest.mark.parametrize("slope", [1e-18, 1e-13])
+def test_at_the_least_slopes_more_digits_resolve_gaits_of_several_steps(slope):
+    """Doubles did not."""
+    gait = pipeline.gaits("E", slope, steps=2).sel(gait="long")
+    assert gait.status == 0 and gait.error_bound < 1e-9
+    problem, known = atlas_of("E")
+    guesses = [Z for branch in cycle_branches(problem, known, 2) for _, Z, _ in branch.guesses(np.log([slope]))]
+    Z = min(guesses, key=lambda Z: abs(np.exp(Z[0, 0]) - gait.stance_angle.item()))[0]
+    Y, times = steps_of(problem.of_steps(2), Z)
+    states = problem.start(Y, np.full(2, slope))[:3]
+    angle, period = extended_cycle(CATALOGUE["E"].table(), slope, np.vstack([states, times]).T)
+    assert abs(float(gait.stance_angle.item() / angle - 1)) < gait.error_bound
+    assert abs(float(gait.period.item() / period - 1)) < gait.error_bound
 
 
 def test_no_gait_is_found_where_nothing_begins_one():
@@ -216,20 +287,13 @@ def test_the_error_bound_holds_in_other_units(slope, n):
     assert abs(other.stance_rate / plain.stance_rate * np.sqrt(1.3 / 3.7) - 1) < bound
 
 
-def test_where_a_strike_is_tangential_to_the_last_digit_there_is_no_sign_of_a_flip():
-    """The derivative there is infinite, and its determinant none."""
-    step = SimpleNamespace(jacobian=np.array([[-np.inf, -np.inf], [np.inf, np.inf]])[..., None])
-    branch = SimpleNamespace(m=2, Z=np.zeros((1, 4)), q=np.zeros(1))
-    assert np.isnan(follow_cycles._flip_sign(SimpleNamespace(stride=lambda *_: (step, None)), branch)).all()
-
-
 @pytest.mark.parametrize(
     ("walker", "keys"), [("A", {"detuning": 1.2920094126389283}), ("physical-straight", {"m_s": 0.9313486113114027})]
 )
 def test_a_strike_that_turns_tangential_is_no_flip(walker, keys):
     """There the derivative has a pole, and det(I + A) another sign."""
     problem, known = atlas_of(walker, **keys)
-    assert not [flip for branch in known for flip in _flips(problem, branch)]
+    assert not [flip for branch in known for flip in flips(problem, branch)]
     assert any(branch.why[0] == "end_tangential_heelstrike" for branch in known)
 
 
@@ -259,20 +323,18 @@ def test_the_time_of_the_worst_torque_counts_from_the_start_of_the_gait():
 def test_branches_survive_as_arrays():
     problem, known = atlas_of("D")
     followed = cycle_branches(problem, known, 3)
-    again = from_arrays(to_arrays(followed))
-    for a, b in zip(followed, again, strict=True):
-        for one, other in zip(a.guesses(np.log(0.016)), b.guesses(np.log(0.016)), strict=True):
-            assert one.piece == other.piece
-            np.testing.assert_array_equal(one.Y, other.Y)
-            np.testing.assert_array_equal(one.times, other.times)
+    for a, b in zip(followed, from_arrays(to_arrays(followed)), strict=True):
+        assert (a.steps, a.why, a.end_errors) == (b.steps, b.why, b.end_errors) and a.steps == 3
+        for name in ("Z", "tangent", "ratio", "leg_passes", "safe", "coefficients"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def extended_cycle(slope, guess):
-    """Largest stance angle and period of the simplest walker's gait of several steps, by Newton in 113 bits.
+def extended_cycle(walker, slope, guess):
+    """Largest stance angle and period of a point-foot walker's gait of several steps, by Newton in 113 bits.
 
     `guess` has a row (angle, stance rate, thigh rate, time) for each step.
     """
-    walker, z = Walker("D", slope), [mp.mpf(float(x)) for x in np.ravel(guess)]
+    walker, z = Walker(walker, mp.mpf(slope)), [mp.mpf(float(x)) for x in np.ravel(guess)]
     n = len(z) // 4
     for _ in range(60):
         residual, matrix = [], mp.zeros(4 * n)
@@ -296,81 +358,9 @@ def test_the_error_bound_holds_beside_a_flip(beyond, worst):
     """Down to where the gait merges with that of one step, against 113 bits."""
     problem, known = atlas_of("D")
     (branch,) = cycle_branches(problem, known, 2)
-    slope = branch.cycles[0].slope * (1 + beyond)
+    slope = float(np.exp(branch.q[0])) * (1 + beyond)
     gait = first("D", slope, 2)
     walk = pipeline.simulate("D", slope, state_of(gait), 2)
-    angle, period = extended_cycle(slope, np.array([walk[name].values[:2] for name in (*STATE, "period")]).T)
+    angle, period = extended_cycle("D", slope, np.array([walk[name].values[:2] for name in (*STATE, "period")]).T)
     error = abs(float(gait.stance_angle.item() / angle - 1)), abs(float(gait.period.item() / period - 1))
     assert max(error) < gait.error_bound < worst
-    # The branch's own polynomial loses far less than the bound allows.
-    (guess,) = branch.guesses(np.log(slope))
-    merged = solve_cycle(problem, guess, slope).Y[0]
-    assert abs(float(merged.max() / angle - 1)) < 0.01 * gait.error_bound
-
-
-def test_a_gait_beside_its_flip_moves_by_the_cubic_not_by_its_linearisation():
-    Y = np.array([[0.3, 0.1]])  # half distance 0.1
-    for x in (1e-7, 0.01, 0.4, 0.5, 3.0, 1e4):
-        moved = np.array([[0.1 * x, 0.0]])
-        # All a* > 0 with |a (a^2 - a*^2)| at most 2 a^3 x, where a = 1.
-        reach = [a for a in np.linspace(0, np.sqrt(1 + 2 * x) + 1, 200001) if abs(1 - a * a) <= 2 * x]
-        farthest = max(1 - min(reach), max(reach) - 1)
-        assert _beside_flip(Y, moved) * x == pytest.approx(farthest, rel=1e-3, abs=2e-5 * (1 + np.sqrt(x)))
-    assert _beside_flip(np.array([[0.3, 0.2, 0.1]]), np.array([[1.0, 0.0, 0.0]])) == 1.0
-
-
-def cycle(angles, knees=(), q=-4.0):
-    """A gait of which only angles, strikes and slope matter."""
-    Y = np.array([angles, np.zeros(len(angles))])
-    times = np.array([*([knees] if len(knees) else []), np.ones(len(angles))])
-    return Cycle(Y, times, q, np.zeros((2, 2, len(angles))), np.zeros(2 * len(angles) + 1), True, 0.0)
-
-
-def test_what_ends_a_branch():
-    one, other = cycle([0.2, 0.3]), cycle([0.21, 0.29])
-    assert _end(one, cycle([0.3, 0.2])) == "lost"  # its halves changed sides
-    assert _end(one, other) == "end_earlier_strike"
-    assert _end(cycle([0.2, 0.3], [0.5, 0.9999999]), other) == "end_kneestrike_at_heelstrike"
-    assert _end(cycle([0.2, 0.3], [0.5, 0.9]), other) == "end_earlier_strike"
-
-
-def test_a_flip_as_a_gait_of_twice_its_period_begins_where_its_neighbour_does():
-    flip, beside = cycle([0.2, 0.3]), cycle([0.31, 0.19, 0.29, 0.21])
-    for sign in (1.0, -1.0):
-        end = _at_flip(flip, beside, sign)
-        assert end.Y[0].tolist() == [0.3, 0.2, 0.3, 0.2] and end.q == flip.q
-        # The neighbour lies along the tangent that leaves the flip, against the one that arrives there.
-        assert np.sign(end.tangent @ (beside.Z - end.Z)) == sign and np.linalg.norm(end.tangent) == pytest.approx(1.0)
-        assert end.tangent[-1] == 0.0
-
-
-def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip(monkeypatch):
-    monkeypatch.setattr(follow_cycles, "really_walks", lambda *_: True)
-    before, after = cycle([0.22, 0.21], q=-4.0), cycle([0.21, 0.22], q=-4.0)
-    flips = [cycle([0.215], q=q) for q in (-4.0 - 4e-5, -4.0 - 2e-5, -4.0 + 6e-5)]
-    path = SimpleNamespace(points=[before], step=1e-3)
-    path.advance = lambda: not path.points.append(after)
-    trace = follow_cycles._continue(None, path, flips)
-    assert trace.end == "branch_point" and trace.cycles[-1].q == flips[1].q and trace.cycles[:-1] == [before]
-
-
-def test_the_cubic_beside_a_flip_keeps_the_square_of_the_distance():
-    """On q = c a^2 with unit speed in arclength, the slope of every point is that of its distance from the flip."""
-    c, a = 40.0, 0.02
-    curve = lambda s: np.array([s, -s, c * s * s])  # noqa: E731
-    flip, point = cycle([0.0, 0.0]), cycle([0.0, 0.0])
-    for which, s in ((flip, 0.0), (point, a)):
-        which.Y, which.q = curve(s)[None, :2] * np.sqrt(2), curve(s)[2]
-        which.tangent = np.array([1.0, -1.0, 2 * c * s]) / np.linalg.norm([1.0, -1.0, 2 * c * s])
-    for h in (0.1, 0.5, 0.9):
-        np.testing.assert_allclose(cubic(flip, point)(h), curve(h * a), atol=1e-15)
-        point_first = cubic(replace(point, tangent=-point.tangent), replace(flip, tangent=-flip.tangent))
-        np.testing.assert_allclose(point_first(1 - h), curve(h * a), atol=1e-15)
-
-
-def test_a_gait_whose_halves_came_together_is_not_the_one_guessed():
-    """Beside a flip Newton's method may fall onto the gait of half the period, of which rounding leaves two copies."""
-    guess, merged, moved = (np.array([[0.2 + a, 0.2 - a], [-0.2, -0.2]]) for a in (1e-5, 1e-8, 0.9e-5))
-    assert _keeps_apart(moved, guess) and not _keeps_apart(merged, guess)
-    # Gaits of an odd period repeat sooner only where all steps agree.
-    assert _keeps_apart(np.array([[0.2, 0.2, 0.21]]), np.array([[0.2, 0.2, 0.21]]))

@@ -79,11 +79,11 @@ def test_only_guesses_that_are_lost_are_settled_again(monkeypatch):
 def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypatch):
     problem, branch, at, good, other = between_nodes()
     gait = settle(problem, good)
-    assert locate._is_near(gait, good.w).all()
+    assert locate._is_near(problem, gait, good.w).all()
     for i in range(len(good.w)):
         w = good.w.copy()
         w[i] += 2e-4
-        assert not locate._is_near(gait, w).any()
+        assert not locate._is_near(problem, gait, w).any()
     # It is located elsewhere, at the other gait or near it.
     for off, lies_between in ((0.0, Branch.lies_between), (1e-3, lambda *_: np.array([True]))):
         stray = other + off

@@ -7,9 +7,10 @@ import pytest
 
 from tasks.continuation import atlas
 from tasks.continuation.refine import FINE
+from tasks.continuation.special_points import flips, special_points
 from tasks.follow_cycles import cycle_branches
 from tasks.registry import GAITS, STATUSES
-from tasks.solve_cycles import _beside_fold, cycle_points
+from tasks.solve_points import _solve_lines
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import WalkerError, resolve
 
@@ -22,40 +23,51 @@ SLOPES, WALKERS = 6, 60
 
 def followed(walker, steps, **keys):
     problem = Problem(resolve(walker, keys))
-    return problem, cycle_branches(problem, atlas.survey(problem, FINE), steps)
+    return problem.of_steps(steps), cycle_branches(problem, atlas.survey(problem, FINE), steps)
 
 
-def special(branch):
+def points(problem, branches, slopes, **params):
+    """Gaits of several steps at slopes."""
+    (found,) = _solve_lines(problem, [{}], [branches], {"slope": slopes, "want": WANT, **params})
+    return found
+
+
+def special(problem, branch):
     """Folds and flips of a branch: kinds, ln slopes, the side of the gaits, their pieces, and the room there."""
-    bounds = [0, *sorted(branch.folds), len(branch.cycles) - 1]
-    q = [branch.cycles[k].q for k in bounds]
-    for j, k in enumerate(bounds[1:-1], 1):
+    turns = [0, *(first for first, _ in branch.pieces()[1:]), len(branch.q) - 1]
+    q = branch.q[turns]
+
+    def piece(segment):
+        return int(branch.piece(np.array([segment]))[0])
+
+    for j, k in enumerate(turns[1:-1], 1):
         room = min(abs(q[j] - q[j - 1]), abs(q[j + 1] - q[j]))
-        yield "fold", q[j], np.sign(branch.cycles[k + 1].q - q[j]), (j - 1, j), room
-    for end, neighbour, piece, why in ((0, 1, 0, branch.ends[0]), (-1, -2, len(bounds) - 2, branch.ends[1])):
+        yield "fold", q[j], np.sign(branch.q[k + 1] - q[j]), (piece(k - 1), piece(k)), room
+    for end, neighbour, why in ((0, 1, branch.why[0]), (-1, -2, branch.why[1])):
         if why == "branch_point":
-            yield "birth", q[end], np.sign(q[neighbour] - q[end]), (piece,), abs(q[neighbour] - q[end])
-    for flip in branch.flips:
-        near = min(branch.guesses(flip.q), key=lambda guess: np.abs(guess.Y - flip.Y).max(), default=None)
-        if near is not None:
-            room = min(abs(flip.q - each) for each in (q[near.piece], q[near.piece + 1]))
-            for side in (-1, 1):
-                yield "flip", flip.q, side, (near.piece,), room
+            side = np.sign(branch.q[neighbour] - branch.q[end])
+            yield "birth", q[end], side, (piece(0 if end == 0 else len(branch.q) - 2),), abs(q[neighbour] - q[end])
+    for flip in flips(problem, branch):
+        at = float(flip.q[0])
+        segment = min(branch.guesses(flip.q), key=lambda guess: np.abs(guess[1] - flip.Z.T).max())[2][0]
+        room = min(abs(at - each) for each in q)
+        for side in (-1, 1):
+            yield "flip", at, side, (piece(segment),), room
 
 
-def lost(problem, branches, steps, random):
+def lost(problem, branches, random):
     """What is wrong beside the folds and flips of branches, and how many gaits were asked for, by kind."""
     wrong, asked = [], Counter()
     for number, branch in enumerate(branches):
-        for kind, q, side, pieces, room in special(branch):
+        for kind, q, side, pieces, room in special(problem, branch):
             if not room > 4 * NEAREST:
                 continue
             beyond = np.exp(random.uniform(np.log(NEAREST), np.log(min(FARTHEST, room / 2)), SLOPES))
             slopes = np.exp(q + side * beyond)
-            found = cycle_points(problem, branches, {"steps": steps, "slope": slopes, "want": WANT})
+            found = points(problem, branches, slopes)
             for i, slope in enumerate(slopes.tolist()):
                 # Archives have labels for so many gaits that none is left out.
-                if sum(1 for other in branches for _ in other.guesses(np.log(slope))) >= len(GAITS):
+                if sum(len(other.guesses(np.log([slope]))) for other in branches) >= len(GAITS):
                     continue
                 at = {name: found[name][i] for name in (*WANT, "status")}
                 own = [np.flatnonzero((at["branch"] == number) & (at["piece"] == piece)) for piece in pieces]
@@ -90,7 +102,7 @@ def drawn(seed):
 def test_no_gait_is_lost_beside_a_fold_or_a_flip():
     """The two gaits of three steps of the simplest walker vanished within 3e-8 of their fold."""
     problem, branches = followed("D", 3)
-    wrong, asked = lost(problem, branches, 3, np.random.default_rng(1))
+    wrong, asked = lost(problem, branches, np.random.default_rng(1))
     assert not wrong and asked == {"fold": 2 * SLOPES, "flip": 2 * SLOPES}
 
 
@@ -103,7 +115,7 @@ def test_no_gait_of_random_walkers_is_lost_beside_folds_and_flips(tell, resumed)
             problem, branches = followed(walker, steps, **keys)
         except WalkerError:
             continue
-        wrong, asked = lost(problem, branches, steps, random)
+        wrong, asked = lost(problem, branches, random)
         resumed.found.update(asked)
         tell(f"{resumed.state}: {resumed.found.total()} gaits, {dict(resumed.found)}")
         assert not wrong, (seed, walker, keys, steps, wrong)
@@ -111,23 +123,15 @@ def test_no_gait_of_random_walkers_is_lost_beside_folds_and_flips(tell, resumed)
         assert resumed.found.total() >= 500
 
 
-def test_within_the_error_of_a_fold_its_gaits_are_left_open():
+def test_within_the_error_of_a_fold_no_gait_is_claimed_but_within_its_bound():
     problem, branches = followed("D", 3)
-    ((_, fold),) = [(k, branches[0].cycles[k]) for k in branches[0].folds]
-    assert 0 < fold.error < 1e-12
-    slopes = np.exp(fold.q + fold.error * np.array([0.0, 0.9, -0.9, -10.0]))
-    found = cycle_points(problem, branches, {"steps": 3, "slope": slopes, "want": WANT})
-    for status, reason in zip(found["status"][:3], found["reason"][:3], strict=True):
-        assert sorted(status.tolist()) == sorted([STATUSES["not_converged"]] * 2 + [STATUSES["no_gait"]] * 2)
-        (open_,) = {found["reasons"][reason[k]] for k in np.flatnonzero(status == STATUSES["not_converged"])}
-        assert open_.startswith("Whether there is a gait is open: the slope is that of a fold")
-    assert (found["status"][3] == STATUSES["no_gait"]).all()
-
-
-def test_a_gait_beside_a_fold_moves_by_the_square_not_by_its_linearisation():
-    for x in (1e-7, 0.01, 0.4, 0.5):
-        reach = [a for a in np.linspace(0, 3, 300001) if abs(1 - a * a) <= 2 * x]
-        farthest = max(1 - min(reach), max(reach) - 1)
-        assert _beside_fold(0.1, np.array([0.1 * x, 0.0])) * x == pytest.approx(farthest, rel=1e-3, abs=2e-5)
-    # So near that rounding may leave no gait.
-    assert _beside_fold(0.1, np.array([0.0501])) == np.inf
+    (fold,) = [each for each in special_points(problem, branches[0]) if each["kind"] == "fold"]
+    assert 0 < fold["error_bound"] < 1e-12
+    slopes = fold["slope"] * (1 + fold["error_bound"] * np.array([0.0, 0.9, -0.9, -10.0]))
+    found = points(problem, branches, slopes)
+    assert (found["status"][2:] == STATUSES["no_gait"]).all()
+    # More digits tell the two gaits apart, or show that there is none.
+    for k in (0, 1):
+        solved = found["status"][k] == STATUSES["converged"]
+        angle, bound = found["stance_angle"][k, solved], found["error_bound"][k, solved]
+        assert len(angle) in (0, 2) and (len(angle) == 0 or angle[0] - angle[1] > bound @ angle)

@@ -8,12 +8,12 @@ import pytest
 
 from lines import WANT, branches
 from pipeline import gaits
-from tasks.continuation.cycles import product
 from tasks.fixed_points.multipliers import characteristic, characteristic_errors, multiplier_bounds, multipliers
+from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.polish import settle, unmeasured
+from tasks.fixed_points.rounding import characteristic_scale
 from tasks.follow_cycles import cycle_branches
 from tasks.registry import GAITS
-from tasks.solve_cycles import _characteristic_error
 from tasks.solve_points import atlas, lines, points
 from tasks.step.extended_precision import _extended_step_map, solved
 from tasks.step.problem import Problem
@@ -239,26 +239,18 @@ def test_multipliers_of_gaits_of_several_steps(steps, slopes):
     assert (bound / size < 1e-9).all()
 
 
-def test_the_polynomial_of_several_steps_changes_with_every_section():
-    """By no more than its bound says, and not by much less."""
+def test_the_polynomial_of_several_steps_changes_with_every_unknown():
+    """As its gradient says, of the sections and event times of every step."""
     problem, known = branches("D")
     (branch, *_) = cycle_branches(problem, known, 2)
-    cycle = branch.cycles[len(branch.cycles) // 2]
-    scale, slope = np.exp2(np.floor(np.log2(cycle.Y[0]))), np.full(2, cycle.slope)
-    parameters, draw = problem.parameters(slope, scale), np.random.default_rng(3)
-
-    def polynomial(Y):
-        stride = problem.map(Y / scale, cycle.times, parameters)
-        return stride, characteristic(product(stride.jacobian))
-
-    stride, base = polynomial(cycle.Y)
-    for i, j in np.ndindex(problem.m, 2):
-        moved = np.zeros(cycle.Y.shape)
-        moved[i, j] = 1e-6 * cycle.Y[0, j]
-        error = _characteristic_error(problem, cycle, slope, scale, stride, moved)
-        changes = [np.abs(polynomial(cycle.Y + sign * moved)[1] - base) for sign in (-1, 1)]
-        np.testing.assert_allclose(np.mean(changes, axis=0), error, rtol=1e-3, atol=1e-11)
-    moved = 1e-6 * cycle.Y[0] * draw.uniform(size=cycle.Y.shape)
-    error = _characteristic_error(problem, cycle, slope, scale, stride, moved)
-    for signs in draw.choice([-1, 1], (8, *moved.shape)):
-        assert (np.abs(polynomial(cycle.Y + signs * moved)[1] - base) <= 1.001 * error).all()
+    several, Z = problem.of_steps(2), branch.Z[[len(branch.Z) // 2]].T
+    m = several.m
+    w, q = np.delete(Z, m, axis=0), Z[m]
+    _, gradient = curvature(several, Z[: m + 1], Z[m + 1 :])
+    stride, _ = several.stride(w, q)
+    unit = characteristic_scale(stride)
+    for i in range(len(w)):
+        ends = [several.stride(w + sign * 1e-6 * np.eye(len(w))[:, [i]], q)[0] for sign in (1, -1)]
+        up, down = (characteristic(end.jacobian) for end in ends)
+        np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-6 / unit, rtol=2e-3, atol=2e-3)
+    assert np.abs(gradient).max() > 0.1

@@ -98,10 +98,11 @@ def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
 
 def test_a_root_is_located_between_two_points():
     def correct(Z, direction):
-        return circles(SQUARES[:1])(Z[:, None], direction[:, None]).Z[:, 0]
+        return circles(SQUARES[:1])(Z[:, None], direction[:, None])
 
     ends = [(np.array([np.cos(a), np.sin(a), 0.0]), np.array([-np.sin(a), np.cos(a), 0.0])) for a in (0.2, 0.9)]
-    at = root_between(*ends, 2, correct, lambda Z: Z[1] - Z[0], 1e-14)
+    values = tuple(float(Z[1] - Z[0]) for Z, _ in ends)
+    at = root_between(*ends, values, 2, correct, lambda point: float(point.Z[1, 0] - point.Z[0, 0]), 1e-14).Z[:, 0]
     assert at[:2] == pytest.approx(np.sqrt([0.5, 0.5]), abs=1e-13)
 
 

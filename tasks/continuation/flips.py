@@ -1,0 +1,134 @@
+"""Flips, at which gaits of twice as many steps begin.
+
+On the new branch the sections of the two halves differ from the flip's by +-a v, with v the eigenvector of -1, and ln
+slope by a multiple of a^2: the branch passes the flip and repeats itself, its halves exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.defining import slope_error
+from tasks.continuation.tracking import HALVED, Path, Point, correct
+from tasks.fixed_points.newton import similarity
+from tasks.step.problem import Problem
+from tasks.step.several_steps import begun_at, joined, sections
+from tasks.step.step_map import matvec
+
+#: Newton steps to the first gait beside a flip, where the derivative is nearly singular.
+_MAX_ITERATIONS = 15
+#: Farthest that a branch may end from the flip at which it begins, in similarity coordinates.
+_NEAR = 0.05
+#: Distance from the flip up to which points of the branch are known worse than the flip itself, or as a share of their
+#: largest distance: across the branch the equations are all but singular there.
+_CLEAR, _CLEAR_SHARE = 1e-3, 0.1
+
+
+def doubled(problem: Problem, flip: Point, expected: float) -> Path | None:
+    """Begin the branch of twice as many steps at a flip.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the flip.
+    flip : Point
+        Of one lane, with a multiplier of -1.
+    expected : float
+        Rough length in ln slope of the branch up to its own flip.
+
+    Returns
+    -------
+    Path or None
+        Of a problem of twice the steps; None where no point of the branch is found.
+
+    Notes
+    -----
+    The first point is solved for at fixed a, where the branch of fewer steps has no point.
+    """
+    twice, q = problem.of_steps(2 * problem.steps), float(flip.q[0])
+    base = _twice(problem, flip)
+    values, vectors = np.linalg.eig(flip.stride.jacobian[..., 0])
+    v = np.real(vectors[:, [np.argmin(np.abs(values + 1))]])
+    each, half = flip.stride.singles, []
+    for i in range(problem.steps):
+        half.append(v)
+        v = matvec(each.jacobian[:, :, [i]], v)
+    change = np.concatenate([*half, *(-part for part in half)]) / flip.stride.y[0]
+    direction = np.append(similarity(_relative(base[:, 0], twice.m), change), 0.0)
+    direction = np.append(direction / np.linalg.norm(direction), np.zeros(twice.phases))
+    Z = np.concatenate([base[: twice.m, 0], [q], base[twice.m :, 0]])
+    a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Point]]()
+    for _ in range(6):
+        guess = (Z + a * direction)[:, None]
+        first = correct(twice, guess[: twice.m + 1], guess[twice.m + 1 :], direction[:, None], _MAX_ITERATIONS)
+        if first.ok[0] and first.q[0] != q:
+            farther.append((a, first))
+            distance = abs(float(first.q[0]) - q)
+            if 0.02 * abs(expected) < distance < 0.3 * abs(expected):
+                break
+            a *= np.sqrt(0.1 * abs(expected) / distance)
+        else:  # Newton's steps are rounding this near the flip: between here and the last point
+            a *= np.sqrt(farther[-1][0] / a) if farther and farther[-1][0] > a else 0.3
+    if not farther:
+        return None
+    a, first = farther[-1]
+    return Path(twice, first, direction, 0.3 * a)
+
+
+def _relative(w: np.ndarray, m: int) -> np.ndarray:
+    """Sections of similarity coordinates (m + k,) over the first angle, shape (m, 1)."""
+    return np.append(1.0, w[1:m])[:, None]
+
+
+def _twice(problem: Problem, flip: Point) -> np.ndarray:
+    """A flip as gaits of twice as many steps, begun at each of its own: similarity coordinates (2 (m + k), steps)."""
+    y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, problem.m, problem.steps))
+    w = np.repeat(joined(flip.w[:1], y, durations), problem.steps, axis=1)
+    return begun_at(w, 2 * problem.m, 2 * problem.steps, np.arange(problem.steps))
+
+
+def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> Branch:
+    """Branch of several steps with the flips of half as many as its ends, where its halves meet.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the branch.
+    branch : Branch
+    flips : sequence of Point
+        Of gaits of half as many steps.
+    """
+    if HALVED not in branch.why:
+        return branch
+    m, half = problem.m, problem.of_steps(problem.steps // 2)
+    for side in (0, 1):
+        why, errors = list(branch.why), list(branch.end_errors)
+        if why[side] != HALVED:
+            continue
+        node = branch.Z[-side]
+        w = np.delete(node, m)
+        near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
+        apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
+        if flip is None or apart.min() > _NEAR:
+            why[side] = "no further point"
+            branch = replace(branch, why=(why[0], why[1]))
+            continue
+        at = _twice(half, flip)[:, int(apart.argmin())]
+        # The halves leave the flip to opposite sides; all else changes by the square of the distance.
+        y, durations = (part - np.roll(part, half.steps, axis=0) for part in sections(w[:, None], m, problem.steps))
+        along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], [0.0]])
+        along = np.append(along, np.cumsum(durations))
+        Z = np.insert(at, m, flip.q[0])
+        apart = np.abs(branch.Z - Z).max(axis=1)
+        clear = np.flatnonzero(apart > min(_CLEAR, _CLEAR_SHARE * apart.max()))
+        kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
+        branch, node = branch.part(kept), branch.Z[kept[-side]]
+        along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
+        why[side], errors[side] = "branch_point", slope_error(half, "flip", flip.Z[:, 0])
+        branch = branch.insert(side * len(branch.Z), Z, along)
+        branch = replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
+    return branch

@@ -1,0 +1,327 @@
+"""Several steps in a row as one map, by multiple shooting: a gait of s steps is its fixed point.
+
+All s sections are unknowns, so errors do not grow over many steps: a gait of 64 steps is as well conditioned as one of
+a single step. Sections follow each other in y, all over the scale of the first; event times count from the start of the
+first step. In shapes, m and k count the section coordinates and the phases of all steps, n lanes.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tasks.step.step_map import Stride, StrideMap, matvec
+
+
+@dataclass
+class Strides:
+    """Steps in a row of n lanes, with what a `Stride` has.
+
+    Attributes
+    ----------
+    one : Stride
+        The single steps, in arrays of shape (..., s, n).
+    y : ndarray, shape (m, n)
+        Their sections, scaled.
+    guessed : ndarray, shape (k, n) [sqrt(leg/g)]
+        The event times at which they were evaluated.
+    """
+
+    one: Stride
+    y: np.ndarray
+    guessed: np.ndarray
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return self.one.y.shape[1]
+
+    @property
+    def singles(self) -> Stride:
+        """The single steps in s n lanes: the first steps of all gaits, then the second ones."""
+        lanes = self.steps * self.y.shape[1]
+        return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
+
+    @property
+    def impact(self) -> np.ndarray:
+        """Rates just before the heelstrikes, shape (2, s, n)."""
+        return self.one.impact
+
+    @impact.setter
+    def impact(self, values: np.ndarray) -> None:
+        self.one.impact = values
+
+    @property
+    def motion(self) -> list[np.ndarray]:
+        """Samples of each phase of every step, shape (samples + 1, angles, s, n)."""
+        return self.one.motion
+
+    @motion.setter
+    def motion(self, values: list[np.ndarray]) -> None:
+        self.one.motion = values
+
+    @property
+    def start(self) -> np.ndarray:
+        """States just after heelstrike, shape (angles, s, n)."""
+        return self.one.start
+
+    @property
+    def knee(self) -> np.ndarray:
+        """States at kneestrike, shape (6, s, n)."""
+        return self.one.knee
+
+    @property
+    def closing(self) -> np.ndarray:
+        """Rates of the guards at the strikes, shape (k, n)."""
+        return _in_a_row(self.one.closing)
+
+    @property
+    def image(self) -> np.ndarray:
+        """Where the steps lead, each at the place of the section after it, shape (m, n)."""
+        return np.asarray(self.residual[: len(self.y)] + self.y)
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """Derivative of all steps, one after another, by the first section, shape (m/s, m/s, n)."""
+        product = self.one.jacobian[:, :, 0]
+        for i in range(1, self.steps):
+            product = np.stack(
+                [matvec(self.one.jacobian[:, :, i], column) for column in product.swapaxes(0, 1)], axis=1
+            )
+        return np.asarray(product)
+
+    @functools.cached_property
+    def times(self) -> np.ndarray:
+        """Event times, corrected, shape (k, n)."""
+        begins = np.cumsum(self.one.times[-1], axis=0) - self.one.times[-1]
+        return _in_a_row(self.one.times + begins)
+
+    @functools.cached_property
+    def residual(self) -> np.ndarray:
+        """Of the joint equations: of each section how far the step before it misses it, and the guards, (m + k, n)."""
+        m = len(self.one.y)
+        missed = np.roll(self.one.residual[:m] + self.one.y, 1, axis=1) - self.one.y
+        return np.vstack([_in_a_row(missed), _in_a_row(self.one.residual[m:])])
+
+    @functools.cached_property
+    def derivative(self) -> np.ndarray:
+        """Of the residual by y, the durations and the slope, shape (m + k, m + k + 1, n)."""
+        by = self.one.derivative.copy()
+        m = len(self.one.y)
+        # A step's equation has its own section; in a gait of several that after it takes its place.
+        by[np.arange(m), np.arange(m)] += 1.0
+        missed, guards = self._in_places(np.roll(by[:m], 1, axis=2), 1), self._in_places(by[m:], 0)
+        out = np.concatenate([*missed, *guards])
+        out[np.arange(len(self.y)), np.arange(len(self.y))] -= 1.0
+        return out
+
+    @functools.cached_property
+    def times_by(self) -> np.ndarray:
+        """Derivatives of the event times by the same, shape (k, m + k + 1, n)."""
+        by = self._in_places(self.one.times_by, 0)
+        begins = np.cumsum(by[:, -1:], axis=0) - by[:, -1:]
+        return np.concatenate([*(by + begins)])
+
+    def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
+        """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1, n).
+
+        They are given (i, j, s, n) by the section, durations and slope of the same step, or of one step `before`.
+        """
+        i, s, n, m = len(by), self.steps, by.shape[-1], len(self.one.y)
+        own, by = np.arange(s), by.transpose(2, 0, 1, 3)
+        sections, durations = np.zeros((s, i, s, m, n)), np.zeros((s, i, s, by.shape[2] - 1 - m, n))
+        sections[own, :, own - before], durations[own, :, own - before] = by[:, :, :m], by[:, :, m:-1]
+        each = sections.reshape(s, i, s * m, n), durations.reshape(s, i, s * durations.shape[3], n), by[:, :, -1:]
+        return np.concatenate(each, axis=2)
+
+    @functools.cached_property
+    def inverse(self) -> np.ndarray:
+        """How far a residual moves the fixed point's y and its event times, shape (m + k, m + k, n)."""
+        moves = -_inverse(self.derivative[:, :-1])
+        m, size = len(self.y), len(moves)
+        return np.concatenate([moves[:m], np.einsum("ijn,jkn->ikn", self.times_by[:, :size], moves)])
+
+    @functools.cached_property
+    def _moved(self) -> np.ndarray:
+        """Newton step of y and the event times, shape (m + k, n)."""
+        return matvec(self.inverse, self.residual)
+
+    @property
+    def newton(self) -> np.ndarray:
+        """Newton step of y, shape (m, n)."""
+        return self._moved[: len(self.y)]
+
+    @property
+    def newton_times(self) -> np.ndarray:
+        """The event times after it, shape (k, n)."""
+        return np.asarray(self.guessed + self._moved[len(self.y) :])
+
+    def move_impacts(self) -> None:
+        """Correct the states at the impacts to the fixed point."""
+        newton = self.newton.reshape(self.steps, len(self.one.y), self.y.shape[1]).swapaxes(0, 1)
+        self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
+        self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
+
+    def some(self, lanes: np.ndarray) -> Strides:
+        """Return some lanes, ndarray of int of shape (j,)."""
+        return Strides(self.one.some(lanes), self.y[:, lanes], self.guessed[:, lanes])
+
+    def assign(self, lanes: np.ndarray, other: Any) -> None:
+        """Replace some lanes, ndarray of int of shape (j,), by those of other strides."""
+        self.one.assign(lanes, other.one)
+        self.y[:, lanes], self.guessed[:, lanes] = other.y, other.guessed
+        for name in ("times", "residual", "derivative", "times_by", "inverse", "_moved"):
+            vars(self).pop(name, None)
+
+
+#: What was evaluated of a gait: its step, or its steps.
+AnyStride = Stride | Strides
+
+
+def side_by_side(values: np.ndarray, steps: int) -> np.ndarray:
+    """Values (s i, n) of steps in a row in lanes (i, s n): the first steps of all gaits, then the second ones."""
+    i, n = len(values) // steps, values.shape[1]
+    return values.reshape(steps, i, n).swapaxes(0, 1).reshape(i, steps * n)
+
+
+def _in_a_row(values: np.ndarray) -> np.ndarray:
+    """Values (i, s, n) of every step, those of one after those of the step before: (s i, n)."""
+    return np.concatenate([*values.swapaxes(0, 1)])
+
+
+def _inverse(matrices: np.ndarray) -> np.ndarray:
+    """Inverses of matrices (i, i, n); NaN where there is none."""
+    each = matrices.transpose(2, 0, 1)
+    out = np.full(each.shape, np.nan)
+    regular = np.isfinite(each).all(axis=(1, 2))
+    regular[regular] = np.linalg.det(each[regular]) != 0
+    out[regular] = np.linalg.inv(each[regular])
+    return out.transpose(1, 2, 0)
+
+
+class StepSequence:
+    """The map of s steps in a row of one structure.
+
+    Parameters
+    ----------
+    single : StrideMap
+    steps : int
+    """
+
+    def __init__(self, single: StrideMap, steps: int):
+        self.single, self.steps, self.m = single, steps, steps * single.m
+        #: Of the state just after a heelstrike.
+        self.start_size = single.start_size
+
+    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """What `StrideMap.start` gives of the first section."""
+        return self.single.start(y[: self.single.m], parameters)
+
+    def __call__(
+        self,
+        y: np.ndarray,
+        times: np.ndarray,
+        parameters: np.ndarray,
+        slope: bool = False,
+        samples: int = 0,
+        coarse: bool = False,
+    ) -> Strides:
+        """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n) of all steps."""
+        s, n = self.steps, y.shape[1]
+        k = len(times) // s
+        begins = np.vstack([np.zeros((1, n)), times[k - 1 : -1 : k]])
+        inputs = np.vstack(
+            [side_by_side(y, s), side_by_side(times - np.repeat(begins, k, axis=0), s), np.tile(parameters, s)]
+        )
+        # Lanes of differences share most of their steps.
+        inputs, place = np.unique(inputs, axis=1, return_inverse=True)
+        m = self.single.m
+        one = self.single(inputs[:m], inputs[m : m + k], inputs[m + k :], slope, samples, coarse)
+        return Strides(one.mapped(lambda values: values[..., place.reshape(s, n)]), y, times.copy())
+
+
+def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Take apart similarity coordinates of gaits of several steps.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + k, n)
+        ln of the first angle, all other section coordinates over it, and event times.
+    m, steps : int
+
+    Returns
+    -------
+    y : ndarray, shape (s, m/s, n)
+        Sections over the first angle.
+    durations : ndarray, shape (s, k/s, n) [sqrt(leg/g)]
+        Of the phases.
+    """
+    n, phases = w.shape[1], len(w) - m
+    y = np.vstack([np.ones((1, n)), w[1:m]]).reshape(steps, m // steps, n)
+    return y, np.diff(w[m:], axis=0, prepend=0).reshape(steps, phases // steps, n)
+
+
+def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.ndarray:
+    """Similarity coordinates of the same gaits begun at another of their steps.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + k, n)
+    m, steps : int
+    first : ndarray of int, shape (n,), or int
+        Number of that step.
+
+    Returns
+    -------
+    ndarray, shape (m + k, n)
+    """
+    places = (np.arange(steps)[:, None, None] + first) % steps
+    y, durations = (
+        np.take_along_axis(each, np.broadcast_to(places, (steps, *each.shape[1:])), axis=0)
+        for each in sections(w, m, steps)
+    )
+    return joined(w[0], y, durations)
+
+
+def joined(log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray) -> np.ndarray:
+    """Put together what `sections` takes apart, with y over another angle.
+
+    Parameters
+    ----------
+    log_unit : ndarray, shape (n,), or float
+        ln of what y is divided by.
+    y, durations : ndarray, shape (s, m/s, n) and (s, k/s, n)
+
+    Returns
+    -------
+    ndarray, shape (m + k, n)
+    """
+    flat, angle = np.concatenate([*y]), y[0, 0]
+    return np.vstack([log_unit + np.log(angle), flat[1:] / angle, np.cumsum(np.concatenate([*durations]), axis=0)])
+
+
+def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+    """How far gaits are from repeating after fewer steps.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + k, n)
+    m, steps : int
+
+    Returns
+    -------
+    ndarray, shape (divisors, n)
+        For each number of steps that divides all of them the largest distance of sections, over the first angle.
+    """
+    y, _ = sections(w, m, steps)
+    sooner = [k for k in range(1, steps) if steps % k == 0]
+    each = [np.abs(y - np.roll(y, k, axis=0)).max(axis=(0, 1)) for k in sooner]
+    return np.array(each).reshape(len(sooner), w.shape[1])
+
+
+def from_largest(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+    """Similarity coordinates (m + k, n) of the same gaits begun at the step with the largest stance angle."""
+    return begun_at(w, m, steps, sections(w, m, steps)[0][:, 0].argmax(axis=0)) if steps > 1 else w
