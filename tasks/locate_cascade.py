@@ -28,9 +28,9 @@ from tasks.continuation.cycles import (
 )
 from tasks.dynamics.crisis import lost
 from tasks.dynamics.initial_states import gaits_at, r_sequence
+from tasks.dynamics.walk import Walk
 from tasks.fits import feigenbaum as scaling
 from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -206,21 +206,17 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     known, y = gaits_at(problem, branches, np.array([slope]), "long")
     if not len(known):
         return []
-    Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]
-    times: list[np.ndarray] = []
-    for _ in range(n + 1):
-        step = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
-        walks = step.outcome == STRUCK
-        Y = [*(a[:, walks] for a in Y), step.image[:, walks]]
-        times = [*(t[:, walks] for t in times), step.times[:, walks]]
-    if not Y[-1].shape[1]:
+    y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
+    walk = Walk(problem, y, np.full(starts, slope))
+    sections, times = zip(*((walk.y.copy(), walk.times.copy()) for _ in walk.steps(n + 1)), strict=True)
+    if not len(walk.lanes):
         return []
     # The first step maps all initial conditions onto the strongly contracted image of the map.
-    distance = np.abs(Y[n + 1] - Y[1]).max(axis=0)
+    distance = np.abs(sections[n] - sections[0]).max(axis=0)[walk.lanes]
     cycles: list[Cycle] = []
-    nearest = np.argsort(distance, kind="stable")[:60]
-    sections, strikes = (np.stack(a[1 : n + 1], axis=1)[..., nearest] for a in (Y, times))
-    for cycle in all_at_slope(problem, sections, strikes, slope):
+    nearest = walk.lanes[np.argsort(distance, kind="stable")[:60]]
+    Y, strikes = (np.stack(a, axis=1)[..., nearest] for a in (sections[:n], times[1:]))
+    for cycle in all_at_slope(problem, Y, strikes, slope):
         if not cycle.ok or not _is_period_exact(cycle) or any(_distance(cycle, other) <= 1e-7 for other in cycles):
             continue
         if really_walks(problem, cycle):
