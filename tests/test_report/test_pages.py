@@ -255,7 +255,8 @@ def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path
     """Matplotlib reads its own settings while it is imported, and like NumPy a date."""
     (tmp_path / "matplotlibrc").write_bytes(bytes(range(128, 256)))
     settings = {"MPLBACKEND": "nonsense", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "SOURCE_DATE_EPOCH": "x"}
-    assert _command(archives, tmp_path, **settings) == (0, "")
+    code, said = _command(archives, tmp_path, **settings)
+    assert (code, [line for line in said.splitlines() if not line.endswith(" s to go")]) == (0, [])  # if it takes long
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == {
         path.name: path.read_bytes() for path in report.iterdir()
     }
