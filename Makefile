@@ -65,7 +65,8 @@ soak: $(COMPLETE)
 prove: $(COMPLETE)
 	$(BIN)/python -m pipeline.cli.proofs data/reference/proofs
 
-# Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors.
+# Mutants of the core drawn by lot, two at a time; the same command resumes. AGAIN=100 tries again, by 100 s of
+# tests of each tier, those that `make test` did not notice.
 mutants: $(COMPLETE)
 	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
 

@@ -1,10 +1,11 @@
 """Draw mutants of the core by lot, see which of them the tests notice, and show those they do not.
 
     python tests/mutants/draw.py 1 300          # draw, number: goes on where it stopped, for its state is in `mutants/`
-    python tests/mutants/draw.py 1 300 again    # tries survivors once more, with every test that reaches them
+    python tests/mutants/draw.py 1 300 100      # tries again, by 100 s of tests, what `make test` did not notice
 
 mutmut makes the mutants. Each is written into a copy of the project and tried by the tests that reach its line, the
-quickest files first. Mutants of `equivalent.toml` are left out of the count.
+quickest files first: by those of `make test`, and if none fails by those that only `make check` runs. Mutants of
+`equivalent.toml` are left out of the count.
 """
 
 import ast
@@ -25,14 +26,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
 from recording import HERE, PYTEST, ROOT, STATE, Reach, copy_project, environment, lend_cache, record
 
 CORE = ("tasks", "pipeline/archive", "pipeline/engine", "pipeline/graph", "pipeline/store")
 AT_A_TIME = 2
-#: A mutant not noticed after so long counts as a survivor; `again` takes every test that reaches it [s].
+#: Processor time, as recorded, of the tests of each tier that try a mutant [s].
 PATIENCE = 25.0
+THOROUGH = frozenset(tomllib.loads((ROOT / "tests" / "tiers.toml").read_text())["thorough"])
 
 
 @dataclass(frozen=True)
@@ -138,21 +141,16 @@ def _try(tree: Path, tests: list[str], longest: dict[str, float]) -> None:
     os._exit(int(code))
 
 
-def outcome(tree: Path, mutant: Mutant, tests: list[str], took: dict[str, float], patience: float) -> str:
-    """Try a mutant, and say what noticed it, or that it survives."""
-    if not tests:
-        return "survives: no test reaches it"
+def failing(tree: Path, mutant: Mutant, tests: list[str], took: dict[str, float]) -> str:
+    """Try a mutant by some tests; the one that fails, or nothing."""
     original = (tree / mutant.path).read_text()
     (tree / mutant.path).write_text(mutant.code)
     process = multiprocessing.get_context("forkserver").Process(target=_try, args=(tree, tests, took))
     try:
         process.start()
-        process.join(patience)
-        if process.exitcode is None:
-            return f"survives {patience:.0f} s of {sum(took[test] for test in tests):.0f}"
-        said = (tree / "said.txt").read_text()
-        by = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-        return "survives" if process.exitcode == 0 else f"noticed: {by[1] if by else f'exit {process.exitcode}'}"
+        process.join(60 + 5 * sum(took[test] for test in tests))
+        by = re.search(r"^(?:FAILED|ERROR) (\S+)", (tree / "said.txt").read_text(), re.MULTILINE)
+        return "" if process.exitcode in (None, 0) else by[1] if by else f"exit {process.exitcode}"
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, 9)
@@ -160,7 +158,24 @@ def outcome(tree: Path, mutant: Mutant, tests: list[str], took: dict[str, float]
         (tree / mutant.path).write_text(original)
 
 
-def main(draw: int, number: int, again: bool) -> int:
+def is_thorough(test: str) -> bool:
+    """Whether only `make check` runs a test."""
+    return not THOROUGH.isdisjoint((test, test.split("[")[0], test.split("::")[0]))
+
+
+def outcome(tree: Path, mutant: Mutant, reach: Reach, patience: float) -> str:
+    """Try a mutant by the tests of each tier, and say which notices it, or that it survives."""
+    reaching = reach.tests(mutant.path, mutant.lines)
+    for command, thorough in (("make test", False), ("make check", True)):
+        tests = [test for test in reaching if is_thorough(test) == thorough]
+        times = accumulate(reach.took[test] for test in tests)
+        tests = [test for test, until in zip(tests, times, strict=True) if until <= patience]
+        if tests and (by := failing(tree, mutant, tests, reach.took)):
+            return f"{command}: {by}"
+    return f"survives; tests that reach it take {sum(reach.took[test] for test in reaching):.0f} s"
+
+
+def main(draw: int, number: int, again: float) -> int:
     STATE.mkdir(exist_ok=True)
     lend_cache()
     reach = Reach(record())
@@ -173,9 +188,13 @@ def main(draw: int, number: int, again: bool) -> int:
     # A longer draw begins with the shorter, and a change of the source leaves the mutants of other functions drawn.
     every.sort(key=lambda each: random.Random(f"{draw} {each[0]}").random())
     drawn = [make() for _, make in every[:number]]
+    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
+    equivalent = {(each["function"], each["line"]) for each in known}
+    counted = [each for each in drawn if not each.asserts_less and (each.function, each.line) not in equivalent]
     kept = STATE / "outcomes.json"
     outcomes: dict[str, str] = json.loads(kept.read_text()) if kept.exists() else {}
-    left = [each for each in drawn if each.name not in outcomes or (again and outcomes[each.name].startswith("surv"))]
+    done = ("make test",) if again else ("make test", "make check", "survives")
+    left = [each for each in counted if not outcomes.get(each.name, "").startswith(done)]
     multiprocessing.get_context("forkserver").set_forkserver_preload(
         [line for line in (HERE / "preload.txt").read_text().splitlines() if not line.startswith("#")]
     )
@@ -185,7 +204,7 @@ def main(draw: int, number: int, again: bool) -> int:
 
     def attempt(mutant: Mutant) -> None:
         tree, began = trees.get(), time.monotonic()
-        found = outcome(tree, mutant, reach.tests(mutant.path, mutant.lines), reach.took, 1e9 if again else PATIENCE)
+        found = outcome(tree, mutant, reach, again or PATIENCE)
         trees.put(tree)
         with lock:
             outcomes[mutant.name] = found
@@ -194,18 +213,17 @@ def main(draw: int, number: int, again: bool) -> int:
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         list(pool.map(attempt, left))
-    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
-    equivalent = {(each["function"], each["line"]) for each in known}
-    counted = [each for each in drawn if not each.asserts_less and (each.function, each.line) not in equivalent]
     survivors = [each for each in counted if outcomes[each.name].startswith("survives")]
     print(*(f"{each.name}: {outcomes[each.name]}\n{each.diff}\n" for each in survivors), sep="\n")
     noticed = len(counted) - len(survivors)
+    quickly = sum(outcomes[each.name].startswith("make test") for each in counted)
     print(
         f"draw {draw}: {noticed} of {len(counted)} mutants noticed ({noticed / len(counted):.1%}), {len(survivors)} "
-        f"survive; {number - len(counted)} more cannot be told from the code"
+        f"survive; {number - len(counted)} more cannot be told from the code; `make test` alone notices "
+        f"{quickly / noticed:.1%} of those noticed"
     )
     return noticed < 0.95 * len(counted)
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), "again" in sys.argv[3:]))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), float((*sys.argv[3:], 0)[0])))
