@@ -11,9 +11,10 @@ from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.dynamics.initial_states import NO_START, gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate
+from tasks.dynamics.walk import Walk
 from tasks.fixed_points.polish import SAFETY_FACTOR
-from tasks.step.problem import EPS, Problem
-from tasks.step.simulate import CAUSES, STRUCK, stride
+from tasks.step.problem import EPS, Problem, scale_of, sizes
+from tasks.step.simulate import CAUSES, STRUCK
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -21,8 +22,6 @@ Arrays = dict[str, np.ndarray]
 _ALIGNMENT, _BLOCKS = 16, 8
 #: Columns of a row, and the longest period at which an orbit is tested for repetition.
 _SHOWN, _MAX_PERIOD = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "error_bound"), 64
-#: Lanes advanced together: their states stay in the cache.
-LANES = 4096
 
 
 def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -62,20 +61,16 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
     lane_slope, start = np.repeat(slope[known], count), np.tile(np.arange(count), len(known))
     time_unit = np.sqrt(walker.leg / walker.g)
-    parts = [
-        _iterate(problem, y[:, k : k + LANES], lane_slope[k : k + LANES], options) for k in range(0, y.shape[1], LANES)
-    ]
-    rows = np.concatenate([p["rows"] for p in parts], axis=2) if parts else np.zeros((0, len(_SHOWN), 0))
-    steps = np.concatenate([p["steps"] for p in parts]) if parts else np.zeros(0, int)
-    outcome = np.concatenate([p["outcome"] for p in parts]) if parts else np.zeros(0, int)
-    means = np.concatenate([p["means"] for p in parts], axis=2) if parts else np.zeros((_BLOCKS, problem.m, 0))
-    walks = outcome == STRUCK
+    walk, strides = Walk(problem, y, lane_slope), int(options["steps"])
+    _settle(walk, int(options["transient"]))
+    rows, means = _keep(walk, strides, min(int(options["shown"]), strides))
+    walks = walk.outcome == STRUCK
     kept = rows[:, :, walks] * np.array([1, 1 / time_unit, 1 / time_unit, 1 / time_unit, time_unit, 1])[:, None]
     shown, n = len(kept), int(walks.sum())
     out = {
         "orbits/slope": np.repeat(lane_slope[walks], shown),
         "orbits/start": np.repeat(start[walks], shown),
-        "orbits/stride": np.tile(np.arange(int(options["steps"]) - shown, int(options["steps"])), n),
+        "orbits/stride": np.tile(np.arange(strides - shown, strides), n),
         **{f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)},
         "orbits/repeats_to": np.repeat(_repeats(kept[:, 0]), shown),
     }
@@ -83,11 +78,11 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     out |= {
         "falls/slope": np.concatenate([lane_slope[~walks], slope[without]]),
         "falls/start": np.concatenate([start[~walks], np.full(len(without), -1)]),
-        "falls/steps": np.concatenate([steps[~walks], np.zeros(len(without), int)]),
-        "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + [NO_START] * len(without), "U24"),
+        "falls/steps": np.concatenate([walk.taken[~walks], np.zeros(len(without), int)]),
+        "falls/cause": np.array([CAUSES[c] for c in walk.outcome[~walks]] + [NO_START] * len(without), "U24"),
     }
-    out |= _survival(lane_slope, steps, ~walks)
-    return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["steps"]) - _ALIGNMENT)
+    out |= _survival(lane_slope, walk.taken, ~walks)
+    return out | _exponents(means[:, :, walks], lane_slope[walks], strides - _ALIGNMENT)
 
 
 def _repeats(angles: np.ndarray) -> np.ndarray:
@@ -135,38 +130,8 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     return table | {"lyapunov/reason": np.full(len(rows["slope"]), reason)}
 
 
-def _iterate(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]) -> Arrays:
-    """Transient and kept steps of some lanes; those that fall leave the batch."""
-    n, strides, shown = y.shape[1], int(options["steps"]), min(int(options["shown"]), int(options["steps"]))
-    rows = np.full((shown, len(_SHOWN), n), np.nan)
-    means = np.full((_BLOCKS, problem.m, n), np.nan)
-    y, steps, outcome = _settle(problem, y, slope, int(options["transient"]))
-    lanes = np.flatnonzero(outcome == STRUCK)
-    y = y[:, lanes]
-    growth = Exponents.begin(problem.m, len(lanes), _BLOCKS)
-    for k in range(strides if len(lanes) else 0):
-        result = stride(problem, y, slope[lanes])
-        walks = result.outcome == STRUCK
-        outcome[lanes], steps[lanes[walks]] = result.outcome, steps[lanes[walks]] + 1
-        if not walks.all():
-            growth = Exponents(growth.Q[:, :, walks], growth.blocks[:, :, walks], growth.counts)
-        before, y, lanes = y[:, walks], result.image[:, walks], lanes[walks]
-        if not len(lanes):
-            break
-        growth.step(
-            result.jacobian[:, :, walks],
-            (k - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT) if k >= _ALIGNMENT else None,
-        )
-        if k >= strides - shown:
-            rows[k - strides + shown][:, lanes] = _step(problem, before, y, result.times[:, walks], slope[lanes])
-    means[:, :, lanes] = growth.means()
-    return {"rows": rows, "steps": steps, "outcome": outcome, "means": means}
-
-
-def _settle(
-    problem: Problem, y: np.ndarray, slope: np.ndarray, transient: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States of some lanes (m, n) after the transient, the steps they took, and their outcomes.
+def _settle(walk: Walk, transient: int) -> None:
+    """Walk through the transient.
 
     Notes
     -----
@@ -174,38 +139,41 @@ def _settle(
     but the state before it. Of an orbit found to repeat whole periods are left out. Each state is compared with the
     one after the last power of two steps (R. P. Brent, BIT 20 (1980) 176-184).
     """
-    n = y.shape[1]
-    final, steps, outcome = np.full(y.shape, np.nan), np.full(n, transient), np.full(n, STRUCK)
-    lanes, last, seen, seen_at = np.arange(n), np.full(n, transient), y, 0
-    for k in range(1, transient + 1):
-        result = stride(problem, y, slope[lanes], exact=False)
-        walks = result.outcome == STRUCK
-        outcome[lanes], steps[lanes[~walks]] = result.outcome, k - 1
-        y, seen, last, lanes = result.image[:, walks], seen[:, walks], last[walks], lanes[walks]
-        repeats = (y == seen).all(axis=0) & (last == transient)
+    last, seen, seen_at = np.full(len(walk.lanes), transient), walk.y.copy(), 0
+    for k in walk.steps(transient):
+        lanes = walk.lanes
+        repeats = lanes[(walk.y[:, lanes] == seen[:, lanes]).all(axis=0) & (last[lanes] == transient)]
         last[repeats] = k + (transient - k) % (k - seen_at)
-        ends = last == k
-        final[:, lanes[ends]] = y[:, ends]
-        y, seen, last, lanes = y[:, ~ends], seen[:, ~ends], last[~ends], lanes[~ends]
-        if not len(lanes):
-            break
+        walk.lanes = lanes[last[lanes] > k]
         if k == max(1, 2 * seen_at):
-            seen, seen_at = y, k
-    return final, steps, outcome
+            seen, seen_at = walk.y.copy(), k
+    walk.lanes = np.flatnonzero(walk.outcome == STRUCK)
+    walk.taken[walk.lanes] = transient
 
 
-def _step(problem: Problem, y: np.ndarray, image: np.ndarray, times: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Columns of the steps from section states y (m, n) to `image`, shape (len(_SHOWN), n).
+def _keep(walk: Walk, strides: int, shown: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the last of some steps, shape (shown, len(_SHOWN), n), and means of the growth over them."""
+    m, n = walk.y.shape
+    rows, growth = np.full((shown, len(_SHOWN), n), np.nan), Exponents.begin(m, n, _BLOCKS)
+    for k in walk.steps(strides, exact=True):
+        block = (k - 1 - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT) if k > _ALIGNMENT else None
+        growth.step(walk.jacobian, walk.lanes, block)
+        if k > strides - shown and len(walk.lanes):
+            rows[k - 1 - strides + shown][:, walk.lanes] = _row(walk)
+    return rows, growth.means()
+
+
+def _row(walk: Walk) -> np.ndarray:
+    """Columns of the last steps of those that walk on, shape (len(_SHOWN), k).
 
     Notes
     -----
     The step is integrated again in another unit, in which every operation rounds differently; the bound is the change
     times the factor that a gait's bound takes of its standard deviation.
     """
-    scale = np.exp2(np.floor(np.log2(y[0])))
-    unit = 0.75 * scale
+    lanes, problem = walk.lanes, walk.problem
+    y, image, times, slope = walk.before, walk.y[:, lanes], walk.times[:, lanes], walk.slope[lanes]
+    unit = 0.75 * scale_of(y[0])
     again = problem.map(y / unit, times, problem.parameters(slope, unit))
-    change = np.abs(again.image * unit - image)
-    largest = np.abs(image[1:]).max(axis=0)
-    error = np.max([change[0] / image[0], *(change[1:] / largest), np.abs(again.times[-1] / times[-1] - 1)], axis=0)
-    return np.vstack([problem.start(y, slope), times[-1], SAFETY_FACTOR * (error + EPS)])
+    error = np.vstack([np.abs(again.image * unit - image) / sizes(image), np.abs(again.times[-1] / times[-1] - 1)])
+    return np.vstack([problem.start(y, slope), times[-1], SAFETY_FACTOR * (error.max(axis=0) + EPS)])

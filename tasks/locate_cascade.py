@@ -18,6 +18,7 @@ from tasks.continuation.special_points import RATES, state_at
 from tasks.continuation.tracking import Path, Point, correct
 from tasks.dynamics.crisis import lost
 from tasks.dynamics.initial_states import gaits_at, r_sequence
+from tasks.dynamics.walk import Walk
 from tasks.fits import feigenbaum as scaling
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.step_check import verify_steps
@@ -238,19 +239,15 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     known, y = gaits_at(problem, branches, np.array([slope]), "long")
     if not len(known):
         return []
-    Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]
-    times: list[np.ndarray] = []
-    for _ in range(n + 1):
-        step = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
-        walks = step.outcome == STRUCK
-        Y = [*(a[:, walks] for a in Y), step.image[:, walks]]
-        times = [*(t[:, walks] for t in times), step.times[:, walks]]
-    if not Y[-1].shape[1]:
+    y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
+    walk = Walk(problem, y, np.full(starts, slope))
+    after, times = zip(*((walk.y.copy(), walk.times.copy()) for _ in walk.steps(n + 1)), strict=True)
+    if not len(walk.lanes):
         return []
     # The first step maps all initial conditions onto the strongly contracted image of the map.
-    distance = np.abs(Y[n + 1] - Y[1]).max(axis=0)
-    nearest = np.argsort(distance, kind="stable")[:60]
-    y, strikes = (np.stack(a[1 : n + 1])[..., nearest] for a in (Y, times))
+    distance = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
+    nearest = walk.lanes[np.argsort(distance, kind="stable")[:60]]
+    y, strikes = (np.stack(each)[..., nearest] for each in (after[:n], times[1:]))
     gaits = _solved(problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope)
     return sorted(gaits, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation import atlas as atlases
+from tasks.dynamics.attractors import Neighbourhoods, attractors
 from tasks.dynamics.initial_states import NO_START, gaits_at
 from tasks.dynamics.stable_manifold import saddle_at, stable_manifold
+from tasks.dynamics.walk import Walk
 from tasks.step.problem import Problem
-from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -20,12 +21,6 @@ Arrays = dict[str, np.ndarray]
 _AROUND = (0.4, 2.0)
 #: Columns of points of the section.
 _POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
-#: Lanes advanced together: their states stay in the cache.
-LANES = 16384
-#: Distance from a stable gait, in its eigenvector coordinates and over its norm, inside which it captures an orbit.
-_CAPTURE_DISTANCE = 3e-3
-#: Longest period identified at the end, and the relative distance at which an orbit counts as repeating.
-_MAX_PERIOD, _REPEAT_DISTANCE = 16, 5e-5
 
 
 def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -82,15 +77,19 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 edge = stable_manifold(problem, saddle, float(slope), grid)
                 # To seven digits, as the steps simulated there are accurate; an archive packs these well.
                 _append(manifolds, float(slope), label, edge.astype(np.float32).astype(float), time_unit)
-        outcome, steps = _classify(problem, starts, float(slope), targets, int(options["steps"]))
+        n = starts.shape[1]
+        neighbourhoods = {label: Neighbourhoods(problem, y[:, None], np.array([slope])) for label, y in targets.items()}
+        homes = {label: home.some(np.zeros(n, int)) for label, home in neighbourhoods.items() if home.radius[0]}
+        walk = Walk(problem, starts, np.full(n, slope))
+        outcome = attractors(walk, homes, int(options["steps"]))
         table = {
-            "slope": np.full(starts.shape[1], slope),
+            "slope": walk.slope,
             "stance_angle": starts[0],
             "stance_rate": starts[1] / time_unit,
         }
         if problem.m == 3:
             table["swing_rate"] = starts[2] / time_unit
-        tables.append(table | {"outcome": outcome, "steps": steps})
+        tables.append(table | {"outcome": outcome, "steps": np.minimum(walk.taken, int(options["steps"]))})
         for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell):
             row = (slope, name, area / time_unit, error / time_unit, np.mean(outcome == name), len(outcome))
             _append_row(areas, row)
@@ -128,94 +127,6 @@ def _starts(
     angle, rate = (g.ravel() for g in np.meshgrid(*sides, indexing="ij"))
     y = np.vstack([angle, rate, *(g / gait[1] * rate for g in gait[2:])])
     return y, float(np.prod([(high - low) / size for low, high in ranges]))
-
-
-def _classify(
-    problem: Problem, starts: np.ndarray, slope: float, targets: Mapping[str, np.ndarray], strides: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Outcomes of initial conditions, and the number of steps after which each is known.
-
-    Parameters
-    ----------
-    starts : ndarray, shape (m, n) [rad, sqrt(g/leg)]
-    slope : float [rad]
-    targets : mapping
-        Gaits by name, shape (m,); only stable ones capture.
-    strides : int
-        Steps after which an orbit counts as walking; its period is then identified.
-
-    Returns
-    -------
-    outcome : ndarray of str, shape (n,)
-        A gait's name, `period k`, `walks on`, or how it fell.
-    steps : ndarray of int, shape (n,)
-    """
-    stable = {name: frame for name, y in targets.items() if (frame := _frame(problem, y, slope)) is not None}
-    n = starts.shape[1]
-    outcome, steps = np.full(n, "walks on", "U24"), np.zeros(n, int)
-    lanes, y = np.arange(n), starts
-    for _ in range(strides):
-        y, lanes, _ = _advance(problem, y, lanes, slope, outcome)
-        steps[lanes] += 1
-        free = np.ones(len(lanes), bool)
-        for name, (centre, inverse) in stable.items():
-            is_captured = _distance(y, centre, inverse) < _CAPTURE_DISTANCE
-            outcome[lanes[is_captured & free]] = name
-            free &= ~is_captured
-        y, lanes = y[:, free], lanes[free]
-        if not len(lanes):
-            break
-    if len(lanes):
-        outcome[lanes] = _periods(problem, y, slope)
-    return outcome, steps
-
-
-def _advance(
-    problem: Problem, y: np.ndarray, lanes: np.ndarray, slope: float, outcome: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Take one step: the images and lanes that walk, and a mask of them; the others' falls go into `outcome`."""
-    blocks = [y[:, k : k + LANES] for k in range(0, max(1, len(lanes)), LANES)]
-    steps = [stride(problem, block, np.full(block.shape[1], slope), exact=False) for block in blocks]
-    image, ends = np.concatenate([s.image for s in steps], axis=1), np.concatenate([s.outcome for s in steps])
-    walks = ends == STRUCK
-    for cause in np.unique(ends[~walks]):
-        outcome[lanes[ends == cause]] = CAUSES[cause]
-    return image[:, walks], lanes[walks], walks
-
-
-def _frame(problem: Problem, y: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """A gait and the inverse of its eigenvectors, or None where it is not stable."""
-    at = stride(problem, y[:, None], np.array([slope]))
-    if at.outcome[0] != STRUCK:
-        return None
-    values, vectors = np.linalg.eig(at.jacobian[:, :, 0])
-    if np.abs(values).max() >= 1:
-        return None
-    return y, np.linalg.inv(vectors / np.linalg.norm(vectors, axis=0)) / np.linalg.norm(y)
-
-
-def _distance(y: np.ndarray, centre: np.ndarray, inverse: np.ndarray) -> np.ndarray:
-    """Largest coordinate of y - centre in the gait's eigenvectors, shape (n,)."""
-    d = y - centre[:, None]
-    total = inverse[:, :1] * d[0]
-    for i in range(1, len(d)):
-        total = total + inverse[:, i : i + 1] * d[i]
-    return np.abs(total).max(axis=0)
-
-
-def _periods(problem: Problem, y: np.ndarray, slope: float) -> np.ndarray:
-    """Attractors of orbits by name: a period, or none up to the longest."""
-    first, lanes = y, np.arange(y.shape[1])
-    names = np.full(y.shape[1], "walks on", "U24")
-    for k in range(1, _MAX_PERIOD + 1):
-        y, lanes, walks = _advance(problem, y, lanes, slope, names)
-        first = first[:, walks]
-        repeats = np.abs(y - first).max(axis=0) < _REPEAT_DISTANCE * np.abs(first).max(axis=0)
-        names[lanes[repeats]] = f"period {k}"
-        y, lanes, first = y[:, ~repeats], lanes[~repeats], first[:, ~repeats]
-        if not len(lanes):
-            break
-    return names
 
 
 def _areas(outcome: np.ndarray, cell: float) -> list[tuple[str, float, float]]:

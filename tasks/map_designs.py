@@ -13,7 +13,7 @@ from tasks import registry
 from tasks.continuation.atlas import survey_lines, to_arrays
 from tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, best, find, in_window
 from tasks.continuation.refine import COARSE
-from tasks.disturb_designs import attractors, largest_steps
+from tasks.disturb_designs import attractors_beside, largest_steps
 from tasks.families.box import Box
 from tasks.families.cell import Family
 from tasks.families.landscape import Landscape, is_known, make, points_at
@@ -123,7 +123,7 @@ def _disturb(walkers: WalkerArray, gaits: np.ndarray, slope: float, ground: floa
         angle, stance_rate, thigh_rate, radius = gaits[:, numbers]
         state = np.array([angle, stance_rate * time_unit, thigh_rate * time_unit])
         y = problem.section_of(state, np.full(len(numbers), slope))
-        rows.attractor[numbers] = attractors(problem, y, slope)
+        rows.attractor[numbers] = attractors_beside(problem, y, slope)
         stable = np.flatnonzero(radius < 1)
         if ground and len(stable):
             rows.steps[:, numbers[stable]] = largest_steps(problem.some(stable), y[:, stable], slope, ground)

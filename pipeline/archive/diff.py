@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
-from pipeline.archive import layout
 from pipeline.archive.read import columns, open_archive
+from pipeline.archive.unfold import dataset
 from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
 
-_Pair = tuple[np.ndarray, np.ndarray]
 #: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
+#: Parts of an eigenvalue, which are compared with its magnitude.
+_PARTS = ("multiplier_real", "multiplier_imag")
 
 
 @dataclass(frozen=True)
@@ -65,24 +68,10 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         constants, others = _parameters(left), _parameters(right)
         for name in sorted(constants.keys() & others.keys()):
             differences += _compare_values(name, constants[name], others[name], tolerance)
-        places: dict[str, _Pair] = {}
-        for name in sorted(set(left.dimensions) | set(right.dimensions)):
-            if not any(name in file.variables for file in (left, right)):
-                continue  # reasons, characters
-            if name not in left.dimensions or name not in right.dimensions:
-                differences.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
-                continue
-            places[name], sentences = _aligned(name, left, right, a, b)
-            differences += sentences
-        for name in sorted(set(left.variables) | set(right.variables)):
-            if name in left.dimensions or name in right.dimensions or name == "reason_text":
-                continue
-            if name not in left.variables or name not in right.variables:
-                differences.append(f"`{name}` is only in {a if name in left.variables else b}")
-            elif set(layout.dims(left.variables[name])) <= set(places):
-                differences += _compare(name, left, right, places, tolerance)
-        shared = {name: np.ma.getdata(left.variables[name][...])[pair[0]] for name, pair in places.items()}
-        differences += _compare_groups(left, right, tolerance, shared, a, b)
+        x, y = (dataset(file, mask_and_scale=False, decode_times=False) for file in (left, right))
+        for name in sorted((set(x.indexes) | set(y.indexes)) - (set(x.sizes) & set(y.sizes))):
+            differences.append(f"the dimension `{name}` is only in {a if name in x.sizes else b}")
+        differences += _compare_groups((left, right), (a, b), (x, y), tolerance)
         names = {name for file in (left, right) for name in (*file.variables, *columns(file))}
         for name in tolerance.own:
             if name not in names:
@@ -96,48 +85,76 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in attributes.items() if isinstance(value, float)}
 
 
-def _aligned(name: str, left: Any, right: Any, a: Path, b: Path, path: str = "") -> tuple[_Pair, list[str]]:
-    """Indices of the coordinate values that both have, and sentences on those that only one has."""
-    x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
-    if x.dtype.kind == "O" or y.dtype.kind == "O":
-        x, y = x.astype(str), y.astype(str)
-    _, i, j = np.intersect1d(x, y, return_indices=True)
-    order = np.argsort(i)
-    sentences = [
-        f"{len(values) - len(i):,} of {len(values):,} values of `{path}{name}` are only in {archive}"
-        for values, archive in ((x, a), (y, b))
-        if len(values) > len(i)
-    ]
-    return (i[order], j[order]), sentences
+def _compare_groups(
+    groups: tuple[Any, Any],
+    paths: tuple[Path, Path],
+    grids: tuple[xr.Dataset, xr.Dataset],
+    tolerance: Tolerance,
+    prefix: str = "",
+) -> list[str]:
+    """Differences between two open groups, and the groups in them; `grids` are the main groups of the archives."""
+    x, y = (_opened(group, grid) if prefix else grid for group, grid in zip(groups, grids, strict=True))
+    differences = []
+    for name in sorted(set(x.indexes) & set(y.indexes)):
+        if prefix and name != "slope":
+            continue  # said of the main groups
+        for one, other, path in ((x, y, paths[0]), (y, x, paths[1])):
+            if n := len(one.indexes[name].difference(other.indexes[name])):
+                differences.append(f"{n:,} of {one.sizes[name]:,} values of `{prefix}{name}` are only in {path}")
+    rows = _matching_rows(x, y, grids)
+    for name in sorted(map(str, {*x.variables, *y.variables} - {*x.indexes, *y.indexes, "reason_text"})):
+        if name not in x or name not in y:
+            differences.append(f"`{prefix}{name}` is only in {paths[0] if name in x else paths[1]}")
+        elif prefix or set(x[name].dims) <= set(y.sizes):
+            differences += _compare(name, prefix, (x, y), rows, tolerance)
+    for name in sorted(set(groups[0].groups) | set(groups[1].groups)):
+        inner = [group.groups.get(name) for group in groups]
+        if None in inner:
+            differences.append(f"the group /{prefix}{name} is only in {paths[inner.index(None) - 1]}")
+        else:
+            differences += _compare_groups((inner[0], inner[1]), paths, grids, tolerance, f"{prefix}{name}/")
+    return differences
 
 
-def _compare(name: str, left: Any, right: Any, places: dict[str, _Pair], tolerance: Tolerance) -> list[str]:
-    dims = layout.dims(left.variables[name])
-    if set(layout.dims(right.variables[name])) != set(dims):
-        return [f"`{name}` has other dimensions"]
-    units = [getattr(file.variables[name], "units", None) for file in (left, right)]
-    if units[0] != units[1]:
-        return [f"`{name}` is in {units[0]} and in {units[1]}"]
-    x, y = (
-        _along(dims, file.variables[name])[np.ix_(*(places[d][k] for d in dims))]
-        for k, file in enumerate((left, right))
+def _opened(group: Any, grid: xr.Dataset) -> xr.Dataset:
+    """A group with the coordinates of the lines; its own, but for slopes, are results, and compared as such."""
+    opened = dataset(group, mask_and_scale=False, decode_times=False)
+    own = [name for name in opened.indexes if name != "slope"]
+    opened = opened.drop_indexes(own).reset_coords(own)
+    return opened.assign_coords(
+        {name: grid[name] for name in opened.dims if name in grid.indexes and name not in opened}
     )
-    x, y = np.atleast_1d(x), np.atleast_1d(y)  # scalars of a single line
+
+
+def _compare(
+    name: str,
+    prefix: str,
+    groups: tuple[xr.Dataset, xr.Dataset],
+    rows: tuple[np.ndarray, np.ndarray],
+    tolerance: Tolerance,
+) -> list[str]:
+    """Differences between a variable of two groups, where both have it; of tables in some `rows`."""
+    x, y = (group[name].load() for group in groups)
+    if set(x.dims) != set(y.dims):
+        return [f"`{prefix}{name}` has other dimensions"]
+    units = [each.attrs.get("units") for each in (x, y)]
+    if units[0] != units[1]:
+        return [f"`{prefix}{name}` is in {units[0]} and in {units[1]}"]
+    if x.dims == ("row",):
+        return _compare_values(f"{prefix}{name}", x.values[rows[0]], y.values[rows[1]], tolerance)
+    parts = [x, y]
+    if name in _PARTS and set(_PARTS) <= set(groups[0]):
+        real, imag = (groups[0][part] for part in _PARTS)
+        parts.append((real**2 + imag**2) ** 0.5)
+    parts = list(xr.align(*parts, join="inner", exclude=set(x.dims) - set(x.indexes)))
+    one, other, *scale = (np.atleast_1d(part.transpose(*x.dims).values) for part in parts)  # scalars of a single line
+    if name == "status":
+        return _compare_status(one, other)
     if name == "reason":
-        x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
-    elif name == "status":
-        return _compare_status(x, y)
-    scale = None
-    if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
-        real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
-        scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
-    return _compare_values(name, x, y, tolerance, scale)
-
-
-def _along(dims: tuple[str, ...], variable: Any) -> np.ndarray:
-    """Values of a variable, its dimensions in that order."""
-    own = layout.dims(variable)
-    return np.ma.getdata(variable[...]).transpose([own.index(d) for d in dims])
+        one, other = (
+            group["reason_text"].values.astype(str)[each] for group, each in zip(groups, (one, other), strict=True)
+        )
+    return _compare_values(f"{prefix}{name}", one, other, tolerance, *scale)
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -170,98 +187,31 @@ def _compare_values(
     return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g}{unit}"]
 
 
-def _compare_groups(
-    left: Any, right: Any, tolerance: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
-) -> list[str]:
-    """Differences between tables on the lines of both archives, whose coordinates are `shared`."""
-    differences = []
-    for name in sorted(set(left.groups) | set(right.groups)):
-        group_path = f"{path}/{name}"
-        if name not in left.groups or name not in right.groups:
-            differences.append(f"the group {group_path} is only in {a if name in left.groups else b}")
-            continue
-        left_group, right_group = left.groups[name], right.groups[name]
-        slopes: _Pair | None = None  # of arrays
-        if all("slope" in group.variables and "slope" in group.dimensions for group in (left_group, right_group)):
-            slopes, sentences = _aligned("slope", left_group, right_group, a, b, f"{group_path}/".lstrip("/"))
-            differences += sentences
-        rows = _matching_rows(left_group, right_group, shared)
-        for column in sorted(set(left_group.variables) | set(right_group.variables)):
-            if column == "slope" and slopes:
-                continue
-            if column not in left_group.variables or column not in right_group.variables:
-                differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
-                continue
-            dims = layout.dims(left_group.variables[column])
-            if set(layout.dims(right_group.variables[column])) != set(dims):
-                differences.append(f"`{group_path}/{column}` has other dimensions")
-                continue
-            x, y = (
-                _shared_part(group, column, dims, shared, rows[k], slopes and slopes[k])
-                for k, group in enumerate((left_group, right_group))
-            )
-            differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
-        differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
-    return differences
-
-
-def _shared_part(
-    group: Any,
-    column: str,
-    dims: tuple[str, ...],
-    shared: dict[str, np.ndarray],
-    rows: np.ndarray,
-    slopes: np.ndarray | None,
-) -> np.ndarray:
-    """Values of a column, or of an array over the lines' axes, on the lines that both archives have, in one order.
-
-    `rows` are those of a table, `slopes` the places of those of arrays.
-    """
-    variable = group.variables[column]
-    values = _along(dims, variable)
-    if dims == ("row",):
-        return values[rows]
-    if slopes is not None and "slope" in dims:
-        values = values.take(slopes, dims.index("slope"))
-    for axis, name in enumerate(dims):
-        coordinate = group.parent.variables.get(name)
-        if name in shared and name not in group.variables and coordinate is not None:
-            is_shared, places = _places(coordinate, shared[name])
-            values = values.take(np.flatnonzero(is_shared)[np.argsort(places)], axis)
-    return values
-
-
-def _matching_rows(left: Any, right: Any, shared: dict[str, np.ndarray]) -> _Pair:
+def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: tuple[xr.Dataset, xr.Dataset]) -> tuple[np.ndarray, np.ndarray]:
     """Rows of two tables on the lines that both archives have, in one order; by slope where both have the same ones."""
-    x, y = _rows_of(left, shared), _rows_of(right, shared)
-    if not all("slope" in group.variables and "row" in group.dimensions for group in (left, right)):
-        return x, y
-    p, q = (np.ma.getdata(group.variables["slope"][...])[rows] for group, rows in ((left, x), (right, y)))
-    if not np.array_equal(np.unique(p), np.unique(q)):
-        return x, y
-    return _rows_of(left, shared, by_slope=True), _rows_of(right, shared, by_slope=True)
+    # A column `slope` may be a result, as along a branch or at a fold.
+    names = (set(grids[0].indexes) & set(grids[1].indexes)) - {"slope", "gait"}
+    shared = {name: grids[0].indexes[name].intersection(grids[1].indexes[name]) for name in names}
+    rows = _rows(x, shared), _rows(y, shared)
+    if all("row" in table.sizes and "slope" in table for table in (x, y)):
+        p, q = (np.unique(table["slope"].values[own]) for table, own in zip((x, y), rows, strict=True))
+        if np.array_equal(p, q):
+            return _rows(x, shared, by_slope=True), _rows(y, shared, by_slope=True)
+    return rows
 
 
-def _rows_of(group: Any, shared: dict[str, np.ndarray], by_slope: bool = False) -> np.ndarray:
-    """Indices of the rows of a table whose line both archives have, line by line in the order of `shared`."""
-    kept = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
-    order: list[np.ndarray] = [np.ma.getdata(group.variables["slope"][...])] if by_slope else []
-    for name, values in shared.items():
-        # A column `slope` may be a result, as along a branch or at a fold.
-        if name in group.variables and name not in ("slope", "gait"):
-            is_shared, places = _places(group.variables[name], values)
-            kept &= is_shared
-            order.append(np.zeros(len(kept), int))
-            order[-1][is_shared] = places
-    rows = np.flatnonzero(kept)
+def _rows(table: xr.Dataset, shared: Mapping[Any, pd.Index], by_slope: bool = False) -> np.ndarray:
+    """Rows of a table whose line has `shared` coordinates, line by line."""
+    is_shared = np.ones(table.sizes.get("row", 0), bool)
+    order = [table["slope"].values] if by_slope else []
+    for name in sorted(set(shared) & set(table.data_vars)):
+        values = _plain(table[name].values)
+        is_shared &= np.isin(values, _plain(shared[name].values))
+        order.append(values)
+    rows = np.flatnonzero(is_shared)
     # Stable: rows of one line, or of one slope of it, stay as its task has written them.
-    return rows[np.lexsort([places[rows] for places in order])] if order else rows
+    return rows[np.lexsort([values[rows] for values in order])] if order else rows
 
 
-def _places(variable: Any, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mask of the values of a variable that both archives have, and the places of these in `shared`."""
-    values = np.ma.getdata(variable[...])
-    if values.dtype.kind in "OU":  # a longer word must not be cut to one of `shared`
-        values, shared = values.astype(str), shared.astype(str)
-    is_shared, order = np.isin(values, shared), np.argsort(shared)
-    return is_shared, order[np.searchsorted(shared[order], values[is_shared])]
+def _plain(values: np.ndarray) -> np.ndarray:
+    return values.astype(str) if values.dtype.kind == "O" else values

@@ -1,1 +1,5 @@
-"""Walking that is not periodic: `initial_states`, `lyapunov` exponents, and the `crisis` that ends an attractor."""
+"""Walking that is not periodic.
+
+A `walk` from `initial_states` leads to `attractors`; `lyapunov` has their exponents, `crisis` where one ends, and
+`stable_manifold` an edge of its basin.
+"""

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tasks.dynamics.walk import Walk, change
 from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
+from tasks.step.simulate import STRUCK
 
-#: An orbit whose last step changes it by less than this has converged to a gait of period one.
+#: An orbit whose last step changes it by less than this, relative, has converged to a gait of period one.
 _SETTLED = 1e-8
 #: Steps within which an orbit may leave without its slope being rejected.
 _TRANSIENT = 60
@@ -36,20 +37,17 @@ def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, st
         False too where no orbit outlasts the transient.
     """
     number = np.repeat(np.arange(len(slope)), starts.shape[1])
-    y, survives = np.tile(starts, (1, len(slope))), np.ones(len(slope), bool)
-    for k in range(_TRANSIENT + strides):
-        steps = stride(problem, y, slope[number], exact=False)
-        persists = steps.outcome == STRUCK
-        if k == _TRANSIENT + strides - 1:
-            persists[persists] = np.abs(steps.image - y)[:, persists].max(axis=0) > _SETTLED
-        if k >= _TRANSIENT:
-            # After the transient one orbit that leaves decides for its slope.
-            survives[number[~persists]] = False
-            persists = survives[number]
-        y, number = steps.image[:, persists], number[persists]
-        if not len(number):
-            break
-    survives[np.setdiff1d(np.arange(len(slope)), number)] = False
+    walk = Walk(problem, np.tile(starts, (1, len(slope))), slope[number])
+    for _ in walk.steps(_TRANSIENT):
+        pass
+    lasting = walk.lanes
+    survives = np.isin(np.arange(len(slope)), number[lasting])
+    for taken in walk.steps(strides):
+        # One orbit that leaves decides for its slope.
+        survives[number[lasting[walk.outcome[lasting] != STRUCK]]] = False
+        if taken == strides:
+            survives[number[walk.lanes[change(walk.before, walk.y[:, walk.lanes]) < _SETTLED]]] = False
+        walk.lanes = walk.lanes[survives[number[walk.lanes]]]
     return survives
 
 

@@ -78,20 +78,21 @@ class Exponents:
         """Begin with all m directions of n lanes, their growth to be summed in so many blocks."""
         return cls(np.repeat(np.eye(m)[:, :, None], n, axis=2), np.zeros((blocks, m, n)), np.zeros(blocks, int))
 
-    def step(self, J: np.ndarray, block: int | None) -> None:
-        """Map the directions by one step.
+    def step(self, J: np.ndarray, lanes: np.ndarray, block: int | None) -> None:
+        """Map the directions of some lanes by one step.
 
         Parameters
         ----------
-        J : ndarray, shape (m, m, n)
+        J : ndarray, shape (m, m, k)
             Jacobians of the step.
+        lanes : ndarray of int, shape (k,)
         block : int or None
             Block that counts their growth; None while they still converge.
         """
-        self.Q, growth = orthogonalised(_matmul(J, self.Q))
+        self.Q[:, :, lanes], growth = orthogonalised(_matmul(J, self.Q[:, :, lanes]))
         if block is not None:
             with np.errstate(divide="ignore"):
-                self.blocks[block] += np.log(growth)
+                self.blocks[block][:, lanes] += np.log(growth)
             self.counts[block] += 1
 
     def means(self) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tasks.dynamics.walk import Walk
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, stride
 
@@ -58,7 +59,7 @@ def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
     is_outside = np.abs(values) > 1
     if is_outside.sum() != 1 or values[is_outside][0].real < 1:
         return None
-    left = np.linalg.inv(vectors / np.linalg.norm(vectors, axis=0))[is_outside][0].real
+    left = np.linalg.inv(vectors)[is_outside][0].real
     return Saddle(y, left / np.linalg.norm(y), float(values[is_outside][0].real))
 
 
@@ -117,17 +118,12 @@ def _leave(problem: Problem, saddle: Saddle, slope: float, y: np.ndarray) -> tup
         Least distance from the saddle over its norm.
     """
     n = y.shape[1]
-    leaves, nearest, lanes = np.full(n, np.nan), np.full(n, np.inf), np.arange(n)
-    for taken in range(1, _MAX_STEPS + 1):
-        step = stride(problem, y, np.full(y.shape[1], slope), exact=False)
-        walks = step.outcome == STRUCK
-        y, lanes = step.image[:, walks], lanes[walks]
-        if not len(lanes):
-            break
-        off = y - saddle.y[:, None]
+    leaves, nearest, walk = np.full(n, np.nan), np.full(n, np.inf), Walk(problem, y, np.full(n, slope))
+    for taken in walk.steps(_MAX_STEPS):
+        lanes = walk.lanes
+        off = walk.y[:, lanes] - saddle.y[:, None]
         along = saddle.along @ off
         leaves[lanes] = along / saddle.multiplier**taken
         nearest[lanes] = np.minimum(nearest[lanes], np.sqrt((off**2).sum(axis=0)) / np.linalg.norm(saddle.y))
-        stays = (np.abs(along) < _LEFT) | (taken < _APPROACH)
-        y, lanes = y[:, stays], lanes[stays]
+        walk.lanes = lanes[(np.abs(along) < _LEFT) | (taken < _APPROACH)]
     return leaves, nearest

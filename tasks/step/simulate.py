@@ -62,7 +62,7 @@ class SimulatedSteps:
     outcome : ndarray of int, shape (n,)
         Index of CAUSES.
     jacobian : ndarray, shape (m, m, n)
-        NaN of falls, and of steps that are not exact.
+        NaN of falls; empty where the steps are not exact.
     """
 
     image: np.ndarray
@@ -363,6 +363,8 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
         return SimulatedSteps(**joined)
     steps, scale, parameters = _scan(problem, y, slope)
     lanes = np.flatnonzero(steps.outcome == STRUCK)
+    if exact:
+        steps.jacobian = np.full((len(y), *y.shape), np.nan)
     if exact and len(lanes):
         at = problem.step(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
         steps.image[:, lanes], steps.times[:, lanes] = at.image * scale[lanes], at.times
@@ -415,4 +417,4 @@ def _scan(
             x = scan.land(x, parameters[:, lanes])
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]
-    return SimulatedSteps(image, times, outcome, np.full((m, m, n), np.nan)), scale, parameters
+    return SimulatedSteps(image, times, outcome, np.empty((0, 0, n))), scale, parameters

@@ -243,7 +243,7 @@ def test_each_line_may_have_its_own_reason(monkeypatch):
     graph = SimpleNamespace(grid=SimpleNamespace(sizes={"w_t": n}), line_keys=lambda i: i)
     writer = write._LineWriter(SimpleNamespace(study=study, graph=graph))
     assert writer.reason.dtype == np.int32
-    assert [writer.sentences[i] for i in writer.reason] == [reason for _, reason in ends]
+    assert [writer.sentences.texts[i] for i in writer.reason] == [reason for _, reason in ends]
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
@@ -570,7 +570,7 @@ def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     def slip(*_):
         return {}["x"]
 
-    monkeypatch.setattr("pipeline.archive.diff._aligned", slip)
+    monkeypatch.setattr("pipeline.archive.diff._matching_rows", slip)
     assert commands.main(["diff", str(made), str(made)]) == 2
     said = capsys.readouterr().err
     assert said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said

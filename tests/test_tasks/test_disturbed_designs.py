@@ -5,8 +5,7 @@ import pytest
 
 import pipeline
 from lines import gait
-from tasks import disturb_designs
-from tasks.disturb_designs import attractors
+from tasks.disturb_designs import attractors_beside
 from tasks.map_designs import design
 from tasks.mechanics.lumped import structure_of
 from tasks.step.problem import Lanes
@@ -129,31 +128,10 @@ def test_the_largest_step_asked_for_need_not_be_in_thousandths(ground):
     assert found["largest_step_down"].tolist() == found["largest_step_up"].tolist() == [ground]
 
 
-def test_attractors_are_those_after_two_thousand_steps(monkeypatch):
-    """Blocks of 32 steps left 16 of them out."""
-    taken, dice = [], np.random.default_rng(0)
-
-    def orbit(problem, y, slope, steps):
-        taken.append(steps)
-        return dice.uniform(1, 2, (steps + 1, *y.shape)), np.arange(y.shape[1])
-
-    class Nowhere:
-        def __init__(self, problem, y, slope): ...
-
-        def hold(self, y, lanes):
-            return np.zeros(y.shape[1], bool)
-
-    monkeypatch.setattr(disturb_designs, "_orbit", orbit)
-    monkeypatch.setattr(disturb_designs, "_Neighbourhoods", Nowhere)
-    problem = Lanes([resolve("D"), resolve("D")])
-    assert attractors(problem, np.ones((2, 2)), 0.01).tolist() == ["chaotic", "chaotic"]
-    assert sum(taken[:-1]) == 2000
-
-
 @pytest.mark.parametrize("walker", ["D", "A", "C"])
 def test_walkers_that_all_fall_have_no_attractor(walker):
     """The Jacobians of no step at all had no shape, and the map of designs ended with an error."""
     problem = Lanes([resolve(walker)] * 2)
     falling = np.vstack([np.full(2, 0.3), np.full((problem.m - 1, 2), 1e-3)])  # too slow to pass over the stance foot
     assert np.isnan(stride(problem, falling, np.full(2, 0.01)).jacobian).all()
-    assert attractors(problem, falling, 0.01).tolist() == ["falls", "falls"]
+    assert attractors_beside(problem, falling, 0.01).tolist() == ["falls", "falls"]

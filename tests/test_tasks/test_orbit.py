@@ -12,9 +12,12 @@ from tasks import map_basin as basins
 from tasks.continuation.atlas import from_arrays
 from tasks.continuation.special_points import special_points
 from tasks.dynamics import initial_states
+from tasks.dynamics import walk as walks
 from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
+from tasks.dynamics.walk import Walk
 from tasks.iterate_orbits import orbit
+from tasks.step import simulate
 from tasks.step.problem import Problem
 from tasks.step.simulate import stride
 from tasks.trace_motion import trace
@@ -32,7 +35,7 @@ def test_exponents_of_the_logistic_map():
     x = np.random.default_rng(1).uniform(0.1, 0.9, 400)
     growth = Exponents.begin(1, len(x), 5)
     for k in range(500):
-        growth.step((4 - 8 * x)[None, None], k // 100)
+        growth.step((4 - 8 * x)[None, None], np.arange(400), k // 100)
         x = 4 * x * (1 - x)
     (value,), (error,) = estimate(growth.means())
     assert error < 2e-3
@@ -46,7 +49,7 @@ def test_exponents_of_the_henon_map():
     growth = Exponents.begin(2, 100, 10)
     one, zero = np.ones(100), np.zeros(100)
     for k in range(-50, 1000):
-        growth.step(np.array([[-2 * a * x, one], [b * one, zero]]), k // 100 if k >= 0 else None)
+        growth.step(np.array([[-2 * a * x, one], [b * one, zero]]), np.arange(100), k // 100 if k >= 0 else None)
         x, y = 1 - a * x * x + y, b * x
     value, error = estimate(growth.means())
     assert abs(value[0] - 0.4192) < 4 * error[0] < 0.01
@@ -169,7 +172,7 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
         "shown": 10,
     }
     wide = orbits.orbit(line, [_atlas(walker, ())])
-    monkeypatch.setattr(orbits, "LANES", 3)
+    monkeypatch.setattr(simulate, "_SIDE_BY_SIDE", 3)
     narrow = orbits.orbit(line, [_atlas(walker, ())])
     assert wide.keys() == narrow.keys()
     for name, column in wide.items():
@@ -185,17 +188,19 @@ def test_steps_of_an_orbit_that_repeats_are_left_out_and_change_no_bit(monkeypat
         taken.append(y.shape[1])
         kind, x = y
         image = np.where(kind == 0, 4 * x * (1 - x), np.where(x > 3, x - 1, np.where(kind == 3, x % 3 + 1, x)))
-        return SimpleNamespace(image=np.array([kind, image]), outcome=np.where((kind < 0) & (x == 16), 1, 0))
+        fell = np.where((kind < 0) & (x == 16), 1, 0)
+        return SimpleNamespace(image=np.array([kind, image]), outcome=fell, times=0 * y[:1], jacobian=0 * y[None])
 
-    monkeypatch.setattr(orbits, "stride", step)
+    monkeypatch.setattr(walks, "stride", step)
     start = np.array([[3, 1, 0, -1], [20, 20, 0.3, 20]])
-    final, steps, outcome = orbits._settle(None, start, np.zeros(4), transient)
+    walk = Walk(SimpleNamespace(some=lambda lanes: None, phases=1), start, np.zeros(4))
+    orbits._settle(walk, transient)
     assert sum(taken) < 1.9 * transient
     expected = start
     for _ in range(transient):
         expected = step(None, expected, None).image
-    assert np.array_equal(final[:, :3], expected[:, :3]) and np.isnan(final[:, 3]).all()
-    assert steps.tolist() == [transient] * 3 + [4] and outcome.tolist() == [0, 0, 0, 1]
+    assert np.array_equal(walk.y[:, :3], expected[:, :3]) and walk.lanes.tolist() == [0, 1, 2]
+    assert walk.taken.tolist() == [transient] * 3 + [4] and walk.outcome.tolist() == [0, 0, 0, 1]
 
 
 def test_blocks_of_a_basin_change_no_bit(monkeypatch):
@@ -208,12 +213,8 @@ def test_blocks_of_a_basin_change_no_bit(monkeypatch):
         "stance_rate": [-0.3, -0.18],
     }
     wide = basins.basin(line, [_atlas("D", ())])
-    monkeypatch.setattr(basins, "LANES", 37)
-    calls, step = [], basins.stride
-    monkeypatch.setattr(basins, "stride", lambda *a, **options: calls.append(a) or step(*a, **options))
+    monkeypatch.setattr(simulate, "_SIDE_BY_SIDE", 37)
     narrow = basins.basin(line, [_atlas("D", ())])
-    # Two hundred steps at most, and those in which a period is told: of few lanes they were taken in every block.
-    assert len(calls) < 300
     assert len(set(wide["basin/outcome"])) > 3
     for name, column in wide.items():
         assert np.array_equal(column, narrow[name], equal_nan=column.dtype.kind == "f"), name
