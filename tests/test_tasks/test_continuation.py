@@ -80,7 +80,7 @@ def test_a_branch_followed_the_other_way_has_the_same_ends():
     (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
     middle = len(branch.Z) // 2
     (tracks,) = follow(problem, np.delete(branch.Z[middle], problem.m)[:, None], branch.q[[middle]])
-    (up,), (down,) = (run(problem, atlas._from_tracks(problem.m, *pair, FINE)) for pair in (tracks, tracks[::-1]))
+    (up,), (down,) = (run(problem, atlas.branches_along(problem, *pair, FINE)) for pair in (tracks, tracks[::-1]))
     assert up.why == down.why[::-1] == ("end_earlier_strike", "end_kneestrike_at_heelstrike")
     np.testing.assert_allclose(up.Z[[0, -1]], down.Z[[-1, 0]], rtol=1e-12, atol=1e-13)
 
