@@ -262,6 +262,22 @@ def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
     assert wrong.bound == np.inf
 
 
+def test_gaits_that_are_not_found_share_no_panel(monkeypatch):
+    original = interpolate.describe
+
+    def lost(*args):
+        solved = original(*args)
+        return {**solved, "status": np.where(np.arange(len(q)) == 2, status.NOT_CONVERGED, solved["status"])}
+
+    problem, found = branches("A")
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    span = made.sheets[0][0].span
+    q = span.log_slope(span.samples(7))
+    monkeypatch.setattr(interpolate, "describe", lost)
+    (sampled,) = made._solve([(0, span)], [q])
+    assert sampled.bound == np.inf
+
+
 def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     problem, found = branches("A")
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))

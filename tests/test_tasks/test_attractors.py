@@ -141,6 +141,22 @@ def test_a_neighbourhood_is_half_as_far_as_the_measured_curvature_allows(monkeyp
     assert unstable.radius[0] == 0 and not unstable.hold(centre, np.array([0])).any()
 
 
+def test_the_curvature_along_both_vectors_of_a_pair_counts(monkeypatch):
+    """Of a map that turns, and is curved along one coordinate only; which of them the real part lies along is open."""
+    centre, turn = np.array([[0.6], [-0.8]]), 0.5 * np.array([[0.0, -1.0], [1.0, 0.0]])
+    monkeypatch.setattr(capturing, "_NEAR", 1.0)
+    for along in (0, 1):
+
+        def step(problem, y, slope, exact=True, along=along):
+            off = y - centre
+            after = centre + turn @ off + 300 * off[along] ** 2
+            jacobian = np.repeat(turn[:, :, None], y.shape[1], axis=2)
+            return SimpleNamespace(image=after, outcome=np.zeros(y.shape[1], int), jacobian=jacobian)
+
+        monkeypatch.setattr(capturing, "stride", step)
+        assert Neighbourhoods(ANY, centre, np.zeros(1)).radius[0] < 1e-3
+
+
 def test_what_settles_beside_a_gait_without_a_neighbourhood_has_its_name(captured):
     problem, y, slope, home = captured
     tiny = home.some(np.zeros(2, int))
@@ -166,7 +182,7 @@ def test_falls_have_their_causes_and_the_steps_before_them(captured):
         assert names[lane] in ("fell forward", "fell backward", "foot never struck", "knee never struck")
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-7])
+@pytest.mark.parametrize("size", [1.0, 1e-9])
 def test_orbits_of_any_size_survive_unless_they_settle(monkeypatch, size):
     """At small slopes all of them counted as settled, for their steps changed by less than a number of the walker's."""
     rates = np.array([2.9, 3.2, 3.9])

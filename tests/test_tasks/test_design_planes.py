@@ -14,7 +14,8 @@ from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude,
 from tasks.continuation.extremes import Points, best, find
 from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
-from tasks.families.box import Box, Refused
+from tasks.families import manifold_maker as makers
+from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import Family
 from tasks.families.chart import Chart
 from tasks.families.division import divide
@@ -431,6 +432,94 @@ def test_a_point_that_is_lost_is_refused():
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     with pytest.raises(Refused):
         maker.manifold("flip", np.array([0.0]), np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]))
+
+
+@pytest.fixture(scope="module")
+def extension():
+    """That of the flip of A at the middle of a range of detuning, and its point in another design."""
+    family, box = Family.of({"walker": "A", "set": {}}, ("detuning",)), Box(("detuning",), (0.2,), (0.5,))
+    maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
+    problem = maker.problem(np.zeros((1, 1)))
+    points = find(problem, survey_lines(problem, COARSE), WINDOW)
+    (k, *_) = np.flatnonzero((points.kind == "flip") & points.walks)
+    return _Extension(maker, "flip", 0.0, np.zeros(1), points.Z[:, k])
+
+
+def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_no_nodes(extension):
+    manifold = extension.manifold()
+    nodes = manifold.region.unit(roots(manifold.chart.sizes[0])[:, None])
+    problem, (Z, rows) = extension.problem(nodes), manifold.predict(nodes)
+    assert np.abs(defining.newton_step(problem, "flip", Z, rows).change).max() < 1e-11
+    np.testing.assert_allclose(rows, gradient(problem, "flip", Z), rtol=1e-6, atol=1e-6 * np.abs(rows).max())
+    c = len(Z)
+    assert (manifold.chart.tails()[:, c:] == 0).all() and (manifold.chart.tails()[:, :c] > 0).any()
+
+
+def test_a_point_is_carried_no_farther_than_its_predictions_hold(extension, monkeypatch):
+    nodes, region = np.array([[-0.9], [0.9]]), Region.whole(1)
+    points, there = extension.carried(nodes, region)
+    assert there.all()
+    usual = solve
+
+    def jumps(problem, kind, guess, *args, **options):
+        found = usual(problem, kind, guess, *args, **options)
+        found.Z[:, -1] = guess[:, -1] + 0.4  # the other sheet, say
+        found.ok[-1] = True
+        return found
+
+    monkeypatch.setattr(makers, "solve", jumps)
+    assert extension.carried(nodes, region)[1].tolist() == [True, False]
+    # A coarse chart leads there too: such points are carried, and these are lost.
+    with pytest.raises(Refused, match="is lost on its way to 1 nodes"):
+        extension.chart(region, (5,), Chart.through((2,), np.vstack([points.Z, points.rows])))
+
+
+def test_points_are_followed_until_none_beside_them_is_stable_any_more(extension, monkeypatch):
+    radius = iter([2.0, 0.5, 2.0])
+    monkeypatch.setattr(makers, "other_multipliers", lambda kind, jacobian: np.array([next(radius)]))
+    _, ends, turned = extension.followed(extension.Z[:, None], np.zeros((1, 1)), 0, -1)
+    assert ends == pytest.approx([-0.02 * (1 + 1.5 + 1.5**2)]) and not turned.any()
+
+
+def test_a_manifold_is_kept_beyond_all_places_at_which_it_counts_no_more(monkeypatch):
+    extension, x = object.__new__(_Extension), roots(13)
+    extension.d, extension.kind, ends = 2, "fold", 0.3 + 0.1 * x + 1e-3 * np.cos(6 * np.arccos(x))
+    points = SimpleNamespace(Z=np.zeros((5, 13)))
+    monkeypatch.setattr(_Extension, "carried", lambda *_: (points, np.ones(13, bool)))
+    monkeypatch.setattr(_Extension, "followed", lambda *_: (points, ends, np.zeros(13, bool)))
+    for side in (-1, 1):
+        region = extension.cut_along(0, side, (13,))
+        beyond = side * (region.at(np.column_stack([0 * x, x])) - ends)
+        assert region.curve.sizes == (5,) and not region.is_root
+        assert beyond.min() == pytest.approx(0.1, abs=1e-4) and beyond.max() < 0.103
+
+
+def test_points_and_derivatives_grow_towards_vanishing_steps_as_their_powers_say():
+    region = Region(0, 1, Chart((), np.array([[0.5]])), powers=(1.0, 3.0, -2.0))
+    constant = Chart((1,), np.array([[4.0, 5.0, 6.0, 7.0]]))
+    Z, rows = region.predict(constant, np.array([[0.5 - 1.5 * 0.04]]))  # at 0.04 of the way
+    np.testing.assert_allclose(Z[:, 0], [4 + np.log(0.2), 5 + 3 * np.log(0.2)])
+    np.testing.assert_allclose(rows[:, 0], np.array([6.0, 7.0]) / 0.2**2)
+
+
+@pytest.mark.parametrize(("lane", "why"), [(0, "err by"), (None, None)])
+def test_a_manifold_whose_drawn_points_are_lost_is_refused(extension, lane, why, monkeypatch):
+    region = Region.whole(1)
+    chart = extension.manifold().chart
+    usual = solve
+
+    def lost(problem, kind, guess, *args, **options):
+        found = usual(problem, kind, guess, *args, **options)
+        if lane is not None and guess.shape[1] == 24:
+            found.ok[lane] = False
+        return found
+
+    monkeypatch.setattr(makers, "solve", lost)
+    if why is None:
+        assert extension.measured(region, chart).quadratic > 0
+    else:
+        with pytest.raises(Refused, match=why):
+            extension.measured(region, chart)
 
 
 def test_a_manifold_over_one_key_ends_where_it_turns():

@@ -7,15 +7,21 @@ import numpy as np
 import pytest
 
 from tasks import interpolate, solve_planes
+from tasks.continuation.atlas import survey_lines
+from tasks.continuation.refine import COARSE
 from tasks.costs import PANEL
 from tasks.families import cell as cells
 from tasks.families import pieces
 from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import Family, _Maker
-from tasks.families.chart import Chart, fit
+from tasks.families.chart import Chart
 from tasks.families.division import Cells
+from tasks.families.patch import are_predicted, measured, similarity
 from tasks.families.pieces import Piece
 from tasks.families.span import along, coordinate
+from tasks.fixed_points.newton import curvature
+from tasks.fixed_points.polish import settle
+from tasks.fixed_points.rounding import rounding_std
 from tasks.measures.gaits import nothing_solved
 from tasks.measures.smooth import Smooth
 from tasks.mechanics.contact import Chain
@@ -23,6 +29,7 @@ from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
 from tasks.solve_points import lines as lines_side_by_side
+from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve, resolve_many
 from tasks.walkers.walker import NUMBERS, WalkerError
 
@@ -289,52 +296,133 @@ def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(cell, monkeypat
                 maker.regular(group, maker.cuts(group))
 
 
-def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9)):
-    """Sizes of the charts that `fit` tries, whose errors and last coefficients are functions of their sizes."""
-    tried = []
+def test_predictions_that_are_not_numbers_are_refused(cell, monkeypatch):
+    family, right = cell
+    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
+    (group, *_), usual = maker.groups(3), cells.newton_step
 
-    def attempt(sizes, before):
-        assert not tried or before.sizes == tried[-1]
-        tried.append(sizes)
-        coefficients = np.zeros((*sizes, 1))
-        for k, tail in enumerate(tails(sizes)):
-            coefficients[tuple(-1 if i == k else 0 for i in range(len(sizes)))] = tail
-        return Chart(sizes, coefficients.reshape(-1, 1), error(sizes))
+    def lost(stride, w):
+        step = usual(stride, w)
+        step[0, 7] = np.nan
+        return step
 
-    return fit(attempt((4, 3), None), attempt, most, good, fair, 1), tried
-
-
-def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():
-    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-7, 1e-6))
-    assert tried == [(4, 3), (4, 5), (4, 7)] and chart.sizes == (4, 7)
-    # Or a tenth of the largest; no more than there may be, and then the chart is fair, or refused.
-    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-10, 1e-9))
-    assert tried == [(4, 3), (4, 5), (4, 7)]
-    _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 0.0))
-    assert tried == [(4, 3), (6, 3), (8, 3), (9, 3)]
-    _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), most=(13, 33))
-    assert tried[-3:] == [(13, 21), (13, 27), (13, 33)]
-    for tails in ((1e-3, 0.0), (0.0, 1e-3)):
-        with pytest.raises(Refused, match="err by 0.001") as refused:
-            growing(lambda n: 1.001e-3, lambda n, tails=tails: tails, fair=1e-3)
-        assert refused.value.axis == 0  # of the keys, of which there is one
-    with pytest.raises(Refused):
-        growing(lambda n: np.nan, lambda n: (0.0, 0.0))
+    monkeypatch.setattr(cells, "_MAX_NODES", 0)
+    monkeypatch.setattr(cells, "newton_step", lost)
+    with pytest.raises(Refused, match="err by inf"):
+        maker.regular(group, maker.cuts(group))
 
 
-def test_last_coefficients_count_over_the_sizes_of_their_values():
-    chart = Chart((2, 3), np.arange(12.0).reshape(6, 2), size=np.array([1.0, 2.0]))
-    assert chart.tails().tolist() == [[6 + 8 + 10, (7 + 9 + 11) / 2], [4 + 10, (5 + 11) / 2]]
-    assert chart.tails(2)[1].tolist() == [2 + 4 + 8 + 10, (3 + 5 + 9 + 11) / 2]
-    assert chart.range_of(1) == (1 - 3 - 5 - 7 - 9 - 11, 1 + 3 + 5 + 7 + 9 + 11)
+def test_a_piece_on_both_sides_of_a_fold_is_refused(cell, monkeypatch):
+    family, right = cell
+    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
+    group, *_ = maker.groups(3)
+    monkeypatch.setattr(cells, "side_of_fold", lambda stride: np.where(np.arange(48) == 5, -1.0, 1.0))
+    with pytest.raises(Refused, match="a fold lies inside"):
+        maker.regular(group, maker.cuts(group))
 
 
-def test_a_value_at_a_point_has_the_same_bits_in_any_company():
-    draw = np.random.default_rng(0)
-    chart, points = Chart((7, 5), draw.normal(size=(35, 4))), draw.uniform(-1, 1, (200, 2))
-    whole = chart(points)
-    for some in (slice(0, 1), slice(50, 193), slice(199, None)):
-        np.testing.assert_array_equal(chart(points[some]), whole[:, some])
+def test_the_error_of_an_end_is_that_on_a_random_line_or_of_its_last_coefficients():
+    """A fold of long and short gaits of E with an offset."""
+    family, box = Family.of({"walker": "E", "set": {}}, ("w_t",)), Box(("w_t",), (0.01,), (0.013,))
+    maker = _Maker(family, box, float(np.floor(np.log(0.0055) / PANEL) * PANEL), set())
+    patch, other = maker.patches()
+    assert patch.events == other.events == (True, False)
+    assert patch.end_errors.tolist() == [patch.span.ends.tails()[0, 0], 0.0] and patch.end_errors[0] > 1e-6
+    off = patch.span.ends.coefficients + np.outer(np.eye(5)[0], [1e-4, 1e-4])
+    moved = replace(patch.span, ends=replace(patch.span.ends, coefficients=off))
+    checked, _ = maker.checked([replace(patch, span=moved), other])
+    assert checked.end_errors == pytest.approx([1e-4, 0.0], rel=0.05)
+
+
+def test_gaits_other_than_those_predicted_are_not_accepted(cell):
+    family, right = cell
+    patch, unit = right.patches[0], np.random.default_rng(0).uniform(-1, 1, (5, 2))
+    guesses = patch.guesses(unit, np.full(5, 0.01))
+    at = settle(Lanes(family.walkers(right.box.at(unit)), right.structure), guesses, sampled=True)
+    error, side = patch.gaits.error, patch.side
+    assert are_predicted(at, guesses, error, side).all()
+    assert not are_predicted(at, guesses, error, -side).any()
+    third = np.arange(5) == 2
+    for wrong in (replace(at, step=~third), replace(at, converged=~third)):
+        assert are_predicted(wrong, guesses, error, side).tolist() == (~third).tolist()
+    moved = np.abs(similarity(at) - guesses.w).max()
+    assert not are_predicted(at, guesses, 0.9 * moved / 8, side).all()
+    assert are_predicted(at, guesses, 1.1 * moved / 8, side).all()
+
+
+def test_a_patch_knows_its_lines_and_what_is_measured_nearby(cell):
+    _, right = cell
+    patch, p = right.patches[0], len(right.patches[0].measured[0])
+    numbered = replace(patch, numbers=np.arange(18).reshape(9, 2))
+    assert numbered.numbers_at(0.9 * patch.lines + 0.05).tolist() == numbered.numbers.tolist()
+    lipschitz, gradient, std = (values.copy() for values in patch.measured)
+    lipschitz[:], gradient[0, 0], std[0] = np.arange(p), np.arange(p), 10 - np.arange(p)
+    changed, points = replace(patch, measured=(lipschitz, gradient, std)), np.column_stack([roots(p), np.zeros((p, 2))])
+    guesses = changed.guesses(points[:, 1:], np.exp(patch.span.log_slope(points)))
+    assert guesses.lipschitz.tolist() == [4.0, 8.0, 12.0, 16.0, 20.0, 20.0]
+    assert guesses.gradient[0, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert guesses.rounding_std[0].tolist() == [10.0, 10.0, 9.0, 8.0, 7.0, 6.0]
+    np.testing.assert_allclose(guesses.w, patch.gaits(points), rtol=1e-12)
+
+
+def test_nodes_that_do_not_converge_are_refused(cell, monkeypatch):
+    family, right = cell
+    maker, patch, usual = _Maker(family, right.box, -4.625, set()), right.patches[0], cells.newton
+    points = np.random.default_rng(0).uniform(-1, 1, (6, 3))
+    assert maker.solved(patch.span, points, patch.gaits).shape == (len(patch.gaits.coefficients.T), 6)
+
+    def lost(*args):
+        found = usual(*args)
+        return SimpleNamespace(w=found.w, converged=found.converged & (np.arange(6) != 2))
+
+    monkeypatch.setattr(cells, "newton", lost)
+    with pytest.raises(Refused, match="1 of 6 nodes do not converge"):
+        maker.solved(patch.span, points, patch.gaits)
+    monkeypatch.setattr(cells, "newton", lambda problem, w, q: SimpleNamespace(w=w + 0.31, converged=np.ones(6, bool)))
+    with pytest.raises(Refused, match=r"move by 0\.31"):
+        maker.solved(patch.span, points, patch.gaits)
+
+
+def test_points_lie_on_a_patch_between_its_ends_and_predictions_end_where_it_is_cut(cell):
+    family, right = cell
+    patch, unit = right.patches[0], np.zeros((2, 2))
+    low, high = patch.span.ends(unit[:1])[:, 0]
+    q = np.array([low - 1e-6, low + 1e-6, high - 1e-6, high + 1e-6])
+    some = cells.Block(family, right, right.box.at(unit), np.exp(q))
+    assert some.on(patch).tolist() == [1, 2, 5, 6]
+    for slopes, away in ((q[1:3], True), (q[:2], False), (q[2:], False)):
+        one = cells.Block(family, replace(right, patches=[patch]), right.box.at(unit), np.exp(slopes))
+        assert solve_planes._away_from_events(one).tolist() == [away] * 2
+    # An event is avoided on both of its sides, by eight times its error.
+    event = replace(right, patches=[replace(patch, events=(True, False), end_errors=np.array([1e-3, 0.0]))])
+    for off, away in ((-9e-3, True), (-7e-3, False), (7e-3, False), (9e-3, True)):
+        one = cells.Block(family, event, right.box.at(unit), np.exp([low + off]))
+        assert solve_planes._away_from_events(one).tolist() == [away] * 2
+
+
+def test_pieces_with_the_same_gaits_are_not_accepted(cell):
+    family, right = cell
+    keys, wanted = right.box.at(np.zeros((2, 2))), solve_planes.Wanted(list(WANT), {"long", "short"})
+    solve = solve_planes.solve
+    assert solve(family, right, keys, np.array([0.01]), wanted)[1].all()
+    twice = replace(right, patches=[*right.patches, right.patches[0]])
+    assert not solve(family, twice, keys, np.array([0.01]), wanted)[1].any()
+
+
+def test_what_is_measured_of_groups_is_their_largest_or_mean():
+    problem, q = Problem(resolve("A")), np.log(np.geomspace(0.02, 0.03, 6))
+    w = similarity(settle(problem, branch_guesses(problem, q)))
+    lipschitz, gradient, std = measured(problem, w, q, 3)
+    each = curvature(problem, np.vstack([w[:3], q]), w[3:])
+    np.testing.assert_array_equal(lipschitz, [each[0][:3].max(), each[0][3:].max()])
+    np.testing.assert_allclose(gradient[..., 1], each[1][..., 3:].mean(axis=-1))
+    np.testing.assert_allclose(std[:, 0] ** 2, (rounding_std(problem, w, q)[:, :3] ** 2).mean(axis=1))
+
+
+def branch_guesses(problem, q):
+    """Guesses of the gaits of a line's first branch."""
+    (found,) = survey_lines(Lanes([problem.walker], problem.structure), COARSE)
+    return next(piece for piece in pieces.pieces_of(found) if piece.q[0] < q[0] and piece.q[1] > q[-1]).guesses(q)
 
 
 def test_a_box_of_few_lines_is_left_to_lines():
@@ -426,6 +514,13 @@ def test_polynomials_of_more_gaits_than_points_are_not_fitted():
 SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal") if name != "residual")
 
 
+def test_polynomials_are_not_fitted_to_gaits_that_are_not_those_predicted(monkeypatch):
+    family, cell = cell_of("B", 0.004)
+    assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    monkeypatch.setattr(interpolate, "are_predicted", lambda at, *_: np.arange(len(at.bound)) != 3)
+    assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+
+
 def test_polynomials_are_fitted_for_all_points_of_a_cell(monkeypatch):
     """At its 30 by 30 lines, at one slope of the first panel and two of the second."""
     fitted = []
@@ -500,6 +595,15 @@ def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     some = cells.Block(family, cell, cell.box.at(unit), np.array([0.004]))
     parts, sure = interpolate.interpolate(some, made, ("stance_angle",), 1e-3)
     assert sure.tolist() == [True, False, False, True]
+    # Nor are those where errors are not known.
+    made[0] = replace(made[0], unmeasured=(2.0, -1.0))
+    assert not interpolate.interpolate(some, made, ("stance_angle",), 1e-3)[1].any()
+    # Or where two gaits of a label have the same angle; those whose legs pass more often have no label.
+    one = replace(made[1], unmeasured=(-1.0, -1.0))
+    parts_of, sure_of = interpolate.interpolate(some, [one, one], ("stance_angle",), 1e-3)
+    assert not sure_of.any() and not any(len(part.index) for part in parts_of)
+    parts_of, sure_of = interpolate.interpolate(some, [replace(one, passes=3), one], ("stance_angle",), 1e-3)
+    assert sure_of.all() and len(parts_of) == 1
     assert parts[0].index.tolist() == [0, 3] and (parts[0].ratio < 0.5).tolist() == [True, False]
 
 
