@@ -23,7 +23,7 @@ from tasks.fits import feigenbaum as scaling
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
-from tasks.step.several_steps import begun_at, distances_of_steps, joined, sections
+from tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
@@ -175,7 +175,9 @@ def _spread_around(event: _Event) -> np.ndarray:
 
 def _is_same(a: _Event, b: _Event) -> bool:
     """Whether two folds are one."""
-    return a.kind == b.kind and abs(a.q - b.q) < 1e-9 and _distance(a.problem, a.gait.w, b.gait.w) < 1e-3
+    if a.kind != b.kind or abs(a.q - b.q) >= 1e-9:
+        return False
+    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.problem.m, a.problem.steps) < 1e-3
 
 
 def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Point]:
@@ -188,7 +190,7 @@ def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarr
         known, y = gaits_at(near, branches, tried, "long")
         for k, start in zip(known, y.T, strict=True):
             step = stride(problem, start[:, None], tried[[k]])
-            guess = np.vstack([np.log(start[:1, None]), start[1:, None] / start[0], step.times])
+            guess = joined(0.0, start[None, :, None], np.diff(step.times, axis=0, prepend=0)[None])
             gaits = _solved(problem, guess[:, step.outcome == STRUCK], float(tried[k]))
             if gaits:
                 return gaits
@@ -207,7 +209,7 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
     exact = (distances_of_steps(result.w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
     for i in np.flatnonzero(result.converged & exact).tolist():
-        if all(_distance(problem, result.w[:, [i]], result.w[:, [k]]) > _SAME for k in kept):
+        if all(distance(result.w[:, i], result.w[:, k], m, n) > _SAME for k in kept):
             kept.append(i)
     if not kept:
         return []
@@ -250,12 +252,6 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     y, strikes = (np.stack(each)[..., nearest] for each in (after[:n], times[1:]))
     gaits = _solved(problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope)
     return sorted(gaits, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
-
-
-def _distance(problem: Problem, a: np.ndarray, b: np.ndarray) -> float:
-    """Distance of two gaits (m + k, 1), whichever of their steps are the first."""
-    n = problem.steps
-    return float(np.abs(begun_at(np.repeat(a, n, axis=1), problem.m, n, np.arange(n)) - b).max(axis=0).min())
 
 
 def _follow_family(

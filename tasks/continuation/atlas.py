@@ -42,7 +42,7 @@ from tasks.continuation.tracking import (
 from tasks.fixed_points.search import search_lines, starts
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes, Problem
-from tasks.step.several_steps import begun_at
+from tasks.step.several_steps import distance
 from tasks.walkers.walker import Walker
 
 #: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
@@ -341,9 +341,7 @@ def is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
     """
     for branch in branches:
         for _, Z, _ in branch.guesses(np.array([q])):
-            own = np.repeat(np.delete(Z[0], m)[:, None], branch.steps, axis=1)
-            # A gait is the same whichever of its steps is the first.
-            if np.abs(begun_at(own, m, branch.steps, np.arange(branch.steps)) - w[:, None]).max(axis=0).min() < _SAME:
+            if distance(np.delete(Z[0], m), w, m, branch.steps) < _SAME:
                 return True
     return False
 

@@ -326,10 +326,8 @@ class Branch:
         lipschitz = np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])
         leg_passes = np.where(self.safe[segment], self.leg_passes[segment], UNKNOWN)
         gradient = np.moveaxis((self.gradient[segment] + self.gradient[segment + 1]) / 2, 0, -1)
-        w = np.delete(Z, self.m, axis=1).T
-        if self.steps > 1:  # what is known of a branch's own first step does not serve
-            w, unknown = from_largest(w, self.m, self.steps), np.full(len(slope), np.nan)
-            return Guesses(w, slope, unknown, unknown + gradient, unknown + self.rounding_std[segment].T, leg_passes)
+        # On branches of several steps, of which any may be the first, nothing is measured.
+        w = from_largest(np.delete(Z, self.m, axis=1).T, self.m, self.steps)
         return Guesses(w, slope, lipschitz, gradient, self.rounding_std[segment].T, leg_passes)
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

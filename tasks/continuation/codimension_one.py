@@ -120,7 +120,7 @@ class Curve:
             residual, derivative, times_by = self.system(Z[:, 0])
         except WalkerError:
             residual, derivative, times_by = np.full(c - 1, np.nan), np.full((c - 1, c), np.nan), np.zeros((k, c))
-        return engine.Linearisation(residual[None], derivative[None], times_by[..., None], np.zeros((k, 1)))
+        return engine.Linearisation(residual[None], derivative[None], times_by[..., None])
 
     def walks(self, Z: np.ndarray) -> bool:
         """Whether a point's step happens, or at an end of walking is the limit of steps that do."""

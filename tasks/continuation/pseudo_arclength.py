@@ -1,7 +1,7 @@
 """Pseudo-arclength continuation: predictor, corrector, step control and the location of events between two points.
 
 What is continued are the zeros of any equations with one more unknown than there are of them: branches of gaits
-(`tracking`), gaits of period n (`cycles`) and curves of special points (`codimension_one`). A point is Z: coordinates
+(`tracking`), of any number of steps, and curves of special points (`codimension_one`). A point is Z: coordinates
 that are unknowns themselves, then event times, which follow from the unknowns. Lanes have points of their own and share
 nothing but the call. In shapes, n counts lanes, c coordinates of Z, u unknowns and k event times.
 """
@@ -31,8 +31,6 @@ class Linearisation:
         By the unknowns, of which the first c - k are those coordinates of Z.
     times_by : ndarray, shape (k, u, n)
         Derivatives of the event times by the unknowns.
-    late : ndarray, shape (k, n)
-        Newton step of the event times where the unknowns stay.
     evaluation : object
         What was evaluated for it, if it is wanted; its `assign(lanes, other)` replaces some lanes.
     """
@@ -40,7 +38,6 @@ class Linearisation:
     residual: np.ndarray
     derivative: np.ndarray
     times_by: np.ndarray
-    late: np.ndarray
     evaluation: Any = None
 
     def assign(self, lanes: np.ndarray, other: Linearisation) -> None:
@@ -53,7 +50,7 @@ class Linearisation:
             Of j lanes.
         """
         self.residual[lanes], self.derivative[lanes] = other.residual, other.derivative
-        self.times_by[..., lanes], self.late[:, lanes] = other.times_by, other.late
+        self.times_by[..., lanes] = other.times_by
         if self.evaluation is not None:
             self.evaluation.assign(lanes, other.evaluation)
 
@@ -69,15 +66,13 @@ class Newton:
     """When bordered Newton ends.
 
     A lane is lost after `max_iterations`, or a step larger than `max_step`. It has converged after a step that is
-    rounding, or after one below `small` that is larger than `shrinking` times the one before; where even that takes
-    too long, if the last step is below `stalled`.
+    rounding, or after one below `small` that is larger than `shrinking` times the one before.
     """
 
     max_iterations: int
     max_step: float
     small: float
     shrinking: float
-    stalled: float = 0.0
 
 
 @dataclass
@@ -195,7 +190,7 @@ def bordered_newton(
         right = np.concatenate([-system.residual, off[:, None]], axis=1)
         change, direction, solvable = solve_bordered(matrix, right)
         size = np.abs(change[:own]).max(axis=0)
-        new_times = points[own:] + (system.late + matvec(system.times_by, change))
+        new_times = points[own:] + matvec(system.times_by, change)
         moving = solvable & (size <= limits.max_step) & np.isfinite(new_times).all(axis=0)
         Z[:, active[moving]] = np.vstack([points[:own] + change[:own], new_times])[:, moving]
         done = moving & (
@@ -211,7 +206,6 @@ def bordered_newton(
         active = active[moving & ~done]
         if not len(active):
             break
-    ok[active] |= error[active] < limits.stalled
     direction = np.vstack([null[:own], matvec(np.nan_to_num(at.times_by), null)])
     length = np.sqrt((direction[:measured] ** 2).sum(axis=0))
     length[length == 0] = 1.0  # in lanes that are lost
@@ -410,19 +404,3 @@ def root_between(
         return values[s > 0] if s in (0.0, length) else test(at(s))
 
     return at(bracketed_root(value, 0.0, length, tolerance * length))
-
-
-def column(Z: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Coordinates and event times of one point as one lane.
-
-    Parameters
-    ----------
-    Z : ndarray, shape (c - k,)
-    times : ndarray
-        k of them.
-
-    Returns
-    -------
-    ndarray, shape (c, 1)
-    """
-    return np.append(Z, times)[:, None]

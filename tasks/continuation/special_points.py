@@ -78,7 +78,6 @@ def flips(problem: Problem, branch: Branch) -> list[Point]:
     return [point for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
-@np.errstate(invalid="ignore")
 def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
     """Yield what a branch passes between its nodes: kinds, segments and points of one lane.
 

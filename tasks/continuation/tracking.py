@@ -161,8 +161,7 @@ def correct(
         x = Z[: m + 1]
         stride, _ = problem.some(lanes).stride(np.vstack([x[:m], Z[m + 1 :]]), x[m], slope=True)
         residual, derivative = joint(stride, x)
-        late = np.zeros((len(Z) - m - 1, len(lanes)))
-        return Linearisation(residual, derivative, joint_by_X(stride.times_by, stride, x), late, stride)
+        return Linearisation(residual, derivative, joint_by_X(stride.times_by, stride, x), stride)
 
     limits = replace(_NEWTON, max_iterations=max_iterations)
     at = bordered_newton(linearise, _rounding, limits, np.vstack([X, times]), border)
@@ -392,14 +391,14 @@ class Path:
 
     def locate_root(self, test: Callable[[Point], float]) -> Point:
         """Locate the root of a test function between the last two points, where it changes sign."""
-        a, b = ((point.Z[:, 0], point.direction[:, 0]) for point in self.points[-2:])
+        ends = self.points[-2:]
+        a, b = ((point.Z[:, 0], point.direction[:, 0]) for point in ends)
 
         def corrected(guess: np.ndarray, along: np.ndarray) -> Point:
             X, times = np.split(guess[:, None], [self.problem.m + 1])
             return correct_and_evaluate(self.problem, X, times, along[:, None]).oriented(along[:, None])
 
-        before, after = self.points[-2:]
-        return root_between(a, b, (test(before), test(after)), len(a[0]), corrected, test, _LOCATED)
+        return root_between(a, b, (test(ends[0]), test(ends[1])), len(a[0]), corrected, test, _LOCATED)
 
 
 class _Branches(Tracks):

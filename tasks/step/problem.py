@@ -27,20 +27,22 @@ class Problem:
     step: StrideMap
 
     def __init__(self, walker: Walker, steps: int = 1):
-        self.walker, self.steps = walker, 1
-        self.structure: Structure = structure_of(walker)
-        self.map = self.step = stride_map(self.structure)
-        self.constants = constants_of([walker], self.structure)[:, 0]
-        self.m, self.phases = self.map.m, 1 + walker.knees
-        vars(self).update(vars(self.of_steps(steps)))
+        structure = structure_of(walker)
+        self.walker, self.constants = walker, constants_of([walker], structure)[:, 0]
+        self._set(structure, steps)
+
+    def _set(self, structure: Structure, steps: int) -> None:
+        """Set what the structure and the number of steps decide."""
+        self.structure, self.steps, self.step = structure, steps, stride_map(structure)
+        self.map = self.step if steps == 1 else StepSequence(self.step, steps)
+        self.m, self.phases = self.map.m, steps * (2 if structure.kneed else 1)
 
     def of_steps(self, steps: int) -> Problem:
         """Return the same walker's problem of so many steps."""
         if steps == self.steps:
             return self
         other = copy.copy(self)
-        other.steps, other.map = steps, self.step if steps == 1 else StepSequence(self.step, steps)
-        other.m, other.phases = other.map.m, self.phases // self.steps * steps
+        other._set(self.structure, steps)
         return other
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -171,12 +173,10 @@ class Lanes(Problem):
     """
 
     def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
-        self.walkers, self.walker, self.steps = walkers, walkers[0], 1
-        self.structure = structure or structure_of(walkers[0])
-        self.map = self.step = stride_map(self.structure)
+        self.walkers, self.walker = walkers, walkers[0]
+        self._set(structure or structure_of(walkers[0]), 1)
         self.constants = constants_of(walkers, self.structure)
         self.lanes = np.arange(len(walkers))
-        self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Runtime parameters of every lane.
@@ -211,9 +211,8 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
-        alone.walker, alone.steps, alone.structure, alone.map = self.walker_of(lane), 1, self.structure, self.map
-        alone.step = self.step
-        alone.constants, alone.m, alone.phases = self.constants[:, self.lanes[lane]], self.m, self.phases
+        alone.walker, alone.constants = self.walker_of(lane), self.constants[:, self.lanes[lane]]
+        alone._set(self.structure, 1)
         return alone
 
 

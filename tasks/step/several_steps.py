@@ -303,6 +303,12 @@ def joined(log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray) -
     return np.vstack([log_unit + np.log(angle), flat[1:] / angle, np.cumsum(np.concatenate([*durations]), axis=0)])
 
 
+def distance(a: np.ndarray, b: np.ndarray, m: int, steps: int) -> float:
+    """Distance of two gaits (m + k,), whichever of their steps are the first."""
+    begun = begun_at(np.repeat(a[:, None], steps, axis=1), m, steps, np.arange(steps)) if steps > 1 else a[:, None]
+    return float(np.abs(begun - b[:, None]).max(axis=0).min())
+
+
 def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
     """How far gaits are from repeating after fewer steps.
 

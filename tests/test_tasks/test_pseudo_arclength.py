@@ -24,9 +24,9 @@ CONTROL = StepControl(
 def circles(squares):
     def linearise(lanes, Z):
         x, y, time = Z
-        residual = (x**2 + y**2 - squares[lanes])[:, None]
-        derivative = np.array([[2 * x, 2 * y]]).transpose(2, 0, 1)
-        return Linearisation(residual, derivative, np.array([[y, x]]), (x * y - time)[None])
+        residual = np.array([x**2 + y**2 - squares[lanes], x * y - time]).T
+        derivative = np.array([[2 * x, 2 * y, 0 * x], [y, x, 0 * x - 1]]).transpose(2, 0, 1)
+        return Linearisation(residual, derivative, np.tile([[[0.0], [0.0], [1.0]]], len(x)))
 
     return lambda guess, border: bordered_newton(linearise, lambda *_: 1e-15, NEWTON, guess, border, 2)
 
