@@ -398,7 +398,7 @@ def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error
     dict of ndarray, shape (n[, multipliers])
     """
     values = multipliers(jacobian, 4 if kneed else 3)
-    values[:, : len(jacobian)] += multiplier_changes(values[:, : len(jacobian)], change + 0 * error)
+    values[:, : len(jacobian)] += multiplier_changes(values[:, : len(jacobian)], np.broadcast_to(change, error.shape))
     return {
         "multiplier_real": values.real.copy(),
         "multiplier_imag": values.imag.copy(),

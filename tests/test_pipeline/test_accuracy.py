@@ -1,6 +1,7 @@
 """Studies of an accuracy: what is asked, stored and told."""
 
 import json
+from dataclasses import replace
 
 import netCDF4
 import numpy as np
@@ -11,7 +12,7 @@ from pipeline.cli.commands import main
 from pipeline.errors import StudyError
 from pipeline.grid.method import Method, method_of, variables
 from pipeline.study.parse import parse, read
-from tasks.registry import ALWAYS
+from tasks.registry import ALWAYS, TASKS
 
 STUDY = """
 name = "coarse"
@@ -137,7 +138,22 @@ def test_another_accuracy_solves_again_and_says_so(folder, archive, capsys):
     assert archive.read_bytes() == before
 
 
-def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys):
+#: The points of a process whose digits beyond doubles are not what they are.
+FEWER_DIGITS = """
+from dataclasses import replace
+
+from tasks.solve_points import points
+from tasks.step import extended_precision
+
+refine = extended_precision.refine
+extended_precision.refine = lambda *args: replace(refine(*args), bound=2e-15)
+"""
+
+
+def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys, monkeypatch):
+    (tmp_path / "fewer_digits.py").write_text(FEWER_DIGITS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setitem(TASKS, "points", replace(TASKS["points"], function="fewer_digits:points"))
     study = written(tmp_path, "1e-15", n=2, options="options.steps = 2", low=0.0165)
     assert main(["run", str(study), "--archive", str(tmp_path / "a.nc"), "--quiet"]) == 1
     out = pipeline.load(tmp_path / "a.nc")

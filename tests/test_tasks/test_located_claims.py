@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.graph.layers import line_params
+from pipeline.grid.method import Method
 from pipeline.study import parse
 from tasks.check_claims import claims
 from tasks.paper import kneed_chaos, lines
@@ -126,7 +127,9 @@ def test_what_claims_compute_themselves_is_what_their_studies_compute(monkeypatc
     studies = [
         parse.read(PAPER / f"{name}.toml") for name in ("cascade-kneed", "cascade", "touching-branches", "census")
     ]
-    wanted = [(s.kind, line_params(s, s.kind, s.line(i))) for s in studies for i in range(s.lines)][: len(asked)]
+    wanted = [(s.kind, line_params(s, Method.TASK, s.kind, s.line(i))) for s in studies for i in range(s.lines)][
+        : len(asked)
+    ]
     assert [kind for kind, _ in asked] == ["cascade"] * 3 + ["curve", "census"]
     for (kind, params), (study_kind, others) in zip(asked, wanted, strict=True):
         assert kind == study_kind and params["line"] == others["line"]
