@@ -38,7 +38,7 @@ def serve(parent: int) -> None:
     from pipeline import serialize
 
     warm: set[str] = set()
-    modules, threads, used, idle = 0, 1, (0.0, 0.0), None
+    used, idle = (0.0, 0.0), None
     while requests.poll(idle):
         try:
             request = requests.recv()
@@ -50,8 +50,6 @@ def serve(parent: int) -> None:
         except Exception as error:
             answers.send(("broken", described(error)))
             continue
-        if len(sys.modules) != modules:  # a newly loaded library may have its own thread pool
-            threads, modules = _limit_to_one_thread(), len(sys.modules)
         _limit_memory(request.memory)
         params, inputs = request.params, [serialize.load(i) for i in request.inputs]
         line = repr(params.get("line"))
@@ -59,7 +57,7 @@ def serve(parent: int) -> None:
             # The time to load compiled code does not count for the first point.
             _try(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
-        answers.send(("started", _pages(1), threads))
+        answers.send(("started", _pages(1)))
         outcome, result = _try(functools.partial(_packed, function, request.packing), params, inputs)
         before, used = used, (time.process_time(), _integrating())
         answers.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
@@ -81,14 +79,6 @@ def _pages(field: int) -> int:
     """Memory of this process [byte]: field 1 of `/proc/self/statm` is resident memory, 5 is data."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[field]) * resource.getpagesize()
-
-
-def _limit_to_one_thread() -> int:
-    """Limit every numerical library of this process to one thread; returns the largest number still in use."""
-    import threadpoolctl
-
-    threadpoolctl.threadpool_limits(1)
-    return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
 def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[str, Any]:

@@ -66,7 +66,7 @@ class WorkerProcess:
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
         self._requests = Connection(os.dup(self.pipes[0].fileno()), readable=False)
         self._answers = Connection(os.dup(self.pipes[1].fileno()), writable=False)
-        self.threads, self.used = 1, (0.0, 0.0)  # processor time of the last request, and that in integrators [s]
+        self.used = 0.0, 0.0  # processor time of the last request, and that in integrators [s]
         _workers.add(self)
 
     def close(self) -> int:
@@ -88,8 +88,7 @@ class WorkerProcess:
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == "broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0]}.")
-            resident, self.threads = parts
-            outcome, self.used, parts = self._answer(request.time_limit, resident + request.memory)
+            outcome, self.used, parts = self._answer(request.time_limit, parts[0] + request.memory)
         except TimeoutError:
             self.close()
             return "timed_out", f"It took longer than {request.time_limit:g} s."
@@ -158,12 +157,12 @@ def close_all() -> None:
 
 
 def members() -> list[dict[str, Any]]:
-    """Host, process id, resident memory [byte] and threads of every worker process of this process."""
+    """Host, process id and resident memory [byte] of every worker process of this process."""
     return [_member(c) for c in list(_workers)]
 
 
 def _member(worker: WorkerProcess) -> dict[str, Any]:
-    return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
+    return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident()}
 
 
 def _ask(request: Request, **changes: Any) -> tuple[str, Any]:
