@@ -6,9 +6,10 @@ import contextlib
 import itertools
 import json
 import os
+import resource
+import signal
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,13 +19,12 @@ import numpy as np
 
 from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
-from pipeline.grid import boxes as parts
+from pipeline.grid import boxes as grid
 from pipeline.paths import kind_of
 
 SCHEMA = 2
-# Time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
+# Processor time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
-_TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the reading process, and largest time charged to it for one [s]
 _MAX_VALUES, _MAX_POINTS = 1 << 20, 1 << 16  # values, and points of a variable, read at a time
 _LITTLE_MEMORY = 1 << 23  # numbers, more than any part that is read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
@@ -139,22 +139,17 @@ def blamed_if_damaged(path: Path) -> Iterator[None]:
         raise ArchiveError(f"{path} is damaged: {fault.rstrip('.')}.") from error
 
 
-def _damage(file: Any) -> Iterator[str]:
+def changes(file: Any) -> Iterator[str]:
     """Variables that do not match their checksums, one sentence each."""
-    try:
-        sums = json.loads(file.checksums)
-        for name in sums:
-            try:
-                if _checksum(file[name]) != sums[name]:
-                    yield f"`{name}` is not as it was written."
-            except (IndexError, KeyError):
-                yield f"`{name}` is missing."
-            except LookupError:  # text of an unknown encoding
+    sums = json.loads(getattr(file, "checksums", "{}"))
+    for name in sums:
+        try:
+            if _checksum(file[name]) != sums[name]:
                 yield f"`{name}` is not as it was written."
-    except MemoryError:
-        raise
-    except Exception as error:
-        yield f"its checksums cannot be checked, {_one_line(error)}."
+        except (IndexError, KeyError):
+            yield f"`{name}` is missing."
+        except LookupError:  # text of an unknown encoding
+            yield f"`{name}` is not as it was written."
 
 
 def damage(path: Path) -> str:
@@ -170,7 +165,12 @@ def damage(path: Path) -> str:
     try:
         with open_netcdf(path) as file:
             misfits = (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
-            return next(itertools.chain(_damage(file), misfits), "")
+            try:
+                return next(itertools.chain(changes(file), misfits), "")
+            except MemoryError:
+                raise
+            except Exception as error:
+                return f"its checksums cannot be checked, {_one_line(error)}."
     except (OSError, RuntimeError) as error:
         _check_limits(path)
         return _one_line(error)
@@ -180,7 +180,9 @@ def _checksum(variable: Any) -> int:
     """Checksum of a variable."""
     if not is_over_grid(variable):
         return layout.checksum(np.ma.getdata(variable[...])) % 2**32
-    return sum(box_checksum(variable, np.ma.getdata(variable[box]), box) for box in boxes(variable)) % 2**32
+    pieces = (layout.split(np.ma.getdata(variable[box]), box, _chunk(variable)) for box in boxes(variable))
+    parts = itertools.chain.from_iterable(pieces)
+    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts) % 2**32
 
 
 def is_over_grid(variable: Any) -> bool:
@@ -188,10 +190,10 @@ def is_over_grid(variable: Any) -> bool:
     return "gait" in variable.dimensions and variable.name != "gait"
 
 
-def boxes(variable: Any) -> Iterator[parts.Box]:
+def boxes(variable: Any) -> Iterator[grid.Box]:
     """Boxes in which a variable of points is read: whole chunks."""
     points = _points(variable)
-    return parts.boxes(points, _chunk(variable)[: len(points)], _MAX_POINTS)
+    return grid.boxes(points, _chunk(variable)[: len(points)], _MAX_POINTS)
 
 
 def _points(variable: Any) -> dict[str, int]:
@@ -204,20 +206,6 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     points = _points(variable)
     inner = variable.shape[len(points) :]
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
-
-
-def box_checksum(variable: Any, values: np.ndarray, box: parts.Box) -> int:
-    """Share of a box in the checksum of a variable of points.
-
-    Parameters
-    ----------
-    variable : netCDF4.Variable
-    values : ndarray
-        In the box.
-    box : Box
-    """
-    pieces = layout.split(values, box, _chunk(variable))
-    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in pieces)
 
 
 def tables(parent: Any, path: str = "") -> Iterator[str]:
@@ -259,35 +247,22 @@ def _probe(paths: list[Path]) -> None:
     # Threads of a numerical library are not needed, and may be refused.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     path, size = paths[0], sum(size_of(path) for path in paths)
-    command = [sys.executable, "-P", "-m", "pipeline.archive.read", *map(str, paths)]
+    seconds = int(_TIMEOUT + size / _MIN_SPEED)
+    command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(seconds), *map(str, paths)]
     try:
         null = subprocess.DEVNULL
         with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:
             try:
-                _wait(process, _TIMEOUT + size / _MIN_SPEED)
+                process.wait()
             finally:
                 process.kill()
-    except TimeoutError as error:
-        raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
     except OSError as error:
         raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
     if process.returncode < 0:
-        raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
+        what = "hangs" if process.returncode == -signal.SIGXCPU else "crashes"
+        raise ArchiveError(f"{path} is damaged: the netCDF library {what} on it.")
     if process.returncode:
         raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
-
-
-def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait so long for the end of a process."""
-    clock = time.monotonic()
-    while seconds > 0:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_TICK)
-            return
-        # A late tick means that this process was suspended, and the other one with it.
-        before, clock = clock, time.monotonic()
-        seconds -= min(_MAX_CHARGED, clock - before)
-    raise TimeoutError
 
 
 def _read_whole(path: Path) -> None:
@@ -301,7 +276,7 @@ def _read_whole(path: Path) -> None:
                     stored = variable.chunking()
                     chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
                     sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
-                    for box in parts.boxes(sizes, chunk, _MAX_VALUES):
+                    for box in grid.boxes(sizes, chunk, _MAX_VALUES):
                         variable[box or ...]
             groups += group.groups.values()
 
@@ -347,6 +322,14 @@ def not_attempted(path: Path) -> int | None:
         return None
 
 
+def _limit_time(seconds: int) -> None:
+    """Let the kernel end this process after so much processor time, which one that is suspended does not spend."""
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    limit = seconds if most == resource.RLIM_INFINITY else min(seconds, most)
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, most))
+
+
 if __name__ == "__main__":
-    for _argument in sys.argv[1:]:
+    _limit_time(int(sys.argv[1]))
+    for _argument in sys.argv[2:]:
         _read_whole(Path(_argument))

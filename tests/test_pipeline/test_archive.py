@@ -677,10 +677,10 @@ def test_an_archive_is_loaded_in_no_other_process(copy, monkeypatch):
 
 @pytest.fixture
 def reader(tmp_path):
-    """A process that reads an archive for so long [s]."""
+    """A process that reads an archive, by a command of the shell."""
 
-    def write(seconds):
-        (tmp_path / "reader").write_text(f"#!/bin/sh\ntouch begun\nexec sleep {seconds}\n")
+    def write(command):
+        (tmp_path / "reader").write_text(f"#!/bin/sh\ntouch begun\n{command}\n")
         (tmp_path / "reader").chmod(0o755)
         return str(tmp_path / "reader")
 
@@ -691,7 +691,7 @@ def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
     """It and the process that reads the archive, which wakes last, stopped for longer than that may take."""
     program = (
         "import sys; from pathlib import Path; from pipeline.archive import read\n"
-        f"sys.executable, read._TIMEOUT = {reader(1)!r}, 3.0; read.probe([Path('any.nc')])"
+        f"sys.executable, read._TIMEOUT = {reader('exec sleep 1')!r}, 3.0; read.probe([Path('any.nc')])"
     )
     (tmp_path / "any.nc").touch()
     process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, env={**os.environ, "PYTHONPATH": ROOT})
@@ -703,8 +703,8 @@ def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
 
 def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch, reader):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "executable", reader(60))
-    monkeypatch.setattr(read, "_TIMEOUT", 0.3)
+    monkeypatch.setattr(sys, "executable", reader("ulimit -S -t $4; while :; do :; done"))
+    monkeypatch.setattr(read, "_TIMEOUT", 1.0)
     (tmp_path / "a.nc").touch()
     began, before = time.monotonic(), descendants(os.getpid())
     with pytest.raises(ArchiveError, match="the netCDF library hangs on it"):
@@ -715,7 +715,7 @@ def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch,
 def test_an_archive_of_much_in_few_bytes_has_the_time_to_be_read(tmp_path, monkeypatch):
     """One of a billion points, 433 MB of zeros for the most part, was called damaged after two minutes."""
     allowed = []
-    monkeypatch.setattr(read, "_wait", lambda process, seconds: allowed.append(seconds) or process.wait())
+    monkeypatch.setattr(read.subprocess, "Popen", lambda command, **_: allowed.append(int(command[4])) or ended(0))
     (tmp_path / "a.nc").touch()
     os.truncate(tmp_path / "a.nc", 433_000_000)
     read.probe([tmp_path / "a.nc"])
