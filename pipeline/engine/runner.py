@@ -8,7 +8,7 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -167,7 +167,7 @@ class StudyRun:
 
     def open(self) -> None:
         """Lock the archive, and with `fresh` forget earlier results."""
-        try:
+        with self._guarded():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             _check_room(self.study, self.path)
             read.check_replaceable(self.path)
@@ -179,12 +179,10 @@ class StudyRun:
             self.is_open = True
             if self.options.fresh:
                 forget(sidecar_path(self.path, ".journal"))
-        except Exception as error:
-            self.end(error)
 
     def plan(self, engine: Engine) -> Jobs | None:
         """Compare the study with its journal, and lay out the jobs that are missing."""
-        try:
+        with self._guarded():
             self._store = Store(sidecar_path(self.path, ".journal"))
             plan = Plan(self.study, self._store, self.options.retry_failed)
             todo = summary(plan)
@@ -194,14 +192,11 @@ class StudyRun:
             _warn_of_changed_code(plan, progress)
             listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
             return Jobs(plan, engine, listen, self.options.chunk)
-        except Exception as error:
-            self.pause()
-            self._fail(error)
-            return None
+        return None
 
     def finish(self, jobs: Jobs, command: Account, signals: Signals) -> None:
         """Write the archive of a study whose jobs are done, or report what ended it."""
-        try:
+        with self._guarded():
             signals.check()
             if jobs.error:
                 raise jobs.error
@@ -222,12 +217,6 @@ class StudyRun:
             if self.progress:
                 _summarise(jobs.plan, self.progress, written, failed, self.path)
             self.code = 1 if written.failures or failed else 0
-        except StoppedError:
-            raise
-        except Exception as error:
-            self.pause()
-            self._fail(error)
-        else:
             self.pause(is_over=True)
             self.end(None)
 
@@ -240,22 +229,27 @@ class StudyRun:
             self._store.close()
         self.progress = self._store = None
 
-    def _fail(self, error: Exception) -> None:
-        """End with an error; a damaged journal is repaired, and the study planned again."""
-        if not isinstance(error, CorruptStoreError):
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """End the study with an error raised inside, unless it repairs its journal, and is to be planned again."""
+        try:
+            try:
+                yield
+            except CorruptStoreError as error:
+                self.pause()
+                self._repair(error.path)
+        except StoppedError:
+            raise
+        except Exception as error:
             self.end(error)
-            return
+
+    def _repair(self, journal: Path) -> None:
         self._repairs += 1
         if self._repairs == _MAX_REPAIRS:
-            self.end(ArchiveError(f"{error.path} cannot be repaired; run again with --fresh."))
-            return
-        try:
-            repair(error.path)
-        except Exception as failure:
-            self.end(failure)
-        else:
-            if not self.options.quiet:
-                terminal.say(f"{error.path} was damaged; it is repaired, and lost results are computed again.")
+            raise ArchiveError(f"{journal} cannot be repaired; run again with --fresh.")
+        repair(journal)
+        if not self.options.quiet:
+            terminal.say(f"{journal} was damaged; it is repaired, and lost results are computed again.")
 
     def end(self, error: Exception | None, quietly: bool = False) -> None:
         """Write the record of the run and unlock the archive."""
