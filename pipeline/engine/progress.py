@@ -12,9 +12,9 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from pipeline.grid import costs
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
-_BLOCK = 1 << 18  # of an event log that is read at a time [byte]
 _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines without a terminal, and with one [s]
 
 
@@ -274,30 +273,18 @@ def last_state(log: Path) -> dict[str, Any] | None:
     ArchiveError
         If the log cannot be read.
     """
-    is_over = None
+    state = None
     try:
         if not log.is_file():  # another one might be waited for
             return None
-        with open(log, "rb") as file:
-            for line in _lines_backwards(file):
-                try:
-                    event = json.loads(line)
-                    is_over = event["event"] == "end" if is_over is None else is_over
-                    if event["event"] == "state":
-                        return {**event, "over": is_over}
-                except (ValueError, KeyError, TypeError):
-                    continue
+        with open(log, encoding="utf-8", errors="replace") as file:
+            for line in file:
+                with contextlib.suppress(ValueError, KeyError, TypeError):
+                    # Thousands of other events a second may lie between two states.
+                    if '"event": "state"' in line:
+                        state = {**json.loads(line), "over": False}
+                    elif '"event": "end"' in line and state:
+                        state["over"] = True
     except OSError as error:
         raise unread(log, error) from error
-    return None
-
-
-def _lines_backwards(file: BinaryIO) -> Iterator[bytes]:
-    """Lines of a file, the last first; of lines longer than a block, only parts."""
-    start, rest = file.seek(0, 2), b""
-    while start:
-        end, start = start, max(0, start - _BLOCK)
-        file.seek(start)
-        rest, *lines = (file.read(end - start) + rest[:_BLOCK]).split(b"\n")
-        yield from reversed(lines)
-    yield rest
+    return state
