@@ -10,7 +10,6 @@ import contextlib
 import sqlite3
 import threading
 import time
-from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +21,6 @@ from pipeline.store.file import CorruptStoreError
 from pipeline.store.record import Head
 
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
-_MAX_RECENT = 8  # payloads kept in memory
 #: Largest payload [byte]; SQLite has rows of at most 10^9 byte.
 MAX_PAYLOAD = 999_000_000
 
@@ -62,7 +60,6 @@ class Store:
 
     def __init__(self, path: Path, write: bool = True):
         self.path, self._lock, self._synced = path, threading.RLock(), 0.0
-        self._recent: OrderedDict[str, tuple[bytes, bytes]] = OrderedDict()
         self.numbers: dict[str, int] = {}
         self._kin: set[str] = set()
         try:
@@ -114,7 +111,6 @@ class Store:
             self._synced = clock if is_synchronous else self._synced
             self.numbers[key.key] = number
             self._kin.add(key.kin)
-            self._recent.pop(key.key, None)
 
     def head(self, key: str) -> bytes:
         """Head of a record, without reading its payload."""
@@ -125,24 +121,17 @@ class Store:
         raise CorruptStoreError(self.path)
 
     def get(self, key: str) -> tuple[bytes, bytes]:
-        """Head and payload of a record; the latest few are kept in memory.
+        """Head and payload of a record.
 
         Raises
         ------
         CorruptStoreError
             If it is not as it was written.
         """
-        with self._lock:
-            if key in self._recent:
-                self._recent.move_to_end(key)
-                return self._recent[key]
-            rows = self._execute("SELECT * FROM records WHERE id = ?", self.numbers[key])
-            if not rows or rows[0][1] != key or not file.is_whole(rows[0]):
-                raise CorruptStoreError(self.path)
-            self._recent[key] = rows[0][-2:]
-            while len(self._recent) > _MAX_RECENT:
-                self._recent.popitem(last=False)
-            return self._recent[key]
+        for row in self._execute("SELECT * FROM records WHERE id = ?", self.numbers[key]):
+            if row[1] == key and file.is_whole(row):
+                return row[-2:]
+        raise CorruptStoreError(self.path)
 
     def chunk(self, key: str) -> Head:
         """Contents of the record of a chunk."""
