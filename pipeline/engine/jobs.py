@@ -69,9 +69,9 @@ class Jobs:
         return not self.running and self.peek() is None
 
     def wanted(self) -> Iterator[str]:
-        """Keys of the tasks over the lines of the study, unless these are many."""
-        for number in range(self.study.batches if self.study.batches <= _MAX_SHARED else 0):
-            yield from (key.key for key in self.graph.line_keys(number).values())
+        """Keys of the tasks over lines that the study lacks, unless these are many."""
+        if self.study.batches <= _MAX_SHARED:
+            yield from (node.key.key for node in self.plan.nodes() if node.chunk is None)
 
     def peek(self) -> Node | None:
         """The next job that is ready."""

@@ -112,7 +112,7 @@ class Scheduler:
             if node.key.key in self._held:
                 self._held[node.key.key].append((study, node))
                 continue
-            if any(node.key.key in wanted for other, wanted in self._wanted.items() if other is not study):
+            if node.chunk is None:
                 self._held[node.key.key] = []
             number = next(self._numbers)
             self.running[number] = study, node
@@ -130,13 +130,11 @@ class Scheduler:
     def _record(self, study: Jobs, node: Node, result: dict[str, Any]) -> None:
         self.account.add(result)
         study.record(node, result)
-        if node.key.key in self._held:
-            for other, held in self._held.pop(node.key.key):
-                other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
-            if result["outcome"] == "ok":
-                for other, wanted in self._wanted.items():
-                    if node.key.key in wanted and other is not study:
-                        other.copy(node.key, result["data"])
+        for other, held in self._held.pop(node.key.key, ()):
+            other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
+        for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
+            if node.key.key in wanted and other is not study:
+                other.copy(node.key, result["data"])
         self._finish()
 
     def _finish(self) -> None:
