@@ -63,7 +63,7 @@ soak: $(COMPLETE)
 	$(BIN)/python -m coverage report --skip-covered
 
 prove: $(COMPLETE)
-	$(BIN)/python -m pipeline.cli.proofs data/reference/proofs
+	PYTHONPATH=tests $(BIN)/python -m soak.certificates data/reference/proofs
 
 # Mutants of the core drawn by lot, two at a time; the same command resumes. AGAIN=100 tries again, by 100 s of
 # tests of each tier, those that `make test` did not notice.

@@ -5,10 +5,28 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
-from pipeline.cli import kinds, proofs
-from pipeline.errors import StudyError
+import numpy as np
+
+from pipeline.archive import read
+from pipeline.cli import kinds
+from pipeline.dispatch import ask
+from pipeline.errors import ArchiveError, StudyError
+from pipeline.statuses import FOUND
+from pipeline.study import files, parse, slopes
+from pipeline.study.location import Location
+from tasks.registry import GAITS
+
+#: Relative radii that may be asked for.
+_LEAST, _MOST = 1e-30, 1e-6
+#: Variables read for every gait, if the archive has them.
+_VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
+_NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
+#: Seed of the draw that `--sample` makes.
+_DRAW = 0
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -37,19 +55,107 @@ def run(options: argparse.Namespace) -> int:
     for name in ("set", "gait") if options.archive else ("sample",):
         if getattr(options, name):
             raise StudyError(f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}.")
-    search: list[str] = []
-    if options.archive is None:
-        answer = proofs.of_walker(options.walker, options.slope, options.set, options.gait, options.accuracy)
-        made, search = iter(answer["gaits"]), answer["search"]
-    else:
-        made = proofs.of_archive(options.archive, options.sample, options.accuracy, options.jobs)
+    parse.need_proofs(Location("", "proofs"))
+    if not _LEAST <= options.accuracy <= _MOST:
+        raise Location("", "accuracy").wrong(f"must lie in [{_LEAST:g}, {_MOST:g}]", options.accuracy)
+    answer: dict[str, Any] = _of_archive(options) if options.archive else _of_walker(options)
     gaits = []
-    for gait in made:
+    for gait in answer["gaits"]:
         gaits.append(gait)
         if not options.json:
-            print(proofs.shown(gait), flush=True)
+            print(_shown(gait), flush=True)
     if not gaits:
-        print("\n".join(search) or "The archive holds no gait.", file=sys.stderr)
+        print("\n".join(answer["search"]) or "The archive holds no gait.", file=sys.stderr)
     if options.json:
         print(json.dumps(gaits))
     return 0 if gaits and all(gait["proved"] for gait in gaits) else 1
+
+
+def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
+    """Proofs of a walker's gaits at one slope, and the search for them; numbers are the decimals written."""
+    slope, gait = options.slope, options.gait
+    if not slopes.is_slope(float(slope)):
+        raise Location("", "slope").wrong(slopes.BOUND, float(slope))
+    if gait is not None and gait not in GAITS:
+        raise Location("", "gait").unknown(gait, GAITS)
+    ask("check_walker", {"walker": files.walker(options.walker, Path())})
+    table = files.walker(options.walker, Path(), number=str)  # with every digit
+    wanted = {"set": options.set, "gait": gait, "accuracy": options.accuracy}
+    answer: dict[str, Any] = ask("prove", {"walker": table, "slope": slope, **wanted})
+    return answer
+
+
+def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
+    """Proofs of the gaits in an archive, in its order, each with `at`, where it stands."""
+    from joblib import Parallel, delayed
+
+    read.probe([options.archive])
+    wanted = [{**gait, "accuracy": options.accuracy} for gait in _stored(options.archive, options.sample)]
+    parallel = Parallel(n_jobs=min(options.jobs, max(1, len(wanted))), return_as="generator", batch_size=1)
+    proofs = parallel(delayed(ask)("prove_stored", gait) for gait in wanted)
+    found = ({"at": gait["at"], **proof} for gait, proof in zip(wanted, proofs, strict=True))
+    return {"gaits": found, "search": ()}
+
+
+def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
+    """Every converged gait of an archive as the parameters of its proof."""
+    with read.open_archive(path) as file:
+        missing = [name for name in ("status", *_NEEDED) if name not in file.variables]
+        if missing or "gait" not in file.dimensions:
+            raise ArchiveError(f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}.")
+        if "steps" in file.ncattrs():
+            raise ArchiveError(f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step.")
+        dims, names = file["status"].dimensions, [n for n in _VALUES if n in file.variables]
+        try:
+            provenance = json.loads(file.provenance)
+            tables, varied = provenance["walkers"], {key: file[key] for key in provenance["varied"]}
+            walkers = [tables[k] for k in range(file.dimensions["walker"].size if "walker" in dims else 1)]
+            lost = [key for key, values in varied.items() if not {*values.dimensions} <= {*dims}]
+            if lost or not all(isinstance(walker, str | dict) for walker in walkers):
+                raise ValueError(lost)
+        except (ValueError, LookupError, TypeError) as error:
+            raise ArchiveError(f"{path} does not say which walker it is of.") from error
+        if "kneestrike_time" not in names and all(isinstance(w, dict) and w.get("knees", True) for w in walkers):
+            raise ArchiveError(
+                f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
+            )
+        status = np.ma.getdata(file["status"][...])
+        places = np.argwhere(np.isin(status, FOUND))
+        if sample is not None and sample < len(places):
+            places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
+        coordinates = {d: file[d][...] for d in dims}
+        if not np.isfinite(np.ma.filled(coordinates["slope"], np.nan)).all():
+            raise ArchiveError(f"{path} has a slope that is no number.")
+        for index in map(tuple, places.tolist()):
+            at = {d: _item(coordinates[d][i]) for d, i in zip(dims, index, strict=True)}
+            place = dict(zip(dims, index, strict=True))
+            yield {
+                "at": at,
+                "walker": walkers[place.get("walker", 0)],
+                # What an axis such as `detuning` moves is stored key by key.
+                "set": {
+                    key: float(values[tuple(place[d] for d in values.dimensions)]) for key, values in varied.items()
+                },
+                "slope": at["slope"],
+                "gait": at["gait"],
+                "values": {n: float(np.ma.filled(file[n][index], np.nan)) for n in names},
+            }
+
+
+def _item(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _shown(proof: Mapping[str, Any]) -> str:
+    """One proof on one line."""
+    at = " ".join(
+        f"{k}={v}" for k, v in proof.get("at", {"slope": proof["exact_slope"], "gait": proof["gait"]}).items()
+    )
+    if not proof["proved"]:
+        return f"{at}: not proved. {proof['reason']}"
+    stable = {True: "stable", False: "unstable", None: "stability not shown"}[proof["stable"]]
+    middle, radius = proof["box"]["stance_angle"]
+    return (
+        f"{at}: proved, {stable}; stance angle {middle} +- {radius} rad, radius {proof['radius']:.1e},"
+        f" {', '.join(proof['events'])} ({proof['bits']} bits)"
+    )

@@ -8,9 +8,9 @@ from pathlib import Path
 import netCDF4
 import pytest
 
-from pipeline.cli import proofs
 from pipeline.cli.commands import main
 from pipeline.study import parse
+from soak import certificates
 from tasks.walkers.resolve import resolve
 
 STUDY = """name = "small"
@@ -297,7 +297,7 @@ def test_a_strange_archive_is_refused_in_one_line(capsys, archive, change, sente
 
 
 def test_certificates_are_written_one_a_file(tmp_path):
-    (path,) = proofs.certificates(tmp_path, ["D-long-0.009"], jobs=1)
+    (path,) = certificates.write(tmp_path, ["D-long-0.009"], jobs=1)
     assert path == tmp_path / "D-long-0.009.json"
     found = json.loads(path.read_text())
     assert found["stable"] is True
