@@ -15,7 +15,7 @@ from pipeline.api.threads import in_turn
 from pipeline.archive import attributes
 from pipeline.errors import StudyError
 from pipeline.study import slopes
-from pipeline.study.broadcast import changes, definition, number, whole_number
+from pipeline.study.broadcast import changes, definition, number
 from pipeline.study.location import Location
 from tasks.registry import SI_UNITS, VARIABLES
 
@@ -157,7 +157,7 @@ def simulate(
     StudyError
         If an argument is invalid.
     """
-    steps = whole_number("steps", steps, _MAX_STEPS)
+    steps = Location("", "steps").count(steps, _MAX_STEPS)
     pushed = {k: _numbers("pushes", v, 2) for k, v in _by_step("pushes", pushes, steps).items()}
     heights = {k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()}
     params = _params(walker, slope, state, keys)

@@ -143,7 +143,7 @@ def run(
     GaitsweepError
         If the run cannot start or continue; finished results are kept.
     """
-    jobs = broadcast.whole_number("jobs", jobs, MAX_JOBS)
+    jobs = Location("", "jobs").count(jobs, MAX_JOBS)
     if not isinstance(cluster, str | None):
         raise Location("", "cluster").wrong("must be tcp://HOST:PORT or local:N", cluster)
     if not isinstance(archive, str | Path | None) or (archive is not None and not Path(archive).name):
@@ -240,7 +240,7 @@ def gaits(
     Points are solved as by a study, line by line: the branches of the last lines are remembered, which makes later
     calls faster and does not change them.
     """
-    steps = broadcast.whole_number("steps", steps, MAX_STEPS)
+    steps = Location("", "steps").count(steps, MAX_STEPS)
     bound = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
@@ -302,7 +302,7 @@ def solve(
         broadcast.number("slope", slope),
         broadcast.changes(keys),
         every,
-        broadcast.whole_number("steps", steps, MAX_STEPS),
+        Location("", "steps").count(steps, MAX_STEPS),
         accuracy,
         violation_limits or {},
         tuned,

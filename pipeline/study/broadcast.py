@@ -66,19 +66,6 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
 
 
-def whole_number(name: str, value: object, most: int) -> int:
-    """Check that an argument is a whole number from 1, of Python or numpy.
-
-    Raises
-    ------
-    StudyError
-        If it is not, or is greater than `most`.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise Location("", name).wrong(f"must be a whole number from 1 to {most:,}", value)
-    return int(value)
-
-
 def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple[xr.DataArray, ...]]:
     """Broadcast arguments: arrays by numpy's rules along dimensions `dim_0`, …, DataArrays along their own.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
+from numbers import Integral
 
 from pipeline.errors import StudyError
 
@@ -53,6 +54,18 @@ class Location:
         if math.isnan(value):
             raise self.wrong("must be finite", value)
         return float(value)
+
+    def count(self, value: object, most: int, least: int = 1) -> int:
+        """Check that a value is a whole number, of Python or numpy, and within its bounds.
+
+        Raises
+        ------
+        StudyError
+            If it is not.
+        """
+        if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
+            raise self.wrong(f"must be a whole number from {least} to {most:,}", value)
+        return int(value)
 
 
 def clip(text: str, max_length: int = 60) -> str:

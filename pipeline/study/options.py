@@ -30,7 +30,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     for name, value in options.items():
         if name not in known:
             raise place.unknown(name, known, "key")
-        _check(value, known[name].holds, axes, place.at(name))
+        _check(value, known[name].holds, tuple(a for a in axes if a != "slope"), place.at(name))
     # An option at its default counts as left out.
     if "violation_limits" in options:
         options = {**options, "violation_limits": violation_limits(options["violation_limits"], place)}
@@ -83,44 +83,35 @@ def listing() -> str:
     return "\n".join(lines)
 
 
-def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> None:
-    if what == "count or 0" and not (_count(value) or value == 0):
-        raise place.wrong(f"must be a whole number from 0 to {_MAX:,}", value)
-    if what == "count" and not _count(value):
-        raise place.wrong(f"must be a whole number from 1 to {_MAX:,}", value)
-    if what == "steps" and not (_count(value) and value <= MAX_STEPS):
-        raise place.wrong(f"must be a whole number from 1 to {MAX_STEPS}", value)
-    if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
-        raise place.wrong(f"must be a list of whole numbers from 1 to {_MAX:,}", value)
-    if what in _NUMBERS:
-        fits, bound = _NUMBERS[what]
-        if not fits(place.number(value)):
+def _check(value: Any, what: str, keys: tuple[str, ...], place: Location) -> None:
+    if what in _COUNTS:
+        place.count(value, *_COUNTS[what])
+    if what in _HOLDS:
+        fits, bound = _HOLDS[what]
+        if not fits(value, place):
             raise place.wrong(bound, value)
-    if what == "range" and not (_pair(value) and place.number(value[0]) < place.number(value[1])):
-        raise place.wrong("must be two increasing numbers", value)
-    keys = tuple(a for a in axes if a != "slope")
     names = {"gait": GAITS, "key": keys, "kinds": FOLLOWED, "keys": keys}.get(what, ())
-    if what == "kinds" and (not isinstance(value, list) or not value):
-        raise place.wrong(f"must be a list of {', '.join(FOLLOWED)}", value)
-    if what == "keys" and not isinstance(value, list):
-        raise place.wrong("must be a list of keys of a walker", value)
     for name in value if what in ("kinds", "keys") else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)
 
 
-#: Numbers that options hold: whether one fits, and what it must be.
-_NUMBERS: dict[str, tuple[Callable[[float], bool], str]] = {
-    "number": (lambda x: True, ""),
-    "positive": (lambda x: x > 0, "must be above 0"),
-    "slope": (slopes.is_slope, slopes.BOUND),
-    "share": (lambda x: 0 <= x <= 0.5, "must lie in [0, 0.5]"),
+#: Whole numbers that options hold: the largest and the least.
+_COUNTS = {"count": (_MAX, 1), "count or 0": (_MAX, 0), "steps": (MAX_STEPS, 1)}
+#: What else they hold: whether a value fits, and what it must be. That one is no number says its place.
+_HOLDS: dict[str, tuple[Callable[[Any, Location], Any], str]] = {
+    "counts": (
+        lambda x, _: isinstance(x, list) and x and all(type(n) is int and 1 <= n <= _MAX for n in x),
+        f"must be a list of whole numbers from 1 to {_MAX:,}",
+    ),
+    "number": (lambda x, place: isinstance(place.number(x), float), ""),
+    "positive": (lambda x, place: place.number(x) > 0, "must be above 0"),
+    "slope": (lambda x, place: slopes.is_slope(place.number(x)), slopes.BOUND),
+    "share": (lambda x, place: 0 <= place.number(x) <= 0.5, "must lie in [0, 0.5]"),
+    "range": (
+        lambda x, place: isinstance(x, list) and len(x) == 2 and place.number(x[0]) < place.number(x[1]),
+        "must be two increasing numbers",
+    ),
+    "kinds": (lambda x, _: isinstance(x, list) and x, f"must be a list of {', '.join(FOLLOWED)}"),
+    "keys": (lambda x, _: isinstance(x, list), "must be a list of keys of a walker"),
 }
-
-
-def _pair(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2
-
-
-def _count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX

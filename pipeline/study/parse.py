@@ -255,9 +255,7 @@ def _values(value: object, location: Location) -> np.ndarray:
         if key not in table:
             raise location.error(f"`{key}` is missing")
     start, stop = location.at("from").number(table["from"]), location.at("to").number(table["to"])
-    n, spacing = table["n"], table.get("spacing", "linear")
-    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= _MAX_VALUES:
-        raise location.at("n").wrong(f"must be a whole number from 1 to {_MAX_VALUES:,}", n)
+    n, spacing = location.at("n").count(table["n"], _MAX_VALUES), table.get("spacing", "linear")
     if spacing not in ("linear", "log"):
         raise location.at("spacing").wrong('must be "linear" or "log"', spacing)
     if start >= stop:

@@ -56,8 +56,7 @@ def solve(
     """
     if not slopes.is_slope(slope):
         raise Location("", "slope").wrong(slopes.BOUND, slope)
-    if not 1 <= steps <= MAX_STEPS:
-        raise Location("", "steps").wrong(f"must be a whole number from 1 to {MAX_STEPS}", steps)
+    Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
     walker = files.retuned(files.walker(definition, Path()), tuned)
