@@ -71,15 +71,14 @@ def _claims_of(path: Path) -> list[str]:
 
 def _table(path: Path) -> dict[str, dict[str, Any]]:
     """The ledger of an archive by claim, NaN as None; empty if it cannot be read."""
+    from pipeline.api import load
+
     try:
         read.probe([path])
-        with read.open_archive(path) as file:
-            file.set_auto_mask(False)
-            columns = {name: column[...].tolist() for name, column in file["claims"].variables.items()}
+        rows = load(path, "claims").to_dict("records")
     except ArchiveError as error:
         terminal.say(f"gaitsweep: {error}")
         return {}
-    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows}
 
 

@@ -1,8 +1,10 @@
-"""Kinds of arguments of the command line; each says in one line what is wrong."""
+"""Kinds of arguments of the command line, each says in one line what is wrong; and output for machines."""
 
 from __future__ import annotations
 
+import json
 from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -104,3 +106,8 @@ def add_accuracy(command: ArgumentParser) -> None:
 def add_json(command: ArgumentParser) -> None:
     """Add the option of output for machines."""
     command.add_argument("--json", action="store_true", help="for machines")
+
+
+def show(options: Namespace, record: Any, lines: Iterable[str]) -> None:
+    """Print an answer: a record for machines, or else lines."""
+    print(json.dumps(record) if options.json else "\n".join(lines))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -31,13 +30,14 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the plan of every study."""
-    records = []
+    records, described = [], list[str]()
     for study, path in studies.archives(options):
         store = Store(paths.sidecar_path(path, ".journal"), write=False)
         planned = Plan(study, store, options.retry_failed)
-        describe = _record if options.json else lines
-        records.append(describe(planned, summary(planned), path))
-    print(json.dumps(records) if options.json else "\n".join(line for record in records for line in record))
+        counts = summary(planned)
+        records.append(_record(planned, counts, path))
+        described += lines(planned, counts, path)
+    kinds.show(options, records, described)
     return 0
 
 

@@ -28,13 +28,9 @@ def run(options: argparse.Namespace) -> int:
     every = [options.archive] if options.archive else recorded
     archives = [path for _, path in studies.archives(options)] or every
     states = {path: state_of(path) for path in archives}
-    if options.json:
-        print(json.dumps([{"archive": str(path), **(state or {})} for path, state in states.items()]))
-        return 0
-    for path, state in states.items():
-        print("\n".join(_lines(path, state)))
-    if not states:
-        print("There is no record of a run in data/archive.")
+    record = [{"archive": str(path), **(state or {})} for path, state in states.items()]
+    lines = [line for path, state in states.items() for line in _lines(path, state)]
+    kinds.show(options, record, lines or ["There is no record of a run in data/archive."])
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the walker as a table ready to paste."""
     free = {"free": options.free} if options.free else {}
     answer = ask("tune", {"walker": files.walker(options.walker, Path()), **free})
-    if options.json:
-        print(json.dumps(answer))
-        return 0
-    print("\n".join(_lines(answer)))
+    kinds.show(options, answer, _lines(answer))
     return 0
 
 

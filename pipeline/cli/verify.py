@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from pipeline.archive import read, verify
@@ -32,8 +31,6 @@ def run(options: argparse.Namespace) -> int:
         problems = verify.verify(archive)
     except ArchiveError as error:
         problems = [str(error)]
-    if options.json:
-        print(json.dumps({"archive": str(archive), "valid": not problems, "problems": problems}))
-    else:
-        print("\n".join(problems) or f"{archive} is intact, complete and valid (schema {read.SCHEMA}).")
+    record = {"archive": str(archive), "valid": not problems, "problems": problems}
+    kinds.show(options, record, problems or [f"{archive} is intact, complete and valid (schema {read.SCHEMA})."])
     return int(bool(problems))

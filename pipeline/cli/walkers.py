@@ -23,10 +23,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
     table = files.walker(options.name, Path()) if options.name else None
     walkers = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
-    if options.json:
-        print(json.dumps(walkers))
-        return 0
-    print("\n".join(_lines(walkers, in_full=options.name is not None)))
+    kinds.show(options, walkers, _lines(walkers, in_full=options.name is not None))
     return 0
 
 
