@@ -112,16 +112,17 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
     for name in parts[0].values:
         arrays = [part.values[name] for part in parts]
         shape = tuple(map(max, zip(least[: arrays[0].ndim - 1], *(array.shape[1:] for array in arrays), strict=True)))
-        if len(arrays) == 1 and shape == arrays[0].shape[1:]:
-            values[name] = arrays[0]
-            continue
-        whole = np.full((sum(map(len, parts)), *shape), _absent(name), arrays[0].dtype)
-        start = 0
-        for array in arrays:
-            whole[(slice(start, start + len(array)), *map(slice, array.shape[1:]))] = array
-            start += len(array)
-        values[name] = whole
+        values[name] = np.concatenate([_widened(name, array, shape) for array in arrays])
     return Points(values, sentences)
+
+
+def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Values of points with so many gaits and multipliers, of which the last are absent."""
+    if values.shape[1:] == shape:
+        return values
+    whole = np.full((len(values), *shape), _absent(name), values.dtype)
+    whole[(slice(None), *map(slice, values.shape[1:]))] = values
+    return whole
 
 
 def _absent(name: str) -> float:
@@ -170,13 +171,9 @@ def pack(
     pieces, values = [], _without_absent(points.values)
     for name, array in values.items():
         extent = _extent(name, shape, multipliers)
+        whole = _widened(name, array, (array.shape[1], *extent[len(shape.extent) :]))
         for g in range(array.shape[1]):
-            column = array[:, g]
-            if column.ndim > 1 and column.shape[1] < multipliers:
-                wide = np.full((len(column), multipliers), _absent(name), column.dtype)
-                wide[:, : column.shape[1]] = column
-                column = wide
-            pieces.append(pack_values(np.ascontiguousarray(shape.unfold(column)), extent))
+            pieces.append(pack_values(np.ascontiguousarray(shape.unfold(whole[:, g])), extent))
     status, reason = values["status"], values["reason"]
     rows, numbers = _status_rows(status), sorted(points.sentences)
     head = {

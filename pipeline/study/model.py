@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -156,22 +155,6 @@ class Study:
         widths = [min(check["widths"][axis.name] for check in self.checks) for axis in axes]
         spans = [float(np.ptp(axis.values)) for axis in axes]
         return Plane(tuple(axes), tuple(max(1, math.ceil(s / w)) for s, w in zip(spans, widths, strict=True)))
-
-    def cells(self) -> Iterator[np.ndarray]:
-        """Yield the numbers of the lines of each cell of the plane.
-
-        Returns
-        -------
-        iterator of ndarray of int, shape (n,)
-        """
-        assert self.plane
-        numbers = np.arange(self.lines).reshape(self.line_shape)
-        places: list[list[np.ndarray]] = [[np.array([i]) for i in range(len(self.walkers))]]
-        for axis in self.line_axes:
-            low, *_ = self.plane.sides(axis, axis.values) or (np.arange(len(axis)),)
-            places.append([np.flatnonzero(low == side) for side in np.unique(low)])
-        for place in itertools.product(*places):
-            yield numbers[np.ix_(*place)].ravel()
 
     @property
     def batches(self) -> int:

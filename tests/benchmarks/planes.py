@@ -57,8 +57,10 @@ def _made(table: dict[str, Any]) -> tuple[list[float], float]:
     study = parse(table, "", Path("plane.toml"))
     assert study.plane
     seconds, surveyed = [], 0
-    for numbers in study.cells():
-        block = [study.line(number) for number in numbers.tolist()]
+    cells: dict[tuple[float, ...], list[dict[str, Any]]] = {}
+    for line in map(study.line, range(study.lines)):
+        cells.setdefault(tuple(study.plane.cell(line["set"])["low"]), []).append(line)
+    for block in cells.values():
         cell = study.plane.cell(block[0]["set"])
         took = []
         # A slightly larger cell is made anew by code already loaded; the second time it is cached.
