@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from pipeline.archive import attributes
 from pipeline.archive.citation import PAPER
 from pipeline.archive.written import Sentences
 from pipeline.errors import StudyError, described
-from pipeline.graph.graph import Graph
+from pipeline.graph.graph import Graph, Node
 from pipeline.graph.results import points_of
 from pipeline.grid.method import Method, method_of
 from pipeline.statuses import of_atlas
@@ -34,42 +35,62 @@ _CHARACTERS = {"dtype": "S1"}
 Arrays = dict[str, np.ndarray]
 
 
-@dataclass
 class _Line:
-    """A line of the grid, and its points: their numbers, their distinct slopes, and the slope of each among these."""
+    """A line of the grid: the numbers of its points, their distinct slopes, and the slope of each among these."""
 
-    line: dict[str, Any]
-    at: np.ndarray
-    check: dict[str, Any]
-    slopes: np.ndarray
-    row: np.ndarray
+    def __init__(self, base: Study, line: dict[str, Any], at: np.ndarray, slope: np.ndarray, check: dict[str, Any]):
+        self.line, self.at, self.check = line, at, check
+        self.slopes, self.row = np.unique(slope[at], return_inverse=True)
+        self._base = base
+
+    @functools.cached_property
+    def graph(self) -> Graph:
+        """The graph of a study of this line alone."""
+        keys = {key: np.array([value]) for key, value in self.line["set"].items()}
+        return Graph(_over(self._base, self.slopes, keys, self.check), in_memory=True)
+
+    @functools.cached_property
+    def node(self) -> Node:
+        """The points of that study."""
+        return self.graph.chunk_node(self.graph.grid.chunk(0))
+
+    @functools.cached_property
+    def atlas(self) -> Node:
+        """The atlas of that study."""
+        return self.graph.line_node(0, "atlas")
+
+    @property
+    def key(self) -> Hashable:
+        """What its points are remembered by."""
+        return self.node.key.key, self.graph.variables
+
+    def points(self) -> Points:
+        """Its points; as in a run, that a task raises is their status."""
+        points: Points | None = _REMEMBERED.get(self.key)
+        if points is not None:
+            return points
+        try:
+            if (atlas := _REMEMBERED.get(self.atlas.key.key)) is None:
+                atlas = dispatch.resolve(self.graph.function(self.atlas))(self.graph.params(self.atlas), [])
+                _remember(self.atlas.key.key, atlas, atlas)
+        except Exception as error:
+            return self._failed(of_atlas(_raised(error)))
+        try:
+            points = _computed(self.graph, self.node, [atlas])
+        except Exception as error:
+            return self._failed(_raised(error))
+        if self.graph.method is Method.ALONE:
+            _remember(self.key, points, points.values)
+        return points
+
+    def _failed(self, reason: str) -> Points:
+        return Points.of_ending(self.node.points, "raised", reason, self.graph.variables)
 
 
-@dataclass
-class _Request:
-    """What is wanted of every line: a study without its axes."""
-
-    walker: str | dict[str, Any]
-    variables: tuple[str, ...]
-    accuracy: float
-    options: dict[str, Any]
-
-    def study(self, slope: np.ndarray, keys: Mapping[str, np.ndarray], check: dict[str, Any]) -> Study:
-        """The study over slopes and keys."""
-        axes = (Axis("slope", slope), *(Axis(name, values) for name, values in keys.items()))
-        checks, own = (check,), (self.walker,)
-        return Study(
-            "",
-            "",
-            "grid",
-            own,
-            GAITS,
-            axes,
-            self.variables,
-            options=self.options,
-            checks=checks,
-            accuracy=self.accuracy,
-        )
+def _over(base: Study, slope: np.ndarray, keys: Mapping[str, np.ndarray], check: dict[str, Any]) -> Study:
+    """A study without axes, over slopes and keys."""
+    axes = (Axis("slope", slope), *(Axis(name, values) for name, values in keys.items()))
+    return replace(base, axes=axes, checks=(check,))
 
 
 @dataclass
@@ -124,7 +145,7 @@ def gaits(
     """
     wanted = (*wanted, *(name for name in always(accuracy) if name not in wanted))
     options = {**({"steps": steps} if steps > 1 else {}), **({"violation_limits": limits} if limits else {})}
-    request = _Request(walker, wanted, accuracy, options)
+    base = Study("", "", "grid", (walker,), GAITS, (), wanted, options=options, accuracy=accuracy)
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines = list(_lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]))
@@ -148,8 +169,8 @@ def gaits(
         if isinstance(check, StudyError):
             found.rows[at] = found.add(Points.of_ending(1, "raised", str(check), wanted))
         elif len(at):
-            solvable.append(_Line(line, at, check, *np.unique(slope[at], return_inverse=True)))
-    _solve(request, solvable, found)
+            solvable.append(_Line(base, line, at, slope, check))
+    _solve(base, solvable, found)
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
@@ -158,7 +179,7 @@ def gaits(
     parts = found.parts or [Points.of_ending(0, "raised", "", wanted)]
     multipliers = max((check["multipliers"] for check in answers), default=3)
     points = joined(parts, (len(GAITS), multipliers)).take(found.rows)
-    return _dataset(points, grid[0], coordinates, constants, is_si, request)
+    return _dataset(points, grid[0], coordinates, constants, is_si, base)
 
 
 def _lines(
@@ -200,17 +221,18 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
         return error
 
 
-def _solve(request: _Request, lines: list[_Line], found: _Found) -> None:
+def _solve(base: Study, lines: list[_Line], found: _Found) -> None:
     """Solve the points of lines, as one study if they form a plane of keys, else as one study each."""
-    left = _solve_plane(request, lines, found)
-    for k in range(0, len(left), _BLOCK):
-        block = [_Alone(request, one) for one in left[k : k + _BLOCK]]
-        _survey([each for each in block if each.graph.method is Method.ALONE and each.key not in _REMEMBERED])
-        for each in block:
-            found.rows[each.one.at] = found.add(each.points()) + each.one.row
+    left = _solve_plane(base, lines, found)
+    while left:
+        block = left[:_BLOCK]
+        del left[:_BLOCK]  # with their graphs
+        _survey([one for one in block if one.graph.method is Method.ALONE and one.key not in _REMEMBERED])
+        for one in block:
+            found.rows[one.at] = found.add(one.points()) + one.row
 
 
-def _solve_plane(request: _Request, lines: list[_Line], found: _Found) -> list[_Line]:
+def _solve_plane(base: Study, lines: list[_Line], found: _Found) -> list[_Line]:
     """Solve lines that form a plane of keys; returns the lines that are left."""
     if len(lines) < 2 or any(not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]):
         return lines
@@ -221,7 +243,7 @@ def _solve_plane(request: _Request, lines: list[_Line], found: _Found) -> list[_
         return lines
     places = [np.searchsorted(keys[key], values[key]) for key in keys]
     by_number = np.argsort(np.ravel_multi_index(places, shape))
-    study = request.study(lines[0].slopes, keys, lines[by_number[-1]].check)
+    study = _over(base, lines[0].slopes, keys, lines[by_number[-1]].check)
     if method_of(study) is not Method.PLANE:
         return lines
     graph, left = Graph(study, in_memory=True), []
@@ -229,54 +251,17 @@ def _solve_plane(request: _Request, lines: list[_Line], found: _Found) -> list[_
         node = graph.chunk_node(chunk := graph.grid.chunk(k))
         own = [lines[number] for number in by_number[chunk.lines].tolist()]
         try:
-            points, _ = points_of(dispatch.resolve(graph.function(node)), graph.params(node), [])
+            first = found.add(_computed(graph, node, []))
         except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue
-        first = found.add(points)
         for place, one in enumerate(own):
             found.rows[one.at] = first + place * len(one.slopes) + one.row
     return left
 
 
-class _Alone:
-    """A line by itself: the graph of a study of it, and what it remembers of its atlas and points."""
-
-    def __init__(self, request: _Request, one: _Line):
-        keys = {key: np.array([value]) for key, value in one.line["set"].items()}
-        self.one, self.graph = one, Graph(request.study(one.slopes, keys, one.check), in_memory=True)
-        self._node, self.atlas = self.graph.chunk_node(self.graph.grid.chunk(0)), self.graph.line_node(0, "atlas")
-        self.key = self._node.key.key, self.graph.variables
-
-    def points(self) -> Points:
-        """Its points; as in a run, that a task raises is their status."""
-        points: Points | None = _REMEMBERED.get(self.key)
-        if points is not None:
-            return points
-        try:
-            atlas = self._atlas()
-        except Exception as error:
-            return self._failed(of_atlas(_raised(error)))
-        try:
-            points, _ = points_of(
-                dispatch.resolve(self.graph.function(self._node)), self.graph.params(self._node), [atlas]
-            )
-        except Exception as error:
-            return self._failed(_raised(error))
-        if self.graph.method is Method.ALONE:
-            _remember(self.key, points, points.values)
-        return points
-
-    def _atlas(self) -> Arrays:
-        key = self.atlas.key.key
-        atlas: Arrays | None = _REMEMBERED.get(key)
-        if atlas is None:
-            atlas = dispatch.resolve(self.graph.function(self.atlas))(self.graph.params(self.atlas), [])
-            _remember(key, atlas, atlas)
-        return atlas
-
-    def _failed(self, reason: str) -> Points:
-        return Points.of_ending(self._node.points, "raised", reason, self.graph.variables)
+def _computed(graph: Graph, node: Node, inputs: list[Any]) -> Points:
+    return points_of(dispatch.resolve(graph.function(node)), graph.params(node), inputs)[0]
 
 
 def _raised(error: Exception) -> str:
@@ -287,12 +272,12 @@ def _remember(key: Hashable, result: Points | Arrays, arrays: Arrays) -> None:
     _REMEMBERED.put(key, result, sum(np.asarray(array).nbytes for array in arrays.values()))
 
 
-def _survey(lines: list[_Alone]) -> None:
+def _survey(lines: list[_Line]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
     unknown = [one for one in lines if one.atlas.key.key not in _REMEMBERED]
     if len(unknown) < 2:
         return
-    params = {"lines": [one.one.line for one in unknown], "slope": np.empty(0), "want": ()}
+    params = {"lines": [one.line for one in unknown], "slope": np.empty(0), "want": ()}
     try:
         results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
     except Exception:  # each is tried alone, and its own error becomes its points' reason
@@ -307,11 +292,11 @@ def _dataset(
     coordinates: Mapping[str, xr.DataArray],
     constants: Mapping[str, str | float],
     is_si: bool,
-    request: _Request,
+    base: Study,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
-    steps, limits = request.options.get("steps", 1), request.options.get("violation_limits")
+    steps, limits = base.steps, base.options.get("violation_limits")
     variables = {}
     for name in (v for v in VARIABLES if v in points.values):
         values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])
@@ -323,7 +308,7 @@ def _dataset(
     if multipliers:
         coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), attributes.MULTIPLIER)
     about = {"Conventions": attributes.CONVENTIONS, "source": attributes.SOURCE, "references": PAPER}
-    about |= attributes.of_steps(steps) | ({"accuracy": request.accuracy} if request.accuracy else {})
+    about |= attributes.of_steps(steps) | ({"accuracy": base.accuracy} if base.accuracy else {})
     return xr.Dataset(
         {
             "reason_text": ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS),

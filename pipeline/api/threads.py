@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import threading
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
-
-_Parameters = ParamSpec("_Parameters")
-_Result = TypeVar("_Result")
-_TURN = threading.RLock()
 
 
-def in_turn(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """Let one thread at a time call these functions: compiled integrators hold one state, as the HDF5 library does.
+class _Turn(contextlib.ContextDecorator):
+    """Lets one thread at a time call functions: compiled integrators hold one state, as the HDF5 library does.
 
     A run closes every worker process at its end.
     """
 
-    @functools.wraps(function)
-    def called(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-        with _TURN:
-            return function(*args, **kwargs)
+    _lock = threading.RLock()
 
-    return called
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+in_turn = _Turn()

@@ -258,8 +258,10 @@ def ledger(tmp_path, monkeypatch):
         columns = {"id": "D2", "verdict": "stored", "quotation": "q", "source": "s", "interval": "", "computed": "c"}
         for name, value in columns.items():
             group.createVariable(name, str, ("row",))[:] = np.array([value], object)
+            group[name].units = "1"
         for name, value in {"printed_value": np.nan, "printed_half_unit": 0.0, "value": 0.5}.items():
             group.createVariable(name, "f8", ("row",))[:] = value
+            group[name].units = "1"
     monkeypatch.setattr(claims, "ask", lambda call, params: [{"id": params["ids"][0], "verdict": "computed"}])
     return folder / "ledger.nc"
 
