@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from pipeline.graph.plan import Plan
 from pipeline.graph.reads import study_inputs
 from pipeline.grid import costs
 from pipeline.grid.grid import Chunk, Shape
-from pipeline.store.record import Head, Points, count, joined, pack, rows_of, unpacked
+from pipeline.store.record import Head, Packing, Points, count, joined, pack, rows_of, unpacked
 from pipeline.store.store import Key, Outcome
 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
@@ -160,7 +159,7 @@ class Jobs:
         return lines + node.points * costs.seconds(self.study, "points") + self._after["points"]
 
     def _request(self, node: Node) -> Request:
-        study, limits, grid = self.study, self.study.limits, self.graph.grid
+        study, limits = self.study, self.study.limits
         layer = self.graph.layers[node.task]
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
         if node.line is None and node.chunk is None:
@@ -172,12 +171,15 @@ class Jobs:
             slopes = len(study.slope[node.chunk.slopes])
             is_whole = node.todo is None
             shape = node.chunk.shape if is_whole else Shape.of_rows(node.lines, slopes)
-            digests = self.graph.digests(node.chunk.lines) if node.line is None and is_whole else None
-            packing = {"shape": astuple(shape), "multipliers": grid.multipliers, "digests": digests}
+            packing = self._packing(shape, node.chunk.lines if node.line is None and is_whole else None)
         if node.lines:
             alone = self.graph.layers["atlas"].task.function, layer.task.function
         function, params = self.graph.function(node), self.graph.params(node)
         return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
+
+    def _packing(self, shape: Shape, lines: np.ndarray | None) -> Packing:
+        digests = None if lines is None else self.graph.digests(lines)
+        return Packing(shape, self.graph.grid.multipliers, self.study.gaits, digests)
 
     def record(self, node: Node, result: dict[str, Any]) -> None:
         """Store the result of a job."""
@@ -237,8 +239,7 @@ class Jobs:
             parts.append(Points({name: some.values[name] for name in names}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
-        points, digests = joined(parts).take(rows_of(order, slopes)), self.graph.digests(chunk.lines)
-        return pack(points, chunk.shape, self.graph.grid.multipliers, self.study.gaits, digests)
+        return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.lines))
 
     def copy(self, key: Key, data: bytes) -> None:
         """Store a result that another study has computed."""

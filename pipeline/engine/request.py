@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.store.record import Packing
+
 _WHOLE_TASK_FACTOR = 60  # a task, or lines side by side, may take this many times the limit of a point
 
 
@@ -14,9 +16,8 @@ class Request:
 
     With `packing` it is a chunk of points, of one line or of `lines` side by side, which is divided if it fails; then
     `alone` names the functions of the atlas and the points of one line, and `most` how many points are computed at a
-    time. `packing` holds the `shape` of the chunk as a tuple, the most `multipliers` of any walker, and the `digests`
-    of its lines, if these are computed side by side. `seconds` and `memory` [byte] limit one point, or a whole task.
-    The process ends after waiting `idle` seconds for another request.
+    time. `seconds` and `memory` [byte] limit one point, or a whole task. The process ends after waiting `idle` seconds
+    for another request.
     """
 
     function: str
@@ -25,7 +26,7 @@ class Request:
     seconds: float
     memory: int
     idle: float | None = None
-    packing: dict[str, Any] | None = None
+    packing: Packing | None = None
     alone: tuple[str, str] = ("", "")
     most: int | None = None
 

@@ -14,11 +14,14 @@ import sys
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.dispatch import resolve
 from pipeline.errors import described
 from tasks.registry import CLOCK
+
+if TYPE_CHECKING:  # a worker imports what its first request needs
+    from pipeline.store.record import Packing
 
 _PR_SET_PDEATHSIG = 1
 _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
@@ -91,7 +94,7 @@ def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]
 
 
 def _packed(
-    function: Callable[..., Any], packing: dict[str, Any] | None, params: dict[str, Any], inputs: list[Any]
+    function: Callable[..., Any], packing: Packing | None, params: dict[str, Any], inputs: list[Any]
 ) -> list[bytes]:
     """Result of a task; of a chunk head and payload of the record of its points, and the atlases of its lines."""
     from pipeline import serialize
@@ -99,12 +102,10 @@ def _packed(
     if packing is None:
         return [serialize.dump(function(params, inputs))]
     from pipeline.graph.results import points_of
-    from pipeline.grid.grid import Shape
     from pipeline.store.record import pack
 
     points, atlases = points_of(function, params, inputs)
-    record = pack(points, Shape.of(*packing["shape"]), packing["multipliers"], params["gaits"], packing.get("digests"))
-    return [*record, *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]
+    return [*pack(points, packing), *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import astuple, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -36,6 +36,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEX
 _PIECES = 16  # parts of a chunk that failed
 #: Place of a line in its chunk, and outcome, reason and data of its atlas.
 Atlas = tuple[int, str, str, bytes]
+Record = tuple[bytes, bytes]
 _local = threading.local()
 _workers: set[WorkerProcess] = set()
 _closing = threading.Event()
@@ -165,22 +166,22 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident()}
 
 
-def _ask(request: Request, **changes: Any) -> tuple[str, Any]:
-    """Ask the worker process of this thread; changes are of the request."""
+def _ask(request: Request) -> tuple[str, Any]:
+    """Ask the worker process of this thread."""
     worker = getattr(_local, "worker", None)
     if worker and worker.process.poll() is not None:  # killed, or tired of waiting
         worker.close()
     if worker is None or worker not in _workers:
         worker = _local.worker = WorkerProcess()
-    answer: tuple[str, Any] = worker.ask(replace(request, **changes))
+    answer: tuple[str, Any] = worker.ask(request)
     _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
     return answer
 
 
-def _ask_again(request: Request, **changes: Any) -> tuple[str, Any]:
-    """Ask, and once more where the cause of a failure may be external; a second time it is not."""
-    outcome, parts = _ask(request, **changes)
-    return _ask(request, **changes) if outcome in ("worker_died", "out_of_memory") else (outcome, parts)
+def _ask_again(request: Request, *more: str) -> tuple[str, Any]:
+    """Ask, and once more where the cause of a failure, or of `more`, may be external; a second time it is not."""
+    outcome, parts = _ask(request)
+    return _ask(request) if outcome in ("worker_died", "out_of_memory", *more) else (outcome, parts)
 
 
 def run(request: Request) -> dict[str, Any]:
@@ -206,7 +207,7 @@ def run(request: Request) -> dict[str, Any]:
     answer: dict[str, Any]
     _local.used = [0.0, 0.0]
     if request.packing:
-        answer = _run_chunk(request, request.packing)
+        answer = _run_chunk(request)
     else:
         outcome, result = _ask_again(request)
         if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
@@ -220,66 +221,61 @@ def run(request: Request) -> dict[str, Any]:
     return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_chunk(request: Request, packing: dict[str, Any]) -> dict[str, Any]:
+def _run_chunk(request: Request) -> dict[str, Any]:
     """Run a chunk of points: as a whole if that does, else in parts that are packed together."""
-    lines, slopes, failed = request.params.get("lines"), request.params["slope"], ("", "")
-    places = None if lines is None else np.arange(len(lines))
-    if len(slopes) * (1 if lines is None else len(lines)) <= (request.most or math.inf):
-        failed = outcome, parts = _ask(request)
-        if outcome == "ok":
-            atlases = [(k, "ok", "", atlas) for k, atlas in enumerate(parts[2:])]
-            return {"head": parts[0], "payload": parts[1], "atlases": atlases}
-    found, atlases = _run_part(request, places, slopes, failed)
-    shape = Shape.of(*packing["shape"])
-    head, payload = pack(joined(found), shape, packing["multipliers"], request.params["gaits"], packing["digests"])
+    lines, packing = request.params.get("lines"), request.packing
+    assert packing
+    found, atlases = _run_part(request, None if lines is None else np.arange(len(lines)))
+    head, payload = found[0] if len(found) == 1 else pack(joined([unpacked(*record) for record in found]), packing)
     return {"head": head, "payload": payload, "atlases": atlases}
 
 
-def _run_part(
-    request: Request, places: np.ndarray | None, slopes: np.ndarray, failed: tuple[str, Any] | None = None
-) -> tuple[list[Points], list[Atlas]]:
-    """Points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
+def _run_part(request: Request, places: np.ndarray | None) -> tuple[list[Record], list[Atlas]]:
+    """Records of the points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
 
-    If they fail together, or have `failed` so, they are run in smaller parts, down to the point responsible.
+    If they fail together, they are run in smaller parts, down to the point responsible.
     """
-    assert request.packing
-    size, params = (1 if places is None else len(places)), {**request.params, "slope": slopes}
-    if places is not None:
-        params["lines"] = [request.params["lines"][k] for k in places.tolist()]
-    packing = {**request.packing, "shape": astuple(Shape.of_rows(size, len(slopes))), "digests": None}
-    if failed is None:
-        is_small = size * len(slopes) <= (request.most or math.inf)
-        failed = _ask(request, params=params, packing=packing) if is_small else ("", "")
+    params, packing, slopes = request.params, request.packing, request.params["slope"]
+    assert packing
+    size, outcome = 1 if places is None else len(places), ""
+    parts: Any = None
     is_point = places is None and len(slopes) == 1
-    if is_point and failed[0] in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
-        failed = _ask(request, params=params, packing=packing)
-    outcome, parts = failed
+    if size * len(slopes) <= (request.most or math.inf):
+        outcome, parts = _ask_again(request, "timed_out") if is_point else _ask(request)
     if outcome == "ok":
-        atlases = [] if places is None else zip(places.tolist(), parts[2:], strict=False)
-        return [unpacked(*parts[:2])], [(k, "ok", "", atlas) for k, atlas in atlases]
+        head, payload, *atlases = parts
+        lines = [] if places is None else places.tolist()
+        return [(head, payload)], [(k, "ok", "", atlas) for k, atlas in zip(lines, atlases, strict=False)]
     if is_point:
-        return [Points.of_ending(1, outcome, parts, request.params["want"])], []
+        return [pack(Points.of_ending(1, outcome, parts, params["want"]), packing)], []
     if places is not None and size == 1:
         return _run_alone(request, int(places[0]))
-    whole, each = (slopes, 1) if places is None else (places, len(slopes))
-    pieces = max(_PIECES, math.ceil(len(whole) / max(1, request.most // each)) if request.most else 0)
-    found, of_lines = list[Points](), list[Atlas]()
-    for piece in np.array_split(whole, min(len(whole), pieces)):
-        points, own = _run_part(request, None, piece) if places is None else _run_part(request, piece, slopes)
-        found += points
-        of_lines += own
+    whole, each = (len(slopes), 1) if places is None else (size, len(slopes))
+    pieces = max(_PIECES, math.ceil(whole / max(1, request.most // each)) if request.most else 0)
+    found, of_lines = list[Record](), list[Atlas]()
+    for piece in np.array_split(np.arange(whole), min(whole, pieces)):
+        if places is None:
+            part, shape, own = {"slope": slopes[piece]}, Shape.of_rows(1, len(piece)), None
+        else:
+            part = {"lines": [params["lines"][k] for k in piece.tolist()]}
+            shape, own = Shape.of_rows(len(piece), each), places[piece]
+        smaller = replace(packing, shape=shape, lines=None)
+        records, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), own)
+        found += records
+        of_lines += of_part
     return found, of_lines
 
 
-def _run_alone(request: Request, place: int) -> tuple[list[Points], list[Atlas]]:
+def _run_alone(request: Request, place: int) -> tuple[list[Record], list[Atlas]]:
     """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
-    line = {key: value for key, value in request.params["lines"][place].items() if key != "cell"}
+    (line,) = ({k: value for k, value in each.items() if k != "cell"} for each in request.params["lines"])
     atlas, points = request.alone
-    outcome, result = _ask_again(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
-    slopes = params["slope"]
+    alone = replace(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    outcome, result = _ask_again(alone)
     if outcome != "ok":
-        ending = Points.of_ending(len(slopes), outcome, of_atlas(result), params["want"])
-        return [ending], [(place, outcome, result, b"")]
-    alone = replace(request, function=points, params={**params, "line": line}, inputs=result)
-    return _run_part(alone, None, slopes)[0], [(place, "ok", "", result[0])]
+        assert request.packing
+        ending = Points.of_ending(len(params["slope"]), outcome, of_atlas(result), params["want"])
+        return [pack(ending, request.packing)], [(place, outcome, result, b"")]
+    of_points = replace(request, function=points, params={**params, "line": line}, inputs=result)
+    return _run_part(of_points, None)[0], [(place, "ok", "", result[0])]

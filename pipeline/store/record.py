@@ -147,14 +147,12 @@ def _without_absent(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: array if name in of_all else array[:, :gaits] for name, array in values.items()}
 
 
-def pack(
-    points: Points, shape: Shape, multipliers: int, gaits: Iterable[str], lines: np.ndarray | None = None
-) -> tuple[bytes, bytes]:
-    """Pack the points of a chunk.
+@dataclass(frozen=True)
+class Packing:
+    """How the points of a chunk are packed.
 
-    Parameters
+    Attributes
     ----------
-    points : Points
     shape : Shape
         Of the chunk.
     multipliers : int
@@ -163,11 +161,17 @@ def pack(
         Labels that were solved.
     lines : ndarray of uint64, shape (m, 2), optional
         Digests of its lines, if it holds several.
-
-    Returns
-    -------
-    head, payload : bytes
     """
+
+    shape: Shape
+    multipliers: int
+    gaits: Sequence[str]
+    lines: np.ndarray | None = None
+
+
+def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
+    """Pack the points of a chunk, as head and payload."""
+    shape, multipliers = packing.shape, packing.multipliers
     pieces, values = [], _without_absent(points.values)
     for name, array in values.items():
         extent = _extent(name, shape, multipliers)
@@ -179,8 +183,8 @@ def pack(
     head = {
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
-        "gaits": list(gaits),
-        "lines": np.empty((0, 2), np.uint64) if lines is None else np.asarray(lines),
+        "gaits": list(packing.gaits),
+        "lines": np.empty((0, 2), np.uint64) if packing.lines is None else packing.lines,
         "names": list(values),
         "columns": np.array([array.shape[1] for array in values.values()]),
         "sizes": np.array([len(piece.data) for piece in pieces]),

@@ -21,7 +21,7 @@ from pipeline.engine.signals import Signals
 from pipeline.errors import StoppedError, StudyError
 from pipeline.graph.plan import Plan
 from pipeline.grid.grid import Shape
-from pipeline.store.record import Points, pack, unpacked
+from pipeline.store.record import Packing, Points, pack, unpacked
 from pipeline.store.store import Store
 from pipeline.study import parse
 
@@ -151,25 +151,29 @@ def _divided(monkeypatch, n, trouble):
     """A chunk of n lines of two slopes of which some fail: its points, atlases, and the lines of each request."""
     asked = []
 
-    def ask(request, **changes):
-        params = changes.get("params", request.params)
+    def ask(request):
+        params = request.params
         if "lines" not in params:  # alone: first the atlas, then the points
-            return ("ok", [b"atlas"]) if changes.get("function") == "atlas" else ("raised", "trouble")
-        asked.append(len(params["lines"]))
-        if trouble & set(params["lines"]):
+            return ("ok", [b"atlas"]) if request.function == "atlas" else ("raised", "trouble")
+        numbers = [line["number"] for line in params["lines"]]
+        asked.append(len(numbers))
+        if trouble & set(numbers):
             return "raised", "trouble"
-        status = np.zeros((2 * len(params["lines"]), 4), np.int8)
+        status = np.zeros((2 * len(numbers), 4), np.int8)
         result = {"status": status, "reason": status, "reasons": [""], "period": np.ones(status.shape)}
         points = Points.of_result(result, ["period"], len(status))
-        packed = pack(points, Shape.of(*changes.get("packing", request.packing)["shape"]), 3, ["long"])
-        return "ok", [*packed, *(b"%d" % line for line in params["lines"])]
+        return "ok", [*pack(points, request.packing), *(b"%d" % number for number in numbers)]
 
     monkeypatch.setattr(worker_process, "_ask", ask)
-    params = {"lines": list(range(n)), "slope": np.array([0.01, 0.02]), "want": ["period"], "gaits": ["long"]}
-    monkeypatch.setattr(worker_process, "_run_alone", _run_alone)
-    packing = {"shape": ((n, 2), (n, 2), 1), "multipliers": 3, "digests": None}
+    params = {
+        "lines": [{"number": k} for k in range(n)],
+        "slope": np.array([0.01, 0.02]),
+        "want": ["period"],
+        "gaits": ["long"],
+    }
+    packing = Packing(Shape((n, 2), (n, 2), 1), 3, ["long"])
     request = Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
-    answer = worker_process._run_chunk(request, packing)
+    answer = worker_process._run_chunk(request)
     return unpacked(answer["head"], answer["payload"]), answer["atlases"], asked
 
 
@@ -178,7 +182,7 @@ def test_lines_that_fail_are_divided_until_the_bad_ones_are_alone(monkeypatch, t
     points, atlases, asked = _divided(monkeypatch, 20, trouble)
     failed = points.values["status"][:, 0].reshape(20, 2) != 0
     assert set(np.flatnonzero(failed.any(axis=1)).tolist()) == trouble
-    assert [int(data) for _, _, _, data in atlases] == list(range(20))
+    assert [place for place, _, _, _ in atlases] == list(range(20))
     assert asked[0] == 20 and sum(asked[1:]) <= (40 if trouble else 0)
 
 
@@ -186,11 +190,6 @@ def test_lines_of_which_one_fails_are_not_all_computed_one_by_one(monkeypatch):
     points, _, asked = _divided(monkeypatch, 64, {40})
     assert np.flatnonzero(points.values["status"][:, 0]).tolist() == [80, 81]
     assert sorted(asked) == [1] * 4 + [4] * 16 + [64]
-
-
-def _run_alone(request, place):
-    points = Points.of_ending(2, "raised", "trouble", ["period"])
-    return [points], [(place, "ok", "", b"%d" % place)]
 
 
 def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):

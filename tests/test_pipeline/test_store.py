@@ -16,7 +16,7 @@ from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.grid.grid import Shape
 from pipeline.store import file, store
 from pipeline.store.file import CorruptStoreError, forget, repair
-from pipeline.store.record import Head, Points, count, joined, pack, sentence_number, unpacked
+from pipeline.store.record import Head, Packing, Points, count, joined, pack, sentence_number, unpacked
 from pipeline.store.store import Key, Outcome, Store
 from processes import damaged
 
@@ -326,7 +326,7 @@ def test_a_record_gives_back_what_went_in(name):
     lines = int(np.prod(shape.sizes)) // slopes
     own, result = points(lines, slopes)
     digests = np.arange(2 * lines, dtype=np.uint64).reshape(lines, 2)
-    head, payload = pack(own, shape, 4, ["long", "short"], digests)
+    head, payload = pack(own, Packing(shape, 4, ["long", "short"], digests))
     found, contents = unpacked(head, payload), Head(head)
     for key in ("status", "stance_angle", "branch"):
         expected = result[key] if key == "status" else result[key][:, :2]  # without gaits that do not exist
@@ -359,7 +359,7 @@ def test_parts_are_joined_with_what_each_of_them_has():
     one, two = points(1, 4)[0], points(1, 3, gaits=3, seed=1)[0]
     lost = Points.of_ending(2, "worker_died", "The worker died of SIGSEGV.", one.values)
     whole_points = joined([one, lost, two])
-    packed = unpacked(*pack(whole_points, Shape((9,), (9,), 0), 3, ["long"]))
+    packed = unpacked(*pack(whole_points, Packing(Shape((9,), (9,), 0), 3, ["long"])))
     assert packed.values["stance_angle"].shape == (9, 3)  # without the gait that none has
     values = whole_points.values
     assert len(whole_points) == 9
@@ -375,8 +375,8 @@ def test_parts_are_joined_with_what_each_of_them_has():
 def test_joined_points_have_the_record_of_points_computed_together():
     own, _ = points(1, 20)
     parts = [own.take(np.arange(a, b)) for a, b in ((0, 3), (3, 11), (11, 20))]
-    shape = Shape((20,), (20,), 0)
-    assert pack(joined(parts), shape, 3, ["long"]) == pack(own, shape, 3, ["long"])
+    packing = Packing(Shape((20,), (20,), 0), 3, ["long"])
+    assert pack(joined(parts), packing) == pack(own, packing)
 
 
 @pytest.mark.parametrize("wrong", [{"stance_angle": np.zeros((3, 4))}, {"branch": np.zeros((4, 3))}])

@@ -16,7 +16,6 @@ from pipeline.engine.scheduler import Scheduler
 from pipeline.engine.signals import Signals
 from pipeline.graph.plan import Plan, summary
 from pipeline.grid import grid
-from pipeline.grid.grid import Shape
 from pipeline.store.record import Points, pack
 from pipeline.store.store import Store
 from pipeline.study import parse
@@ -55,9 +54,7 @@ class Simulated(Engine):
                     line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 23)
                     took += float(np.sum(self.cost(line, slope)))
                     points = Points.of_ending(len(slope), "raised", "", job.params["want"])
-                    head, payload = pack(
-                        points, Shape.of(*job.packing["shape"]), job.packing["multipliers"], job.params["gaits"]
-                    )
+                    head, payload = pack(points, job.packing)
                     result = {"head": head, "payload": payload, "atlases": []}
                 self.spent += took
                 yield number, {**result, "seconds": took, "pid": 0}
