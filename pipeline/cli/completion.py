@@ -3,30 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import re
+from pathlib import Path
 
 from pipeline import dispatch
 from pipeline.study.parse import EXTRA_AXES
-
-_BASH = """# bash completion for gaitsweep; in ~/.bashrc: eval "$(gaitsweep completion bash)"
-_gaitsweep() {{
-  local word="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" command="" words="" one
-  for one in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
-    case "$one" in {commands}) command="$one"; break;; esac
-  done
-  case "$command" in
-{cases}
-    *) words="{top}";;
-  esac
-  case "$before" in
-    --walker) words="{walkers}";;
-    --free|--tuned) words="{keys}";;
-    --set) words="{settings}"; compopt -o nospace 2>/dev/null;;
-  esac
-  COMPREPLY=($(compgen -W "$words" -- "$word"))
-  if [ -n "$command" ] && [ "${{word#-}}" = "$word" ]; then COMPREPLY+=($(compgen -f -- "$word")); fi
-}}
-complete -o filenames -F _gaitsweep gaitsweep
-"""
 
 #: zsh runs the bash functions.
 _ZSH = """# zsh completion for gaitsweep; in ~/.zshrc, after compinit: eval "$(gaitsweep completion zsh)"
@@ -52,14 +33,16 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
     keys, one_link = (dispatch.resolve(f"tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
     words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers
-    text = _BASH.format(
-        commands="|".join(commands),
-        top=" ".join([*commands, *_options(parser)]),
-        cases="\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
-        walkers=" ".join(walkers),
-        keys=" ".join(keys),
-        settings=" ".join(f"{key}=" for key in (*keys, *one_link, *EXTRA_AXES[1:], "knees")),
-    )
+    filled = {
+        "commands": "|".join(commands),
+        "top": " ".join([*commands, *_options(parser)]),
+        "cases": "\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
+        "walkers": " ".join(walkers),
+        "keys": " ".join(keys),
+        "settings": " ".join(f"{key}=" for key in (*keys, *one_link, *EXTRA_AXES[1:], "knees")),
+    }
+    text = Path(__file__).with_suffix(".bash").read_text(encoding="utf-8")
+    text = re.sub("@([a-z]+)@", lambda place: filled[place[1]], text)
     return text if shell == "bash" else _ZSH + text.partition("\n")[2]
 
 

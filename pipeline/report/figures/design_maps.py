@@ -15,7 +15,7 @@ from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells
 from pipeline.report.figures.style import choose_rows
 from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, plain, shorten, spaced, with_unit
+from pipeline.report.words import SYMBOLS, WORDS, plain, shorten, spaced, with_unit
 
 
 class Mapped(NamedTuple):
@@ -33,19 +33,7 @@ class Mapped(NamedTuple):
 
 
 #: Quantities mapped, from left to right.
-MAPPED = {
-    "smallest_slope": Mapped(
-        "smallest slope γ (rad)", "smallest slope with a gait", "smallest_slope", "_at_smallest_slope", 1 + 2e-8
-    ),
-    "largest_stable_slope": Mapped(
-        "largest stable γ (rad)",
-        "largest slope with a stable gait",
-        "largest_stable_slope",
-        "_at_largest_stable_slope",
-        1 - 2e-8,
-    ),
-    "fastest_froude_speed": Mapped("fastest stable v/√(gl)", "fastest stable gait", "fastest_slope", "", 1 - 2e-8),
-}
+MAPPED = {name: Mapped(**mapped) for name, mapped in WORDS["figures"]["design"]["maps"].items()}
 #: Columns of the figure's data, besides the keys.
 _DATA = (*MAPPED, "smallest_at", "stability_lost_by", "fastest_slope")
 #: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
