@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,40 +17,33 @@ from pipeline.report.words import WORDS, spaced, with_unit
 
 @dataclass(frozen=True)
 class Quantity:
-    """One figure: variables read, what is drawn of them, abscissa, logarithmic axes and values marked across it.
+    """One figure: its heading, variables read, abscissa, logarithmic axes, and words at values marked across it.
 
-    A quantity of another unit than 1 is named with the unit of its first variable.
+    What is drawn is the first variable; of losses, the share of all but the first. A quantity of another unit than 1 is
+    named with the unit of its first variable.
     """
 
+    heading: str
     reads: tuple[str, ...]
-    value: Callable[[pd.DataFrame], pd.Series]
     abscissa: str = "slope"
     log: str = "x"
-    guides: Mapping[float, str] = field(default_factory=dict)
+    guides: Mapping[str, str] = field(default_factory=dict)
 
-
-def _share(frame: pd.DataFrame) -> pd.Series:
-    total = frame["loss_normal"] + frame["loss_tangential"] + frame["loss_kneestrike"].fillna(0.0)
-    return 1 - frame["loss_normal"] / total
+    def value(self, frame: pd.DataFrame) -> pd.Series:
+        """What is drawn, of each row of a frame."""
+        first, *others = (frame[name].fillna(0.0) if "knee" in name else frame[name] for name in self.reads)
+        is_loss = self.reads[0] == "loss_normal"
+        return 1 - first / sum(others, start=first) if is_loss else first
 
 
 QUANTITIES = {
-    "multipliers": Quantity(
-        ("spectral_radius",), lambda frame: frame["spectral_radius"], log="xy", guides={1.0: "border of stability"}
-    ),
-    "losses": Quantity(("loss_normal", "loss_tangential", "loss_kneestrike"), _share),
-    "heelstrike": Quantity(
-        ("heelstrike_rate_ratio",),
-        lambda frame: frame["heelstrike_rate_ratio"],
-        guides={0.5: "long below, short above", 1.0: "swing leg at rest"},
-    ),
-    "power": Quantity(("power", "speed"), lambda frame: frame["power"], abscissa="speed", log="xy"),
+    name: Quantity(words["heading"], **words["drawn"]) for name, words in WORDS["figures"].items() if "drawn" in words
 }
 
 
 def draw(name: str, source: Source) -> Sketch | None:
     """Plot a quantity of every gait against slope or speed."""
-    quantity, heading = QUANTITIES[name], WORDS["figures"][name]["heading"]
+    quantity = QUANTITIES[name]
     lines = [line for line in source.lines if set(quantity.reads) <= set(line.data)]
     if not any(np.isfinite(line.data[quantity.reads[0]]).any() for line in lines):
         return None
@@ -71,11 +64,11 @@ def draw(name: str, source: Source) -> Sketch | None:
                 sketch.pieces.append(part.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
     if not any(len(piece) for piece in sketch.pieces):
         return None
-    for value, words in quantity.guides.items():
+    for value, words in ((float(at), words) for at, words in quantity.guides.items()):
         axes.axhline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
         place = {"xycoords": axes.get_yaxis_transform(), "xytext": (0, 3), "textcoords": "offset points"}
         axes.annotate(words, (0.005, value), fontsize=8, color=MUTED, **place)  # type: ignore[arg-type]
-    _name_axes(sketch, source, quantity, heading)
+    _name_axes(sketch, source, quantity)
     data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
     sketch.gait_keys(data)
     sketch.line_keys(names)
@@ -85,18 +78,18 @@ def draw(name: str, source: Source) -> Sketch | None:
         sketch.dot_key(**measured.KEY)
     finite = data["value"][np.isfinite(data["value"])]
     ends = {"low": finite.min(), "high": finite.max()}
-    return sketch.finish(data, 4, names if len(names) > 2 else [], heading=heading, count=len(names), **ends)
+    return sketch.finish(data, 4, names if len(names) > 2 else [], heading=quantity.heading, count=len(names), **ends)
 
 
-def _name_axes(sketch: Sketch, source: Source, quantity: Quantity, heading: str) -> None:
+def _name_axes(sketch: Sketch, source: Source, quantity: Quantity) -> None:
     mixed = len(set(source.grid["walker_units"].values.tolist())) > 1 if "walker_units" in source.grid else False
     (axes,) = sketch.panels
     if quantity.abscissa == "slope":
         axes.set_xlabel("slope γ (rad)")
-        set_heading(axes, heading)
+        set_heading(axes, quantity.heading)
         return
     across, upward = (
         "each walker's units" if mixed else source.units(v) for v in (quantity.abscissa, quantity.reads[0])
     )
     axes.set_xlabel(with_unit(f"{quantity.abscissa} v", across))
-    set_heading(axes, with_unit(heading, upward))
+    set_heading(axes, with_unit(quantity.heading, upward))
