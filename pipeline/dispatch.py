@@ -1,7 +1,5 @@
 """The one door to `tasks`: its functions by the names the registry gives them."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files beside an archive: journal, lock, records, and drafts of each."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import secrets

@@ -4,8 +4,6 @@ Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then 
 can raise only ValueError.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """Every value of `status`: outcomes of a solve, and of a worker that did not finish."""
 
-from __future__ import annotations
-
 from tasks.registry import STATUSES
 
 #: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.

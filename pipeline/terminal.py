@@ -1,7 +1,5 @@
 """Standard output and standard error, either of which may be closed or full."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

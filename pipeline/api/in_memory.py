@@ -1,7 +1,5 @@
 """Gaits of arrays of walkers and slopes, in memory: studies without files, computed in this process."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

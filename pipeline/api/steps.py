@@ -1,7 +1,5 @@
 """Single steps in Python: the step map at a state with its modes, and simulations from a state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path

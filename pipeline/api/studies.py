@@ -1,7 +1,5 @@
 """Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

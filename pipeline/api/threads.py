@@ -1,7 +1,5 @@
 """Calls from several threads."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 

@@ -1,7 +1,5 @@
 """Tables that are arrays over the grid: orbits, basins and their edges, with flags for words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any

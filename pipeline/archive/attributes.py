@@ -1,7 +1,5 @@
 """CF attributes of axes and variables, in files and in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

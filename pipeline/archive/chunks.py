@@ -1,7 +1,5 @@
 """Packed chunks of large variables, written to HDF5 unchanged."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib
 from pathlib import Path
@@ -49,7 +47,7 @@ class Chunks:
             data,
         )
 
-    def __enter__(self) -> Chunks:
+    def __enter__(self) -> "Chunks":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Differences between two archives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

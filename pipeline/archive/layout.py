@@ -1,7 +1,5 @@
 """Dimensions and chunks of variables as they lie in an archive, and their checksums."""
 
-from __future__ import annotations
-
 import itertools
 import zlib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Parameters of the walkers in the archive: variables along the axes where they vary, attributes where they do not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

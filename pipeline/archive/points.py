@@ -1,7 +1,5 @@
 """The main group of a study of kind `grid`: every variable over the grid and its gaits, chunk by chunk."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections import Counter

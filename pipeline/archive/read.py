@@ -1,7 +1,5 @@
 """Reading archives that may be foreign or damaged."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Tables in the archive: one netCDF group each, its columns along the dimension `row`, or arrays over the grid."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any

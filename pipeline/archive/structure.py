@@ -1,7 +1,5 @@
 """Whether an archive has gaitsweep's layout, whoever wrote it: attributes, dimensions, types and codes."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """Arrays of an archive as tables; reading needs neither the tasks nor the plan."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Check that an archive is intact, complete and valid."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -4,8 +4,6 @@ Its bytes depend on the study and the results only: not on the time, paths, work
 chunk by chunk, so memory does not limit its size.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter
@@ -134,7 +132,7 @@ def _attributes(owner: Any) -> dict[str, str]:
     return {name: repr(owner.getncattr(name)) for name in own}
 
 
-def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> None:
+def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") -> None:
     study = plan.study
     attributes.put(
         file,
@@ -173,7 +171,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
     write_strings(file, "reason_text", "reason_index", writer.sentences.texts, attributes.REASON_TEXT)
 
 
-def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> dict[str, str]:
+def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str, str]:
     """Write the checksum of every variable, and the shape of the chunks whose sums are those of large variables.
 
     Returns

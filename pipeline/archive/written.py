@@ -1,7 +1,5 @@
 """What has been written to an archive, and what several of its writers share."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

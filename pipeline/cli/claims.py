@@ -1,7 +1,5 @@
 """`gaitsweep claims`: what the paper says, the computed number and the verdict."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """The command line: `gaitsweep COMMAND`. Each command is a module of its name, imported only if it is given."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """Scripts that complete `gaitsweep` commands in bash or zsh, generated from the parser."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from pathlib import Path

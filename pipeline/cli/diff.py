@@ -1,7 +1,5 @@
 """`gaitsweep diff`: differences between two archives."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

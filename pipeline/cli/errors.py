@@ -1,7 +1,5 @@
 """An error of a command in one line, and its exit code."""
 
-from __future__ import annotations
-
 import contextlib
 import traceback
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Kinds of arguments of the command line, each says in one line what is wrong; and output for machines."""
 
-from __future__ import annotations
-
 import json
 from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterable

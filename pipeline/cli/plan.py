@@ -1,7 +1,5 @@
 """`gaitsweep plan`: what would run and why."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from pathlib import Path

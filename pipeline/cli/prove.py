@@ -1,7 +1,5 @@
 """`gaitsweep prove`: proofs of a walker's gaits at one slope, or of an archive's."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

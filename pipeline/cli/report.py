@@ -1,7 +1,5 @@
 """`gaitsweep report`: HTML pages from archives."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import sys

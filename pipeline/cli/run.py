@@ -1,7 +1,5 @@
 """`gaitsweep run`: run studies; the same command again resumes."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

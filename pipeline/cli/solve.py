@@ -1,7 +1,5 @@
 """`gaitsweep solve`: all gaits at one point."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """`gaitsweep status`: progress of the current or last run."""
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """The studies that a command names."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 from pathlib import Path

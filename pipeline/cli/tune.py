@@ -1,7 +1,5 @@
 """`gaitsweep tune`: the nearest walker that meets the conditions of walking at vanishing slope."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from pathlib import Path

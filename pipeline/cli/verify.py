@@ -1,7 +1,5 @@
 """`gaitsweep verify`: whether an archive is intact, complete and valid."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

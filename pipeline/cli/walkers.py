@@ -1,7 +1,5 @@
 """`gaitsweep walkers`: the catalogue of walkers, or one walker."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """What the processes of a run did with their time and memory, for its record."""
 
-from __future__ import annotations
-
 import resource
 import time
 from dataclasses import dataclass, field
@@ -35,7 +33,7 @@ class Account:
         self.integrating += result.get("integrating", 0.0)
         self.memory = max(self.memory, (result.get("worker") or {}).get("memory", 0))
 
-    def record(self, command: Account, jobs: int) -> dict[str, float]:
+    def record(self, command: "Account", jobs: int) -> dict[str, float]:
         """Account of a study, and of the command until now.
 
         Parameters

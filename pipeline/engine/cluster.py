@@ -1,7 +1,5 @@
 """Running jobs on a Dask cluster (extra `cluster`)."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging

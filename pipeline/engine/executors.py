@@ -1,7 +1,5 @@
 """Executors: worker processes on this computer, each guarded by a thread, or the same guards on cluster nodes."""
 
-from __future__ import annotations
-
 import contextlib
 import platform
 import warnings

@@ -1,7 +1,5 @@
 """The nodes of one study as jobs: which are ready, what a worker is asked, and how its answer is recorded."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The lock of an archive: one run at a time."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

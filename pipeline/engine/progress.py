@@ -3,8 +3,6 @@
 Progress only listens; nothing waits for it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import resource
@@ -171,7 +169,7 @@ class Display:
         self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._tick, daemon=True)
 
-    def __enter__(self) -> Display:
+    def __enter__(self) -> "Display":
         self.thread.start()
         return self
 

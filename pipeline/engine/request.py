@@ -1,7 +1,5 @@
 """What a worker process is asked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

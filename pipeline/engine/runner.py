@@ -1,7 +1,5 @@
 """Run studies from their locks to their archives: journal, plan, execution, archive and the record of the run."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -98,7 +96,7 @@ def run(
     return [study.code for study in studies]
 
 
-def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> None:
+def _attempt(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
     """Run what the open studies lack; for a damaged journal this is known only now."""
     engine = Engine(options.jobs, options.cluster)
     by_jobs: dict[Jobs, StudyRun] = {}

@@ -4,8 +4,6 @@ The ready jobs of all studies are one finite generator, which joblib runs; it is
 Results are recorded as they arrive, and between them a signal is looked for.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import time

@@ -1,7 +1,5 @@
 """What a run does at a signal."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -4,8 +4,6 @@ Engines execute `run` in a thread of this process or on a node of a cluster. Eac
 chunk that fails is divided and tried again, down to the point responsible.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import math
@@ -38,7 +36,7 @@ _PIECES = 16  # parts of a chunk that failed
 Atlas = tuple[int, str, str, bytes]
 Record = tuple[bytes, bytes]
 _local = threading.local()
-_workers: set[WorkerProcess] = set()
+_workers: set["WorkerProcess"] = set()
 _closing = threading.Event()
 
 

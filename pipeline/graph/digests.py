@@ -4,8 +4,6 @@ Nothing here is done line by line in Python, so that a plane of a million lines 
 digest whatever chunk of whatever grid it is computed in.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Nodes are made when they are asked for: a grid of a million points needs no object per point.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from dataclasses import dataclass

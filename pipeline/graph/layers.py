@@ -1,7 +1,5 @@
 """The layers of a study's graph, each one task over every line or over the whole study: parameters and keys."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """The nodes that a study still needs, and why: `gaitsweep plan` prints them and a run computes them."""
 
-from __future__ import annotations
-
 import functools
 from collections import Counter
 from collections.abc import Iterator

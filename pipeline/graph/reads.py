@@ -1,7 +1,5 @@
 """What a task over the whole study reads: stored results of every line, and tables."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What a task returns for a chunk, as its points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

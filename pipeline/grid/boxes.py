@@ -1,7 +1,5 @@
 """Boxes of arrays: the shapes of chunks, and the parts in which archives are read."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """How long the points and tasks of a study take, before any of them is measured."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """The dimensions of a study and its chunks."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,12 +40,12 @@ class Shape:
     slope: int
 
     @classmethod
-    def of(cls, sizes: Sequence[int], extent: Sequence[int], slope: int) -> Shape:
+    def of(cls, sizes: Sequence[int], extent: Sequence[int], slope: int) -> "Shape":
         """Shape from its parts as they were packed."""
         return cls(tuple(sizes), tuple(extent), slope)
 
     @classmethod
-    def of_rows(cls, lines: int, slopes: int) -> Shape:
+    def of_rows(cls, lines: int, slopes: int) -> "Shape":
         """Shape of lines that are no chunk, one after the other."""
         return cls((lines, slopes), (lines, slopes), 1)
 

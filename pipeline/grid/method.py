@@ -1,7 +1,5 @@
 """By which method the gaits of a study's lines are computed: decided here, once."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 from pipeline.study.model import Study

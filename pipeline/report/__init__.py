@@ -1,7 +1,5 @@
 """Self-contained HTML reports, made from archives alone."""
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib.util import find_spec

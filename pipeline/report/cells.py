@@ -1,7 +1,5 @@
 """Cells of tables: texts, each number with the exact value that it rounds and the digits that its error leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

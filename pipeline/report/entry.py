@@ -1,7 +1,5 @@
 """The record that a page carries for the index and the ledger, which are made from the pages in a folder."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass

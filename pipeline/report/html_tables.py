@@ -1,7 +1,5 @@
 """The tables of a report: cells of text, each number with the exact value that it rounds."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

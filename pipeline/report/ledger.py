@@ -1,7 +1,5 @@
 """The ledger of claims: rows made of the pages' entries, a small picture of each number, and the tally of verdicts."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

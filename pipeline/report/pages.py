@@ -1,7 +1,5 @@
 """From archives to pages: an index, a page for each study, the ledger of claims, and the data of every figure."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import csv

@@ -1,7 +1,5 @@
 """Tables of results that neither figures nor the ledger show: cascades, censuses, curves, the paper's figures 9, 10."""
 
-from __future__ import annotations
-
 import re
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """One archive as a report reads it: plain arrays, tables and the text of its study."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -50,7 +48,7 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
 class _Shared(dict[str, str]):
     """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> _Shared:
+    def __deepcopy__(self, memo: dict[int, Any]) -> "_Shared":
         return self
 
 

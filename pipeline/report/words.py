@@ -1,7 +1,5 @@
 """How a report writes numbers, units and names, and its sentences, which `words.toml` holds."""
 
-from __future__ import annotations
-
 import string
 import tomllib
 from collections.abc import Mapping

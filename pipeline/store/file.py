@@ -1,7 +1,5 @@
 """The file of a store: opened, recognised, repaired and removed."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """Finished results in memory, within a bound."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Hashable
 from typing import Any

@@ -4,8 +4,6 @@ HDF5's own filters take longer than solving the points, mostly on bytes of the m
 bytes are stored, the others deflated; every reader unpacks both.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import struct

@@ -5,8 +5,6 @@ archives copy them unopened; readers of the values unpack them. A sentence is kn
 until the archive numbers those that it holds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib
@@ -61,7 +59,7 @@ class Points:
         return len(self.values["status"])
 
     @classmethod
-    def of_result(cls, result: Mapping[str, Any], want: Iterable[str], points: int) -> Points:
+    def of_result(cls, result: Mapping[str, Any], want: Iterable[str], points: int) -> "Points":
         """What a task returns for points: each variable of its own type.
 
         Raises
@@ -81,7 +79,7 @@ class Points:
         return cls({**values, "reason": numbers[reason]}, {int(numbers[k]): sentences[k] for k in occurs})
 
     @classmethod
-    def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> Points:
+    def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         shape, number = (points, len(GAITS)), sentence_number(reason)
         values: dict[str, np.ndarray] = {
@@ -94,7 +92,7 @@ class Points:
                 values[name] = np.empty(extent, VARIABLES[name].dtype)
         return cls(values, {number: reason})
 
-    def take(self, rows: np.ndarray) -> Points:
+    def take(self, rows: np.ndarray) -> "Points":
         """Some of the points, in that order."""
         return Points({name: array[rows] for name, array in self.values.items()}, self.sentences)
 

@@ -4,8 +4,6 @@ A record has a head, which is small, and a payload. It is verified by checksums 
 damaged records only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 import threading

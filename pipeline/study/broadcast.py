@@ -1,7 +1,5 @@
 """Requests from Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The walkers of a study at the corners of its grid: whether each is valid, and if not, where the study is wrong."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

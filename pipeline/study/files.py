@@ -1,7 +1,5 @@
 """The TOML files of studies and walkers."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path

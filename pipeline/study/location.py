@@ -1,7 +1,5 @@
 """Places in a study file, and errors that name them."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Iterable
@@ -18,7 +16,7 @@ class Location:
     def __init__(self, file: str, *keys: str):
         self.file, self.keys = file, keys
 
-    def at(self, *keys: str) -> Location:
+    def at(self, *keys: str) -> "Location":
         """Location of a key below this one."""
         return Location(self.file, *self.keys, *keys)
 

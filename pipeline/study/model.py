@@ -1,7 +1,5 @@
 """A checked study as plain, frozen data."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Check the `[options]` of a study: every one known to its kind, and of the right sort."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Measurements of the user's own, shown beside the curves: `[figures.overlay] file = "measured.csv"`."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ A study is checked completely before anything runs. Every error names the key, i
 nearest known key, the file and the place in it.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from collections.abc import Iterable, Mapping

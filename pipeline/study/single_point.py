@@ -1,7 +1,5 @@
 """The gaits of a walker at one slope, without a study."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

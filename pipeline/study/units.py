@@ -1,7 +1,5 @@
 """Units of a study: SI where every walker has them, else each walker's own consistent ones."""
 
-from __future__ import annotations
-
 from pipeline.dispatch import resolve
 from pipeline.study.model import Study
 from tasks.registry import SI_UNITS

@@ -1,7 +1,5 @@
 """The figures of a report: one function each, by the name that a study's `figures` list uses."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable

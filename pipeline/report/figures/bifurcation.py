@@ -1,7 +1,5 @@
 """Bifurcation diagrams of orbits (figure 12)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes

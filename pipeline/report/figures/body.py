@@ -1,7 +1,5 @@
 """Geometry of a walker's legs, and drawings of walkers to scale."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -37,7 +35,7 @@ class Body:
     eps_S: float
 
     @classmethod
-    def of(cls, parameters: Mapping[str, Any]) -> Body | None:
+    def of(cls, parameters: Mapping[str, Any]) -> "Body | None":
         """The body of a table of parameters; None if one is missing or the leg does not close."""
         try:
             thigh, l_s, radius, eps = (float(parameters[key]) for key in _LEG_KEYS)

@@ -1,7 +1,5 @@
 """Solution branches continued through folds to their ends (figures 6 and 8)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

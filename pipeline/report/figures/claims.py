@@ -1,7 +1,5 @@
 """The numbers of a study's claims beside the printed ones: a strip of ratios with their intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

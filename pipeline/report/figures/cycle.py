@@ -1,7 +1,5 @@
 """A walking cycle: joint angles over two steps with a cartoon (the paper's figure 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

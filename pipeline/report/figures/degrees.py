@@ -3,8 +3,6 @@
 Logarithmic axes have none: their decades are read, not their values.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Design maps: the best gaits of each walker over two of its keys."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any, NamedTuple
 

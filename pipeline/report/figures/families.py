@@ -1,7 +1,5 @@
 """Gait families: stance angle against slope (the paper's figures 5 and 11), and residuals of the power laws."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -5,8 +5,6 @@ lattices, by polynomials of degree seven, and only what a prediction misses is w
 zero. So a map of 40,000 cells has 8 digits of a number in some 8 kilobytes (read by scripts/address.js).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Printed numbers beside computed ones: a mark at the printed number, a bar over what rounding allows."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figure 10 of the paper as a picture: the exponents of each walker's gaits beside the laws that it prints."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from pipeline.report.figures.sketch import Sketch

@@ -1,7 +1,5 @@
 """Maps of a quantity over two axes, and of the outcomes of initial conditions."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The user's own measurements: drawn on the figures of their variables, and compared with the curves."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Quantities of gaits other than the stance angle: multipliers, losses, heelstrike, power and speed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The slope at which the short step changes its scaling, against the mass of the feet (the paper's 3/2 law)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What searches found: a census of gaits, cascades of period doublings, and curves of folds and flips."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes

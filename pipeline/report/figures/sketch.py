@@ -1,7 +1,5 @@
 """A figure while it is drawn: panels, marks that a page walks along, legend, data, and the values of its words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -118,7 +116,7 @@ class Sketch:
 
     def finish(
         self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
-    ) -> Sketch:
+    ) -> "Sketch":
         """Draw the legend, and keep the figure's data and the values of its words.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where

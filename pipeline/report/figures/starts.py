@@ -1,7 +1,5 @@
 """The starts of gaits that a page holds, from which its script makes them walk: lines, branches and single gaits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from urllib.parse import parse_qsl, urlencode

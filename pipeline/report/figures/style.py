@@ -1,7 +1,5 @@
 """The style of all figures: colours, dashes, axes, numbers and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From a sketch to an inline SVG in the page's colours, with points that show their values under the pointer."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping, Sequence
