@@ -7,7 +7,8 @@ ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted"
 #: Every value of `status`.
 ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
 #: Statuses that are answers; all others are failures.
-ANSWERS = tuple(STATUSES[name] for name in ("converged", "no_gait", "fell"))
+ANSWER_NAMES = ("converged", "no_gait", "fell")
+ANSWERS = tuple(STATUSES[name] for name in ANSWER_NAMES)
 #: Statuses of gaits that were found.
 FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
 #: Reason of points that nobody has computed.

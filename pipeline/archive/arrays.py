@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive.attributes import put
+from pipeline.archive.written import write_variable
 from pipeline.graph.plan import Plan
 
 Columns = Mapping[str, np.ndarray]
@@ -123,6 +123,4 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
 def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any]) -> None:
     fill = np.nan if values.dtype.kind == "f" and name not in dims else False
     filters = _FILTERS if values.size and dims else {}
-    variable = group.createVariable(name, values.dtype, dims, fill_value=fill, **filters)
-    put(variable, attributes)
-    variable[...] = values
+    write_variable(group, name, dims, values, attributes, fill_value=fill, **filters)

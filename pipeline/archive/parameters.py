@@ -7,6 +7,7 @@ import numpy as np
 
 from pipeline import dispatch
 from pipeline.archive.attributes import put
+from pipeline.archive.written import write_variable
 from pipeline.study import units
 from pipeline.study.model import Study
 from tasks.registry import SI_UNITS
@@ -45,12 +46,11 @@ def write(file: Any, study: Study) -> None:
             put(file, {key: float(values.ravel()[0])})
             continue
         shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
-        variable = file.createVariable(key, "f8", dims, fill_value=False)
         unit = SI_UNITS[kinds[key]] if is_si or kinds[key] == "angle" else "1"
-        put(variable, {"long_name": f"walker's {key}", "units": unit})
+        about = {"long_name": f"walker's {key}", "units": unit}
         if not is_si and kinds[key] not in ("angle", "number") and any(check["si"] for check in study.checks):
-            put(variable, {"comment": "in the units of each walker: see walker_units"})
-        variable[...] = values.reshape(shape)
+            about["comment"] = "in the units of each walker: see walker_units"
+        write_variable(file, key, dims, values.reshape(shape), about)
 
 
 def _values(walker: str | dict[str, Any], key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import attributes, chunks, layout
-from pipeline.archive.written import Sentences, Written, line_description, write_strings
+from pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from pipeline.graph.plan import Plan
 from pipeline.grid.grid import Chunk
 from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
@@ -101,9 +101,8 @@ class PointWriter:
         names, multipliers = self.plan.graph.variables, self.grid.multipliers
         if any(has_multipliers(n) for n in names):
             file.createDimension("multiplier", multipliers)
-            multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
-            attributes.put(multiplier, attributes.MULTIPLIER)
-            multiplier[:] = np.arange(multipliers)
+            numbers = np.arange(multipliers, dtype=np.int32)
+            write_variable(file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER)
         is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
         limits = self.study.options.get("violation_limits")
         for name in names:

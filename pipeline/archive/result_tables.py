@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.archive import arrays, layout
-from pipeline.archive.attributes import over_steps, put
-from pipeline.archive.written import write_strings
+from pipeline.archive.attributes import over_steps
+from pipeline.archive.written import write_strings, write_variable
 from pipeline.dispatch import resolve
 from pipeline.graph.plan import Plan
 from pipeline.study import units
@@ -125,11 +125,8 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         if values.dtype.kind == "U":
             write_strings(netcdf_group, name, "row", values.tolist(), attributes)
             continue
-        fill_value = np.nan if values.dtype.kind == "f" else False
-        dtype, filters = values.dtype.newbyteorder("="), layout.filters(len(values))
-        variable = netcdf_group.createVariable(name, dtype, ("row",), fill_value=fill_value, **filters)
-        put(variable, attributes)
-        variable[:] = values
+        options = {"fill_value": np.nan if values.dtype.kind == "f" else False, **layout.filters(len(values))}
+        write_variable(netcdf_group, name, ("row",), values, attributes, **options)
 
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:

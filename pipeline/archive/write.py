@@ -19,7 +19,7 @@ from pipeline.archive.citation import PAPER
 from pipeline.archive.points import PointWriter
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
-from pipeline.archive.written import Sentences, Written, line_description, write_strings
+from pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from pipeline.graph.plan import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
@@ -163,9 +163,8 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
             write_strings(file, "walker_units", name, known, about)
             continue
         axis = next(a for a in study.axes if a.name == name)
-        variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        attributes.put(variable, attributes.of_axis(name, units.is_si(study)))
-        variable[:] = axis.values
+        about = attributes.of_axis(name, units.is_si(study))
+        write_variable(file, name, (name,), axis.values.astype(float), about, fletcher32=True)
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences.texts))
     write_strings(file, "reason_text", "reason_index", writer.sentences.texts, attributes.REASON_TEXT)
@@ -226,9 +225,7 @@ class _LineWriter:
     def define(self, file: Any) -> None:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
-            variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
-            attributes.put(variable, attributes.of_variable(VARIABLES[name], True))
-            variable[...] = values
+            write_variable(file, name, self.dims, values, attributes.of_variable(VARIABLES[name], True))
 
     def fill(self, draft: Path) -> None:
         """Do nothing: all values are written by `define`."""

@@ -48,6 +48,15 @@ class Sentences:
         return self._places[np.minimum(place, len(self._known) - 1)]
 
 
+def write_variable(
+    group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any], **options: Any
+) -> None:
+    """Write a small variable with its attributes; the options are those of netCDF4, without a fill value if none."""
+    variable = group.createVariable(name, values.dtype.newbyteorder("="), dims, **{"fill_value": False, **options})
+    put(variable, attributes)
+    variable[...] = values
+
+
 def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attributes: dict[str, str]) -> None:
     """Write a variable of strings as characters, which netCDF4 and xarray read as strings.
 

@@ -13,7 +13,7 @@ from pipeline.grid import costs
 from pipeline.store.store import Store
 from pipeline.study import corners
 from pipeline.study import options as study_options
-from tasks.registry import FITS, VARIABLES
+from tasks.registry import FITS, TASKS, VARIABLES
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -100,9 +100,10 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
 
 def _omitted(planned: Plan) -> list[str]:
     """What the study does not want: whole groups, other variables, and tasks."""
-    tasks, variables = planned.omissions()
-    names = [name for name in tasks if name in (*FITS, "trace", "claims")]
+    graph = planned.graph
+    names = [name for name in TASKS if name in (*FITS, "trace", "claims") and name not in graph.layers]
     if planned.study.kind != "grid":
         return names
-    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in planned.graph.variables}
-    return list(dict.fromkeys(VARIABLES[v].group if VARIABLES[v].group in groups else v for v in variables)) + names
+    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in graph.variables}
+    left = [v for v in VARIABLES.values() if v.name not in graph.variables]
+    return list(dict.fromkeys(v.group if v.group in groups else v.name for v in left)) + names

@@ -22,6 +22,7 @@ from pipeline.engine.executors import Engine
 from pipeline.errors import unread
 from pipeline.graph.plan import Plan, Summary
 from pipeline.grid import costs
+from pipeline.statuses import ANSWER_NAMES
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
@@ -240,7 +241,7 @@ def _format(value: Any) -> str:
 
 def sentence(state: dict[str, Any]) -> str:
     """State of a run in one line."""
-    failed = {k: n for k, n in state["counts"].items() if k not in ("converged", "no_gait", "fell")}
+    failed = {k: n for k, n in state["counts"].items() if k not in ANSWER_NAMES}
     parts = []
     if state["points"]:
         done = state["cached"] + state["done"]

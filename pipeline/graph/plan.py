@@ -14,7 +14,7 @@ from pipeline.statuses import ANSWERS
 from pipeline.store.record import Head, unpacked
 from pipeline.store.store import Key, Outcome, Store
 from pipeline.study.model import Study
-from tasks.registry import GAITS, TASKS, VARIABLES
+from tasks.registry import GAITS
 
 
 class Plan:
@@ -52,8 +52,7 @@ class Plan:
     def _of_line(self, number: int) -> Iterator[Node]:
         """Missing nodes over a line, its atlas first."""
         graph = self.graph
-        keys = graph.line_keys(number)
-        atlas = self.store.outcome(keys["atlas"].key) if "atlas" in keys else None
+        keys, atlas = graph.line_keys(number), self.outcome_of_line(number)
         if atlas and atlas.status != "ok" and not self.retry:
             return
         rest = [self._why(graph.line_node(number, name)) for name in graph.line_tasks if name != "atlas"]
@@ -160,10 +159,6 @@ class Plan:
         """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""
         keys = self.graph.line_keys(number)
         return self.store.outcome(keys["atlas"].key) if "atlas" in keys else None
-
-    def omissions(self) -> tuple[list[str], list[str]]:
-        """Tasks and variables that the study does not request."""
-        return [t for t in TASKS if t not in self.graph.layers], [v for v in VARIABLES if v not in self.graph.variables]
 
 
 @dataclass

@@ -42,15 +42,15 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
     first = values[(0,) * values.ndim].tobytes() if values.size else b""
     if first * values.size == values.tobytes():  # as where there is no gait
         return _pack_constant(first, values.dtype.str, values.shape, extent)
-    return _pack(values, extent)
+    return _packed(values, extent)
 
 
 @functools.lru_cache(256)
 def _pack_constant(value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]) -> Packed:
-    return _pack(np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype), extent)
+    return _packed(np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype), extent)
 
 
-def _pack(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
+def _packed(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
     values = np.ascontiguousarray(values)
     checksum = zlib.crc32(values.tobytes())
     if values.shape != extent:
