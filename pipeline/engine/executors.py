@@ -40,7 +40,7 @@ class Engine:
             ):
                 # A run that is stopped says so itself; joblib would report the tasks that end with it.
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
-                yield lambda jobs: parallel(joblib.delayed(_run_job)(number, request) for number, request in jobs)
+                yield lambda jobs: parallel(joblib.delayed(worker_process.run)(*job) for job in jobs)
         else:
             from pipeline.engine import cluster
 
@@ -66,9 +66,4 @@ def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Reques
     for name, version in software().items():
         if version != (wanted := software_of_run.get(name)):
             raise WorkerError(f"The cluster's worker on {platform.node()} has {name} {version}; the run has {wanted}.")
-    return _run_job(number, request)
-
-
-def _run_job(number: int, request: Request) -> tuple[int, dict[str, Any]]:
-    """Run a numbered request in a guarded worker process."""
-    return number, worker_process.run(request)
+    return worker_process.run(number, request)

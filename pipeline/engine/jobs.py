@@ -117,7 +117,7 @@ class Jobs:
             self._waiting.setdefault(pending, []).append(node)
         elif node.copies and not node.lines:
             assert node.chunk
-            self._put_chunk(node, node.chunk, None)
+            self._record_chunk(node, node.chunk, None)
         else:
             self._next = node
 
@@ -200,27 +200,24 @@ class Jobs:
         lost = self._arrived(node.key.key, outcome.status == "ok")
         self.listen("task", {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost})
 
-    def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any]) -> None:
-        if node.lines:
+    def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any] | None) -> None:
+        """Store a chunk: what a job has computed of it, and lines that were in the store before."""
+        record: Any = result["record"] if result else None
+        if result and node.lines:
             lines = self._lines(node).tolist()
             for place, status, reason, data in result["atlases"]:
                 key = self.graph.line_keys(lines[place])["atlas"]
                 self.store.put_result(key, Outcome(status, reason), data)
                 self._arrived(key.key, status == "ok")
-        counts = count(Head(result["head"]).rows(), self.plan.columns)
-        self._put_chunk(node, chunk, (result["head"], result["payload"]))
-        line = int(chunk.lines[0])
+        whole = self._joined(node, chunk, node.copies, record) if node.copies else record
+        self.store.put(node.key, *whole)
+        self._arrived(node.key.key, True)
+        if not result:
+            return
+        counts, line = count(Head(record[0]).rows(), self.plan.columns), int(chunk.lines[0])
         event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
         event["place"] = chunk.slopes.start
         self.listen("chunk", {**_event(node, result), **event})
-
-    def _put_chunk(self, node: Node, chunk: Chunk, record: tuple[bytes, bytes] | None) -> None:
-        """Store a chunk, with lines that were in the store before."""
-        if node.copies:
-            record = self._joined(node, chunk, node.copies, record)
-        assert record
-        self.store.put(node.key, *record)
-        self._arrived(node.key.key, True)
 
     def _joined(
         self, node: Node, chunk: Chunk, copies: Copies, record: tuple[bytes, bytes] | None

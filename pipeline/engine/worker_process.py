@@ -25,13 +25,14 @@ from pipeline.engine.request import Request
 from pipeline.errors import WorkerError
 from pipeline.grid.grid import Shape
 from pipeline.statuses import of_atlas
-from pipeline.store.record import Points, joined, pack, unpacked
+from pipeline.store.record import Packing, Points, joined, pack, unpacked
 from pipeline.store.store import MAX_PAYLOAD
 
 _POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and largest time charged to it for one [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # parts of a chunk that failed
+_EXTERNAL = ("worker_died", "out_of_memory")  # what may have a cause outside; a second time it has none
 #: Place of a line in its chunk, and outcome, reason and data of its atlas.
 Atlas = tuple[int, str, str, bytes]
 Record = tuple[bytes, bytes]
@@ -164,34 +165,33 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident()}
 
 
-def _ask(request: Request) -> tuple[str, Any]:
-    """Ask the worker process of this thread."""
-    worker = getattr(_local, "worker", None)
-    if worker and worker.process.poll() is not None:  # killed, or tired of waiting
-        worker.close()
-    if worker is None or worker not in _workers:
-        worker = _local.worker = WorkerProcess()
-    answer: tuple[str, Any] = worker.ask(request)
-    _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
-    return answer
+def _ask(request: Request, *again: str) -> tuple[str, Any]:
+    """Ask the worker process of this thread; once more if it fails by one of `again`, whose cause may be external."""
+    for attempt in (again, ()):
+        worker = getattr(_local, "worker", None)
+        if worker and worker.process.poll() is not None:  # killed, or tired of waiting
+            worker.close()
+        if worker is None or worker not in _workers:
+            worker = _local.worker = WorkerProcess()
+        outcome, parts = worker.ask(request)
+        _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
+        if outcome not in attempt:
+            break
+    return outcome, parts
 
 
-def _ask_again(request: Request, *more: str) -> tuple[str, Any]:
-    """Ask, and once more where the cause of a failure, or of `more`, may be external; a second time it is not."""
-    outcome, parts = _ask(request)
-    return _ask(request) if outcome in ("worker_died", "out_of_memory", *more) else (outcome, parts)
-
-
-def run(request: Request) -> dict[str, Any]:
-    """Run a request in the worker process of this thread; errors of the task are returned, not raised.
+def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
+    """Run a numbered request in the worker process of this thread; errors of the task are returned, not raised.
 
     Parameters
     ----------
+    number : int
     request : Request
 
     Returns
     -------
-    dict
+    number : int
+    answer : dict
         `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; of a chunk its
         `head` and `payload`, and the `atlases` of lines side by side, each its place, outcome, reason and data; of
         another task `outcome`, and `data` (packed result) or `reason`; `worker`, the process that ran it.
@@ -205,9 +205,12 @@ def run(request: Request) -> dict[str, Any]:
     answer: dict[str, Any]
     _local.used = [0.0, 0.0]
     if request.packing:
-        answer = _run_chunk(request)
+        lines = request.params.get("lines")
+        found, atlases = _run_part(request, request.packing, None if lines is None else np.arange(len(lines)))
+        whole = found[0] if len(found) == 1 else pack(joined([unpacked(*one) for one in found]), request.packing)
+        answer = {"record": whole, "atlases": atlases}
     else:
-        outcome, result = _ask_again(request)
+        outcome, result = _ask(request, *_EXTERNAL)
         if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
             outcome, result = "raised", f"Its result of {_size(len(result[0]))} is larger than a journal can hold."
         is_ok = outcome == "ok"
@@ -216,30 +219,20 @@ def run(request: Request) -> dict[str, Any]:
     if worker:
         answer["worker"] = _member(worker)
     used = dict(zip(("cpu", "integrating"), _local.used, strict=True))
-    return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
+    return number, {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_chunk(request: Request) -> dict[str, Any]:
-    """Run a chunk of points: as a whole if that does, else in parts that are packed together."""
-    lines, packing = request.params.get("lines"), request.packing
-    assert packing
-    found, atlases = _run_part(request, None if lines is None else np.arange(len(lines)))
-    head, payload = found[0] if len(found) == 1 else pack(joined([unpacked(*record) for record in found]), packing)
-    return {"head": head, "payload": payload, "atlases": atlases}
-
-
-def _run_part(request: Request, places: np.ndarray | None) -> tuple[list[Record], list[Atlas]]:
+def _run_part(request: Request, packing: Packing, places: np.ndarray | None) -> tuple[list[Record], list[Atlas]]:
     """Records of the points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
 
     If they fail together, they are run in smaller parts, down to the point responsible.
     """
-    params, packing, slopes = request.params, request.packing, request.params["slope"]
-    assert packing
+    params, slopes = request.params, request.params["slope"]
     size, outcome = 1 if places is None else len(places), ""
     parts: Any = None
     is_point = places is None and len(slopes) == 1
     if size * len(slopes) <= (request.most or math.inf):
-        outcome, parts = _ask_again(request, "timed_out") if is_point else _ask(request)
+        outcome, parts = _ask(request, *(("timed_out", *_EXTERNAL) if is_point else ()))
     if outcome == "ok":
         head, payload, *atlases = parts
         lines = [] if places is None else places.tolist()
@@ -247,7 +240,7 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[list[Record]
     if is_point:
         return [pack(Points.of_ending(1, outcome, parts, params["want"]), packing)], []
     if places is not None and size == 1:
-        return _run_alone(request, int(places[0]))
+        return _run_alone(request, packing, int(places[0]))
     whole, each = (len(slopes), 1) if places is None else (size, len(slopes))
     pieces = max(_PIECES, math.ceil(whole / max(1, request.most // each)) if request.most else 0)
     found, of_lines = list[Record](), list[Atlas]()
@@ -258,22 +251,21 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[list[Record]
             part = {"lines": [params["lines"][k] for k in piece.tolist()]}
             shape, own = Shape.of_rows(len(piece), each), places[piece]
         smaller = replace(packing, shape=shape, lines=None)
-        records, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), own)
+        records, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), smaller, own)
         found += records
         of_lines += of_part
     return found, of_lines
 
 
-def _run_alone(request: Request, place: int) -> tuple[list[Record], list[Atlas]]:
+def _run_alone(request: Request, packing: Packing, place: int) -> tuple[list[Record], list[Atlas]]:
     """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     (line,) = ({k: value for k, value in each.items() if k != "cell"} for each in request.params["lines"])
     atlas, points = request.alone
     alone = replace(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
-    outcome, result = _ask_again(alone)
+    outcome, result = _ask(alone, *_EXTERNAL)
     if outcome != "ok":
-        assert request.packing
         ending = Points.of_ending(len(params["slope"]), outcome, of_atlas(result), params["want"])
-        return [pack(ending, request.packing)], [(place, outcome, result, b"")]
+        return [pack(ending, packing)], [(place, outcome, result, b"")]
     of_points = replace(request, function=points, params={**params, "line": line}, inputs=result)
-    return _run_part(of_points, None)[0], [(place, "ok", "", result[0])]
+    return _run_part(of_points, packing, None)[0], [(place, "ok", "", result[0])]

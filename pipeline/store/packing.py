@@ -39,25 +39,25 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
     -------
     Packed
     """
-    first = values[(0,) * values.ndim].tobytes() if values.size else b""
-    if first * values.size == values.tobytes():  # as where there is no gait
+    data = values.tobytes()
+    first = data[: values.itemsize]
+    if first * values.size == data:  # as where there is no gait
         return _pack_constant(first, values.dtype.str, values.shape, extent)
-    return _packed(values, extent)
+    return Packed(pack(_padded(values, extent)), zlib.crc32(data))
 
 
 @functools.lru_cache(256)
 def _pack_constant(value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]) -> Packed:
-    return _packed(np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype), extent)
+    values = np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype)
+    return Packed(pack(_padded(values, extent)), zlib.crc32(values.tobytes()))
 
 
-def _packed(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
-    values = np.ascontiguousarray(values)
-    checksum = zlib.crc32(values.tobytes())
-    if values.shape != extent:
-        padded = np.zeros(extent, values.dtype)
-        padded[tuple(map(slice, values.shape))] = values
-        values = padded
-    return Packed(pack(values), checksum)
+def _padded(values: np.ndarray, extent: tuple[int, ...]) -> np.ndarray:
+    if values.shape == extent:
+        return np.ascontiguousarray(values)
+    padded = np.zeros(extent, values.dtype)
+    padded[tuple(map(slice, values.shape))] = values
+    return padded
 
 
 def pack(values: np.ndarray) -> bytes:

@@ -173,9 +173,8 @@ def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
     pieces, values = [], _without_absent(points.values)
     for name, array in values.items():
         extent = _extent(name, shape, multipliers)
-        whole = _widened(name, array, (array.shape[1], *extent[len(shape.extent) :]))
-        for g in range(array.shape[1]):
-            pieces.append(pack_values(np.ascontiguousarray(shape.unfold(whole[:, g])), extent))
+        whole = _widened(name, array, (array.shape[1], multipliers)) if has_multipliers(name) else array
+        pieces += [pack_values(shape.unfold(whole[:, g]), extent) for g in range(array.shape[1])]
     status, reason = values["status"], values["reason"]
     rows, numbers = _status_rows(status), sorted(points.sentences)
     head = {

@@ -43,7 +43,7 @@ class Recording(Engine):
                 place = [request.params.get(name) for name in ("line", "lines", "slope")]
                 key = request.function, serialize.dump(place)
                 if key not in self.results:
-                    self.results[key] = worker_process.run(request)
+                    self.results[key] = worker_process.run(0, request)[1]
                 yield number, self.results[key]
 
         yield parallel

@@ -151,7 +151,7 @@ def _divided(monkeypatch, n, trouble):
     """A chunk of n lines of two slopes of which some fail: its points, atlases, and the lines of each request."""
     asked = []
 
-    def ask(request):
+    def ask(request, *again):
         params = request.params
         if "lines" not in params:  # alone: first the atlas, then the points
             return ("ok", [b"atlas"]) if request.function == "atlas" else ("raised", "trouble")
@@ -173,8 +173,8 @@ def _divided(monkeypatch, n, trouble):
     }
     packing = Packing(Shape((n, 2), (n, 2), 1), 3, ["long"])
     request = Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
-    answer = worker_process._run_chunk(request)
-    return unpacked(answer["head"], answer["payload"]), answer["atlases"], asked
+    _, answer = worker_process.run(0, request)
+    return unpacked(*answer["record"]), answer["atlases"], asked
 
 
 @pytest.mark.parametrize("trouble", [{3, 7}, set(), set(range(20))])

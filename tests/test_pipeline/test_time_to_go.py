@@ -54,8 +54,7 @@ class Simulated(Engine):
                     line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 23)
                     took += float(np.sum(self.cost(line, slope)))
                     points = Points.of_ending(len(slope), "raised", "", job.params["want"])
-                    head, payload = pack(points, job.packing)
-                    result = {"head": head, "payload": payload, "atlases": []}
+                    result = {"record": pack(points, job.packing), "atlases": []}
                 self.spent += took
                 yield number, {**result, "seconds": took, "pid": 0}
 
