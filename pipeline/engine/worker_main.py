@@ -1,6 +1,6 @@
-"""Program of a worker process: it reads requests from standard input and answers on standard output.
+"""Program of a worker process, which answers requests.
 
-Started as `python -m pipeline.engine.worker_main PARENT` by `pipeline.engine.worker_process`.
+Started as `python -m pipeline.engine.worker_main PARENT CONNECTION` by `pipeline.engine.worker_process`.
 """
 
 from __future__ import annotations
@@ -27,31 +27,29 @@ _PR_SET_PDEATHSIG = 1
 _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
 
 
-def serve(parent: int) -> None:
-    """Answer requests of the process `parent` until it closes the pipe or ends."""
+def serve(parent: int, number: int) -> None:
+    """Answer requests of the process `parent` over a connection, until it closes that or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if os.getppid() != parent:
         return
-    # Output of tasks and libraries must not mix with the answers.
-    requests, answers = Connection(os.dup(0), writable=False), Connection(os.dup(1), readable=False)
-    os.dup2(2, 1)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.set_inheritable(number, False)
+    connection = Connection(number)
     from pipeline import serialize
 
     warm: set[str] = set()
     used, idle = (0.0, 0.0), None
-    while requests.poll(idle):
+    while connection.poll(idle):
         try:
-            request = requests.recv()
+            request = connection.recv()
         except EOFError:
             return
         idle = request.idle
         try:
             function = resolve(request.function)
         except Exception as error:
-            answers.send(("broken", described(error)))
+            connection.send(("broken", described(error)))
             continue
         _limit_memory(request.memory)
         params, inputs = request.params, [serialize.load(i) for i in request.inputs]
@@ -60,10 +58,10 @@ def serve(parent: int) -> None:
             # The time to load compiled code does not count for the first point.
             _try(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
-        answers.send(("started", _pages(1)))
+        connection.send(("started", _pages(1)))
         outcome, result = _try(functools.partial(_packed, function, request.packing), params, inputs)
         before, used = used, (time.process_time(), _integrating())
-        answers.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
+        connection.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
 
 
 def _integrating() -> float:
@@ -109,4 +107,4 @@ def _packed(
 
 
 if __name__ == "__main__":
-    serve(int(sys.argv[1]))
+    serve(*map(int, sys.argv[1:]))

@@ -5,7 +5,6 @@ chunk that fails is divided and tried again, down to the point responsible.
 """
 
 import contextlib
-import fcntl
 import math
 import os
 import platform
@@ -16,7 +15,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from multiprocessing.connection import Connection
+from multiprocessing import Pipe
 from typing import Any
 
 import numpy as np
@@ -42,30 +41,26 @@ _closing = threading.Event()
 
 
 class WorkerProcess:
-    """A worker process and the pipes to it."""
+    """A worker process and the connection to it."""
 
     def __init__(self) -> None:
         if _closing.is_set():
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
-        # Its own process group, so that Ctrl-C reaches only the parent. Unbuffered, so that `poll` sees every answer.
-        command = [sys.executable, "-P", "-m", "pipeline.engine.worker_main", str(os.getpid())]
-        self.process = subprocess.Popen(
-            command,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            process_group=0,
-            bufsize=0,
-        )
-        assert self.process.stdin and self.process.stdout
-        self.pipes = self.process.stdin, self.process.stdout
-        for pipe in self.pipes:
-            with contextlib.suppress(OSError):
-                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
-        self._requests = Connection(os.dup(self.pipes[0].fileno()), readable=False)
-        self._answers = Connection(os.dup(self.pipes[1].fileno()), writable=False)
+        self._connection, end = Pipe()
+        command = [sys.executable, "-P", "-m", "pipeline.engine.worker_main", str(os.getpid()), str(end.fileno())]
+        try:  # in its own process group, so that Ctrl-C reaches only the parent
+            self.process = subprocess.Popen(
+                command,
+                env=environment,
+                pass_fds=[end.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                process_group=0,
+            )
+        finally:
+            end.close()
         self.used = 0.0, 0.0  # processor time of the last request, and that in integrators [s]
         _workers.add(self)
 
@@ -74,9 +69,8 @@ class WorkerProcess:
         _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
-        for end in (self._requests, self._answers, *self.pipes):
-            with contextlib.suppress(OSError):
-                end.close()
+        with contextlib.suppress(OSError):
+            self._connection.close()
         return self.process.wait()
 
     def ask(self, request: Request) -> tuple[str, Any]:
@@ -84,7 +78,7 @@ class WorkerProcess:
         self.used = 0.0, 0.0
         too_much = "out_of_memory", f"It needed more than {_size(request.memory)} of memory."
         try:
-            self._requests.send(request)
+            self._connection.send(request)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == "broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0]}.")
@@ -95,7 +89,7 @@ class WorkerProcess:
         except MemoryError:
             self.close()
             return too_much
-        except (EOFError, OSError, ValueError):  # ValueError: `stop` closed its pipes
+        except (EOFError, OSError, ValueError):  # ValueError: `close_all` closed it
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
@@ -105,7 +99,7 @@ class WorkerProcess:
 
     def _answer(self, seconds: float, memory: int | None = None) -> Any:
         last_poll = time.monotonic()
-        while not self._answers.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
+        while not self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
             # A late check means that this process was suspended, and the worker with it.
@@ -115,7 +109,7 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError
-        return self._answers.recv()
+        return self._connection.recv()
 
     def resident(self) -> int:
         """Resident memory of the process [byte]; 0 after its end."""

@@ -66,7 +66,7 @@ def test_a_run_that_is_stopped_is_told_in_no_words_of_a_library(scheduler, monke
     def stop(*_):
         raise StoppedError(15, "Stopped.")
 
-    monkeypatch.setattr(worker_process, "run", lambda request: time.sleep(0.1) or {"seconds": 0.1})
+    monkeypatch.setattr(worker_process, "run", lambda number, request: time.sleep(0.1) or (number, {"seconds": 0.1}))
     monkeypatch.setattr(scheduler, place, stop)
     with pytest.raises(StoppedError):
         scheduler.run()
