@@ -9,18 +9,11 @@ from typing import Any
 
 from pipeline import terminal
 from pipeline.archive import provenance, read
-from pipeline.cli import kinds
 from pipeline.dispatch import ask
 from pipeline.errors import ArchiveError, StudyError
 from tasks.registry import CLAIMS, TASKS
 
 _FOLDER = Path("data", "archive")
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("ids", nargs="*", metavar="ID", help="such as D2 or K1 (default: all)")
-    kinds.add_json(command)
 
 
 def run(options: argparse.Namespace) -> int:

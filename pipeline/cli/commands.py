@@ -1,30 +1,21 @@
 """The command line: `gaitsweep COMMAND`. Each command is a module of its name, imported only if it is given."""
 
 import argparse
-import importlib
 import sys
+import tomllib
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from pipeline import terminal
+from pipeline.cli import kinds
 from pipeline.cli.errors import report_errors
+from pipeline.dispatch import resolve
 from pipeline.errors import StudyError
 
-#: What each command does.
-COMMANDS = {
-    "run": "run studies; the same command again resumes",
-    "plan": "show what would run and why, without running it",
-    "status": "progress of the current or last run",
-    "report": "HTML report from archives",
-    "solve": "all gaits at one point",
-    "prove": "proofs of a walker's gaits at one slope, or of an archive's",
-    "walkers": "the catalogue of walkers, or one walker",
-    "claims": "claims of the paper: what it says, the computed number and the verdict",
-    "tune": "the nearest walker that meets the conditions of walking at vanishing slope",
-    "verify": "check that an archive is intact, complete and valid",
-    "diff": "differences between two archives",
-    "completion": "shell script that completes commands",
-}
+#: Purpose and arguments of each command.
+COMMANDS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_SHARED = COMMANDS.pop("shared")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -51,14 +42,23 @@ def parser(wanted: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     top.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, purpose in COMMANDS.items():
+    for name, about in COMMANDS.items():
+        purpose = about["purpose"]
         command = commands.add_parser(name, help=purpose, description=purpose, allow_abbrev=False)
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
         if name in wanted:
-            module = importlib.import_module(f"pipeline.cli.{name}")
-            module.add_arguments(command)
-            command.set_defaults(run=module.run, top=parser)
+            for argument, options in about["arguments"].items():
+                command.add_argument(argument, **_resolved(_SHARED[options] if isinstance(options, str) else options))
+            if "epilog" in about:
+                command.epilog = resolve(about["epilog"])()
+                command.formatter_class = argparse.RawDescriptionHelpFormatter
+            command.set_defaults(run=resolve(f"pipeline.cli.{name}:run"), top=parser)
     return top
+
+
+def _resolved(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of an argument, the kinds that they name in their place."""
+    return {key: getattr(kinds, value, value) if key in ("type", "action") else value for key, value in options.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -13,11 +13,6 @@ autoload -U +X bashcompinit && bashcompinit
 """
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("shell", choices=("bash", "zsh"))
-
-
 def run(options: argparse.Namespace) -> int:
     """Print the script."""
     print(script(options.top(), options.shell), end="")

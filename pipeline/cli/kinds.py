@@ -94,18 +94,6 @@ class Settings(Action):
         setattr(options, self.dest, {**known, key: value})
 
 
-def add_accuracy(command: ArgumentParser) -> None:
-    """Add the option of the largest error bound."""
-    command.add_argument(
-        "--accuracy", type=number, metavar="A", help="largest error bound wanted, 1e-2 to 1e-15 (default: best)"
-    )
-
-
-def add_json(command: ArgumentParser) -> None:
-    """Add the option of output for machines."""
-    command.add_argument("--json", action="store_true", help="for machines")
-
-
 def show(options: Namespace, record: Any, lines: Iterable[str]) -> None:
     """Print an answer: a record for machines, or else lines."""
     print(json.dumps(record) if options.json else "\n".join(lines))

@@ -12,18 +12,7 @@ from pipeline.graph.plan import Plan, Summary, summary
 from pipeline.grid import costs
 from pipeline.store.store import Store
 from pipeline.study import corners
-from pipeline.study import options as study_options
 from tasks.registry import FITS, TASKS, VARIABLES
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.epilog, command.formatter_class = study_options.listing(), argparse.RawDescriptionHelpFormatter
-    command.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    kinds.add_accuracy(command)
-    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
-    command.add_argument("--retry-failed", action="store_true", help="as `run` would")
-    kinds.add_json(command)
 
 
 def run(options: argparse.Namespace) -> int:

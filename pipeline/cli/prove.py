@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import read
-from pipeline.cli import kinds
 from pipeline.dispatch import ask
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.statuses import FOUND
@@ -25,25 +24,6 @@ _VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrik
 _NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
 #: Seed of the draw that `--sample` makes.
 _DRAW = 0
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("archive", nargs="?", metavar="ARCHIVE.nc", type=Path)
-    command.add_argument("--walker", metavar="NAME|FILE.toml")
-    command.add_argument("--slope", type=kinds.decimal, metavar="S", help="rad")
-    command.add_argument(
-        "--set", action=kinds.Settings, type=kinds.decimal_setting, default={}, metavar="KEY=VALUE", help="a walker key"
-    )
-    command.add_argument("--gait", metavar="G", help="only the gait of this label")
-    command.add_argument(
-        "--sample", type=kinds.count, metavar="N", help="only so many gaits of the archive, a fixed draw"
-    )
-    command.add_argument(
-        "--accuracy", type=kinds.number, default=1e-12, metavar="A", help="relative radius (default 1e-12)"
-    )
-    command.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="processes for an archive (default 2)")
-    kinds.add_json(command)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,7 +5,6 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from pipeline import terminal
 from pipeline.archive import read
@@ -13,21 +12,6 @@ from pipeline.errors import unwritten
 
 #: Time for which a report says nothing [s].
 _QUIET = 2.0
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
-    command.add_argument(
-        "-o",
-        dest="out",
-        type=Path,
-        default=Path("reports"),
-        metavar="DIR",
-        help="folder to which pages are added (default reports)",
-    )
-    command.add_argument("--only", action="store_true", help="remove other pages there")
-    command.add_argument("--open", action="store_true", help="open the index in a browser")
 
 
 def run(options: argparse.Namespace) -> int:

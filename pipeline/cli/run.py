@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pipeline import terminal
-from pipeline.cli import kinds, studies
+from pipeline.cli import studies
 from pipeline.cli.errors import report_errors
 from pipeline.engine import runner
 from pipeline.engine.progress import duration
@@ -18,32 +18,6 @@ from pipeline.paths import sidecar_path
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    kinds.add_accuracy(command)
-    command.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="worker processes (default 2)")
-    command.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
-    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
-    command.add_argument("--fresh", action="store_true", help="discard the results of earlier runs")
-    command.add_argument("--retry-failed", action="store_true", help="retry failed points and tasks")
-    command.add_argument(
-        "--chunk",
-        type=kinds.count,
-        metavar="N",
-        help="most points that a worker computes at a time (default: those of a chunk)",
-    )
-    command.add_argument(
-        "--snapshot",
-        type=kinds.interval,
-        default=60.0,
-        metavar="SECONDS",
-        help="minimum interval at which a running study publishes its archive (default 60)",
-    )
-    command.add_argument("--quiet", action="store_true", help="print errors only")
-    command.add_argument("--verbose", action="store_true", help="report every chunk")
 
 
 def run(options: argparse.Namespace) -> int:

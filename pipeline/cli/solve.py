@@ -7,43 +7,11 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from pipeline import terminal
-from pipeline.cli import kinds
 from pipeline.study.single_point import solve
 from tasks.registry import VARIABLES
 
 #: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
 _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
-    command.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
-    command.add_argument(
-        "--set", action=kinds.Settings, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key"
-    )
-    command.add_argument(
-        "--tuned",
-        action="append",
-        default=[],
-        metavar="KEY",
-        help="a key changed by least so that the walker meets the static conditions",
-    )
-    kinds.add_accuracy(command)
-    command.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
-    command.add_argument(
-        "--limit",
-        action=kinds.Settings,
-        type=kinds.limit,
-        default={},
-        metavar="VIOLATION=VALUE",
-        help="flag a violation above this value instead of its default (listed by `plan --help`)",
-    )
-    command.add_argument(
-        "--steps", type=kinds.count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)"
-    )
-    command.add_argument("--degrees", action="store_true", help="slope and angles in degrees (--json: the slope only)")
-    kinds.add_json(command)
 
 
 def run(options: argparse.Namespace) -> int:

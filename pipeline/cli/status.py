@@ -12,13 +12,6 @@ from pipeline.engine.progress import duration, last_state, sentence
 from pipeline.paths import sidecar_path
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
-    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
-    kinds.add_json(command)
-
-
 def run(options: argparse.Namespace) -> int:
     """Print the state of every run."""
     logs = sorted(Path("data/archive").glob("*.events.jsonl"))

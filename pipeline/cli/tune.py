@@ -11,13 +11,6 @@ from pipeline.dispatch import ask
 from pipeline.study import files
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
-    command.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
-    kinds.add_json(command)
-
-
 def run(options: argparse.Namespace) -> int:
     """Print the walker as a table ready to paste."""
     free = {"free": options.free} if options.free else {}

@@ -1,17 +1,10 @@
 """`gaitsweep verify`: whether an archive is intact, complete and valid."""
 
 import argparse
-from pathlib import Path
 
 from pipeline.archive import read, verify
 from pipeline.cli import kinds
 from pipeline.errors import ArchiveError
-
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
-    kinds.add_json(command)
 
 
 def run(options: argparse.Namespace) -> int:

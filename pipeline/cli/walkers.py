@@ -11,12 +11,6 @@ from pipeline.dispatch import ask
 from pipeline.study import files
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Options of the command."""
-    command.add_argument("name", nargs="?", metavar="NAME")
-    kinds.add_json(command)
-
-
 def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
     table = files.walker(options.name, Path()) if options.name else None
