@@ -1,6 +1,5 @@
 """The nodes of one study as jobs: which are ready, what a worker is asked, and how its answer is recorded."""
 
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -58,7 +57,6 @@ class Jobs:
         self._pending: set[str] = set()  # keys of results that are to come
         self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
         self._failed: set[str] = set()  # keys of tasks that failed, and of nodes that need them
-        self._lock = threading.RLock()  # a node is taken by the thread of an executor
 
     @property
     def is_over(self) -> bool:
@@ -72,15 +70,14 @@ class Jobs:
 
     def peek(self) -> Node | None:
         """The next job that is ready."""
-        with self._lock:
-            try:
-                if self._next and self._next.key.key not in self._pending:  # it has come from another study
-                    self._next = None
-                while self._next is None and not self.error and (node := self._from_source()):
-                    self._offer(node)
-            except Exception as error:
-                self.fail(error)
-            return self._next
+        try:
+            if self._next and self._next.key.key not in self._pending:  # it has come from another study
+                self._next = None
+            while self._next is None and not self.error and (node := self._from_source()):
+                self._offer(node)
+        except Exception as error:
+            self.fail(error)
+        return self._next
 
     def _from_source(self) -> Node | None:
         if self._ready:
@@ -123,31 +120,28 @@ class Jobs:
 
     def take(self) -> tuple[Node, Request] | None:
         """Take the next job and its request; None if the study has ended, or this fails, which ends it."""
-        with self._lock:
-            node = self.peek()
-            if node is None:
-                return None
-            try:
-                request = self._request(node)
-            except Exception as error:
-                self.fail(error)
-                return None
-            self.running += 1
-            self._next = None
-            return node, request
+        node = self.peek()
+        if node is None:
+            return None
+        try:
+            request = self._request(node)
+        except Exception as error:
+            self.fail(error)
+            return None
+        self.running += 1
+        self._next = None
+        return node, request
 
     def put_back(self, node: Node) -> None:
         """Return a job that was taken and has no result."""
-        with self._lock:
-            self.running -= 1
-            self._ready.appendleft(node)
+        self.running -= 1
+        self._ready.appendleft(node)
 
     def fail(self, error: Exception) -> None:
         """End the study with an error; results of its running jobs are dropped."""
-        with self._lock:
-            self.error, self._next, self._source = error, None, iter(())
-            self._ready.clear()
-            self._pending.clear()
+        self.error, self._next, self._source = error, None, iter(())
+        self._ready.clear()
+        self._pending.clear()
 
     def seconds(self, node: Node) -> float:
         """Estimated time of a job, and of what depends on it [s]."""
@@ -181,18 +175,17 @@ class Jobs:
 
     def record(self, node: Node, result: dict[str, Any]) -> None:
         """Store the result of a job."""
-        with self._lock:
-            self.running -= 1
-            self.account.add(result)
-            try:
-                if self.error:
-                    return
-                if node.chunk:
-                    self._record_chunk(node, node.chunk, result)
-                else:
-                    self._record_task(node, result)
-            except Exception as error:
-                self.fail(error)
+        self.running -= 1
+        self.account.add(result)
+        try:
+            if self.error:
+                return
+            if node.chunk:
+                self._record_chunk(node, node.chunk, result)
+            else:
+                self._record_task(node, result)
+        except Exception as error:
+            self.fail(error)
 
     def _record_task(self, node: Node, result: dict[str, Any]) -> None:
         outcome = Outcome(result["outcome"], result["reason"])
@@ -238,16 +231,15 @@ class Jobs:
 
     def copy(self, key: Key, data: bytes) -> None:
         """Store a result that another study has computed."""
-        with self._lock:
-            if self.error or key.key in self.store or key.key in self._failed:
-                return
-            try:
-                self.store.put_result(key, Outcome("ok", ""), data)
-            except Exception as error:
-                self.fail(error)
-                return
-            self._arrived(key.key, True)
-            self.listen("task", {"task": key.key.partition("-")[0], "seconds": 0.0, "outcome": "ok"})
+        if self.error or key.key in self.store or key.key in self._failed:
+            return
+        try:
+            self.store.put_result(key, Outcome("ok", ""), data)
+        except Exception as error:
+            self.fail(error)
+            return
+        self._arrived(key.key, True)
+        self.listen("task", {"task": key.key.partition("-")[0], "seconds": 0.0, "outcome": "ok"})
 
     def _arrived(self, key: str, is_ok: bool) -> int:
         """Make nodes ready that waited for a result; if it failed they are dropped, and their points counted."""

@@ -1,13 +1,14 @@
 """The order in which the jobs of all studies of a command run.
 
-The ready jobs of all studies are one finite generator, which joblib runs; it is made anew while there are ready jobs.
+The ready jobs of all studies are one finite iterator, which joblib runs; it is made anew while there are ready jobs.
 Results are recorded as they arrive, and between them a signal is looked for.
 """
 
 import contextlib
 import itertools
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pipeline.engine.account import Account
@@ -48,6 +49,7 @@ class Scheduler:
         self._wanted = {study: set(study.wanted()) for study in studies} if len(studies) > 1 else {}
         self._held: dict[str, list[tuple[Jobs, Node]]] = {}  # jobs whose result another study is computing
         self._compiling: int | None = None  # number of the first job with knees
+        self._lock = threading.RLock()  # jobs are taken by a thread of the executor, and their results recorded by ours
 
     def run(self) -> None:
         """Run everything the studies request.
@@ -68,11 +70,11 @@ class Scheduler:
                     parallel = stack.enter_context(self.engine.parallel()) if self._has_jobs() else None
                     while parallel and self._has_jobs():
                         self.signals.check()
-                        with contextlib.closing(parallel(self._ready())) as results:
+                        with contextlib.closing(parallel(iter(self._next, None))) as results:
                             for number, result in results:
                                 broken = 0
                                 self.signals.check()
-                                self._record(*self.running.pop(number), result)
+                                self._record(number, result)
                         self._finish()
             except Exception as error:
                 self.signals.check()
@@ -85,38 +87,42 @@ class Scheduler:
                 for study in self.studies:
                     study.listen("engine", {"error": message})
                 time.sleep(broken)
-                held = itertools.chain.from_iterable(self._held.values())
-                for study, node in (*self.running.values(), *held):
-                    study.put_back(node)
-                self.running, self._held = {}, {}
+                with self._lock:
+                    held = itertools.chain.from_iterable(self._held.values())
+                    for study, node in (*self.running.values(), *held):
+                        study.put_back(node)
+                    self.running, self._held = {}, {}
 
     def _has_jobs(self) -> bool:
-        return any(study.peek() for study in self.studies)
+        with self._lock:
+            return any(study.peek() for study in self.studies)
 
-    def _ready(self) -> Iterator[tuple[int, Request]]:
-        """Numbered requests of ready jobs, the most urgent first; joblib asks from its own thread, one at a time.
+    def _next(self) -> tuple[int, Request] | None:
+        """Number and request of the most urgent job.
 
-        They end when none is ready, or when results are read more slowly than they arrive: joblib would keep them all.
+        None if none is ready, or if results are read more slowly than they arrive: joblib would keep them all.
         """
-        while len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received:
-            ready = [(study, node) for study in list(self.studies) if (node := study.peek())]
-            if not ready:
-                return
-            study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
-            taken = study.take()
-            if taken is None:
-                continue
-            node, request = taken
-            if node.key.key in self._held:
-                self._held[node.key.key].append((study, node))
-                continue
-            if node.chunk is None:
-                self._held[node.key.key] = []
-            number = next(self._numbers)
-            self.running[number] = study, node
-            if study.has_knees and self._compiling is None:
-                self._compiling = number
-            yield number, request
+        with self._lock:
+            while len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received:
+                ready = [(study, node) for study in self.studies if (node := study.peek())]
+                if not ready:
+                    break
+                study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
+                taken = study.take()
+                if taken is None:
+                    continue
+                node, request = taken
+                if node.key.key in self._held:
+                    self._held[node.key.key].append((study, node))
+                    continue
+                if node.chunk is None:
+                    self._held[node.key.key] = []
+                number = next(self._numbers)
+                self.running[number] = study, node
+                if study.has_knees and self._compiling is None:
+                    self._compiling = number
+                return number, request
+        return None
 
     def _waits(self, study: Jobs) -> bool:
         """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
@@ -125,20 +131,24 @@ class Scheduler:
         """
         return study.has_knees and self._compiling in self.running
 
-    def _record(self, study: Jobs, node: Node, result: dict[str, Any]) -> None:
+    def _record(self, number: int, result: dict[str, Any]) -> None:
         self.account.add(result)
-        study.record(node, result)
-        for other, held in self._held.pop(node.key.key, ()):
-            other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
-        for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
-            if node.key.key in wanted and other is not study:
-                other.copy(node.key, result["data"])
+        with self._lock:
+            study, node = self.running.pop(number)
+            study.record(node, result)
+            for other, held in self._held.pop(node.key.key, ()):
+                other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
+            for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
+                if node.key.key in wanted and other is not study:
+                    other.copy(node.key, result["data"])
         self._finish()
 
     def _finish(self) -> None:
         """Finish studies of which no job is left."""
-        for study in list(self.studies):
-            if study.is_over:
+        with self._lock:
+            over = [study for study in self.studies if study.is_over]
+            for study in over:
                 self.studies.remove(study)
                 self._wanted.pop(study, None)
-                self.finish(study)
+        for study in over:
+            self.finish(study)

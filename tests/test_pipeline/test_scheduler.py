@@ -42,7 +42,7 @@ def scheduler(tmp_path):
 
 
 def _walkers(scheduler, n):
-    return [request.params["line"]["walker"] for _, request in itertools.islice(scheduler._ready(), n)]
+    return [request.params["line"]["walker"] for _, request in itertools.islice(iter(scheduler._next, None), n)]
 
 
 def test_one_worker_compiles_the_equations_of_knees_while_others_do_other_work(scheduler):
@@ -82,20 +82,66 @@ def _beside(function, *arguments):
     return thread
 
 
-def test_a_job_that_is_put_back_while_another_is_taken_is_not_lost(scheduler, monkeypatch):
-    study, threads, numbers = scheduler.studies[0], [], []
-    lost, _ = study.take()
-    request = study._request
+FAILED = {"outcome": "raised", "reason": "It raised.", "data": b"", "seconds": 0.1}
+
+
+def _meanwhile(monkeypatch, study, function, *arguments):
+    """Call a function in another thread while a job of a study is taken, the first time."""
+    request, threads = study._request, []
 
     def meanwhile(node):
-        threads.extend([] if threads else [_beside(study.put_back, lost)])
+        threads.extend([] if threads else [_beside(function, *arguments)])
         return request(node)
 
     monkeypatch.setattr(study, "_request", meanwhile)
-    while study.peek():
-        numbers.append(study.take()[0].line)
+    return threads
+
+
+def test_a_study_is_not_over_while_its_last_job_is_taken(scheduler, monkeypatch):
+    """Another thread took it between two looks at the study, which was archived without it."""
+    del scheduler.studies[1]
+    (study,), ended = scheduler.studies, []
+    monkeypatch.setattr(scheduler, "finish", ended.append)
+    for _ in range(2):
+        scheduler._record(scheduler._next()[0], FAILED)
+    threads = _meanwhile(monkeypatch, study, scheduler._finish)
+    number, _ = scheduler._next()
+    threads[0].join()
+    assert not ended and scheduler.studies == [study]
+    scheduler._record(number, FAILED)
+    assert ended == [study]
+
+
+def _twins(tmp_path, stack, listen=lambda *_: None):
+    """Jobs of two studies of the same three lines."""
+    for name in "ab":
+        (tmp_path / f"{name}.toml").write_text(TEXT.format(name, "E", "foot_mass_ratio"))
+        store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
+        yield Jobs(Plan(parse.read(tmp_path / f"{name}.toml"), store), Engine(2), listen)
+
+
+def test_a_result_that_comes_while_another_study_takes_its_job_is_counted_once(tmp_path, monkeypatch):
+    """It was copied to that study, which computed it as well: the progress of a run told of seven cascades of six."""
+    with contextlib.ExitStack() as stack:
+        told = []
+        one, other = _twins(tmp_path, stack, lambda event, details: told.append(details["task"]))
+        scheduler = Scheduler([one, other], one.engine, Signals())
+        first, *_ = [scheduler._next()[0] for _ in range(3)]
+        threads = _meanwhile(monkeypatch, other, scheduler._record, first, {**FAILED, "outcome": "ok"})
+        assert scheduler._next() is None  # all jobs of the other study wait for those of the first
         threads[0].join()
-    assert sorted(numbers) == [0, 1, 2]
+        assert told == ["atlas"] * 2 and (one.running, other.running) == (2, 2)
+
+
+def test_a_study_gets_no_result_that_it_does_not_lack(tmp_path):
+    """Where an atlas has failed, what stands on it is not to come."""
+    with contextlib.ExitStack() as stack:
+        study, _ = _twins(tmp_path, stack)
+        node, _ = study.take()
+        study.record(node, FAILED)
+        again = Jobs(Plan(study.study, study.store), study.engine, lambda *_: None)
+        keys = study.graph.line_keys(node.line)
+        assert len(set(study.wanted())) == 4 and not {key.key for key in keys.values()} & set(again.wanted())
 
 
 def test_a_study_that_ends_has_no_other_job(scheduler):
@@ -122,12 +168,9 @@ def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
 
 
 def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
-    engine, studies, asked = Engine(2), [], []
+    engine, asked = Engine(2), []
     with contextlib.ExitStack() as stack:
-        for name in "ab":
-            (tmp_path / f"{name}.toml").write_text(TEXT.format(name, "E", "foot_mass_ratio"))
-            store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
-            studies.append(Jobs(Plan(parse.read(tmp_path / f"{name}.toml"), store), engine, lambda *_: None))
+        studies = list(_twins(tmp_path, stack))
 
         @contextlib.contextmanager
         def parallel():
