@@ -1,1 +1,1 @@
-"""The command line: `commands` parses and dispatches, `text` is what commands print, `completion` serves shells."""
+"""The command line: `commands` parses and dispatches by the table in `commands.toml`, each command is a module."""
