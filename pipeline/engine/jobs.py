@@ -94,12 +94,7 @@ class Jobs:
         """Keys of the results of a node."""
         yield node.key.key
         if node.lines and "atlas" in self.graph.line_tasks:
-            yield from (self.graph.line_keys(line)["atlas"].key for line in self._lines(node).tolist())
-
-    def _lines(self, node: Node) -> np.ndarray:
-        """Numbers of the lines side by side that a node computes."""
-        assert node.chunk
-        return node.chunk.lines if node.todo is None else node.chunk.lines[node.todo]
+            yield from (self.graph.line_keys(line)["atlas"].key for line in node.numbers.tolist())
 
     def _offer(self, node: Node) -> None:
         """Make a node the next one, unless it waits for others or its result has come meanwhile."""
@@ -161,9 +156,8 @@ class Jobs:
         packing, alone = None, ("", "")
         if node.chunk:
             slopes = len(study.slope[node.chunk.slopes])
-            is_whole = node.todo is None
-            shape = node.chunk.shape if is_whole else Shape.of_rows(node.lines, slopes)
-            packing = self._packing(shape, node.chunk.lines if node.line is None and is_whole else None)
+            shape = Shape.of_rows(node.lines, slopes) if node.copies else node.chunk.shape
+            packing = self._packing(shape, node.chunk.lines if node.lines and not node.copies else None)
         if node.lines:
             alone = self.graph.layers["atlas"].task.function, layer.task.function
         function, params = self.graph.function(node), self.graph.params(node)
@@ -197,7 +191,7 @@ class Jobs:
         """Store a chunk: what a job has computed of it, and lines that were in the store before."""
         record: Any = result["record"] if result else None
         if result and node.lines:
-            lines = self._lines(node).tolist()
+            lines = node.numbers.tolist()
             for place, status, reason, data in result["atlases"]:
                 key = self.graph.line_keys(lines[place])["atlas"]
                 self.store.put_result(key, Outcome(status, reason), data)
@@ -218,7 +212,8 @@ class Jobs:
         """A chunk of lines side by side, some just computed and some in records of the store."""
         slopes = chunk.points // len(chunk.lines)
         parts, places = list[Points](), list[np.ndarray]()
-        if record and node.todo is not None:
+        if record:
+            assert node.todo is not None
             parts, places = [unpacked(*record)], [node.todo]
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])

@@ -32,7 +32,7 @@ class Node:
     """A task over a line (`line` is its number, or that of a batch of designs), a chunk, or, without both, the study.
 
     `needs` are keys of results that it reads, `why` it would run. Of a chunk of lines side by side, `todo` are the
-    places of those to compute, all if None, and `copies` the others.
+    places of those to compute, and `copies` the others, if there are any.
     """
 
     task: str
@@ -47,9 +47,13 @@ class Node:
     @property
     def lines(self) -> int:
         """Number of lines that it computes with all their points."""
-        if self.chunk is None or self.line is not None:
-            return 0
-        return len(self.chunk.lines) if self.todo is None else len(self.todo)
+        return 0 if self.todo is None else len(self.todo)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Numbers of these lines."""
+        assert self.chunk is not None and self.todo is not None
+        return self.chunk.lines[self.todo]
 
     @property
     def points(self) -> int:
@@ -144,7 +148,7 @@ class Graph:
         """Node of a chunk."""
         key = self.chunk_key(chunk)
         if self.method.is_of_lines:
-            return Node("points", key, chunk=chunk)
+            return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.lines)))
         line = int(chunk.lines[0])
         return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk)
 
@@ -165,8 +169,7 @@ class Graph:
         shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
         if node.line is not None:
             return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}
-        numbers = chunk.lines if node.todo is None else chunk.lines[node.todo]
-        lines = [study.line(number) for number in numbers.tolist()]
+        lines = [study.line(number) for number in node.numbers.tolist()]
         cells = {"cells": _mark_cells(study.plane, lines)} if self.method is Method.PLANE and study.plane else {}
         keeps_atlases = {"atlases": "atlas" in self.line_tasks}
         return {"lines": lines, **cells, **keeps_atlases, **layers.point_params(study, self.method), **shared}

@@ -45,7 +45,7 @@ class Plan:
             if node:
                 yield node
             if graph.line_tasks:
-                computed = set() if node is None else set(chunk.lines[... if node.todo is None else node.todo].tolist())
+                computed = set(node.numbers.tolist()) if node else set()
                 for line in chunk.lines.tolist():
                     yield from (n for n in self._of_line(line) if n.task != "atlas" or line not in computed)
 
