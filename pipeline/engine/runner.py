@@ -110,10 +110,9 @@ def _attempt(studies: list["StudyRun"], options: Options, signals: Signals) -> N
         with Display([study.progress for study in by_jobs.values() if study.progress], options.quiet):
 
             def finish(jobs: Jobs) -> None:
-                by_jobs[jobs].finish(jobs, scheduler.account, signals)
+                by_jobs[jobs].finish(jobs, [each.account for each in by_jobs], signals)
 
-            scheduler = Scheduler(list(by_jobs), engine, signals, finish)
-            scheduler.run()
+            Scheduler(list(by_jobs), engine, signals, finish).run()
 
 
 def _check_room(study: Study, path: Path) -> None:
@@ -192,7 +191,7 @@ class StudyRun:
             return Jobs(plan, engine, listen, self.options.chunk)
         return None
 
-    def finish(self, jobs: Jobs, command: Account, signals: Signals) -> None:
+    def finish(self, jobs: Jobs, accounts: list[Account], signals: Signals) -> None:
         """Write the archive of a study whose jobs are done, or report what ended it."""
         with self._guarded():
             signals.check()
@@ -205,7 +204,7 @@ class StudyRun:
             failures = result_tables.failed(jobs.plan)
             failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
             self._record |= {
-                "account": jobs.account.record(command, jobs.engine.jobs),
+                "account": jobs.account.record(accounts, jobs.engine.jobs),
                 "points": sum(written.counts.values()),
                 "counts": dict(written.counts),
                 "failed": sum(written.failures.values()),

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pipeline.engine.account import Account
 from pipeline.engine.executors import Engine
 from pipeline.engine.jobs import Jobs
 from pipeline.engine.request import Request
@@ -43,7 +42,6 @@ class Scheduler:
         finish: Callable[[Jobs], None] = lambda study: None,
     ):
         self.studies, self.engine, self.signals, self.finish = list(studies), engine, signals, finish
-        self.account = Account()
         self.running: dict[int, tuple[Jobs, Node]] = {}
         self._numbers = itertools.count()
         self._wanted = {study: set(study.wanted()) for study in studies} if len(studies) > 1 else {}
@@ -132,7 +130,6 @@ class Scheduler:
         return study.has_knees and self._compiling in self.running
 
     def _record(self, number: int, result: dict[str, Any]) -> None:
-        self.account.add(result)
         with self._lock:
             study, node = self.running.pop(number)
             study.record(node, result)

@@ -6,7 +6,6 @@ damaged records only.
 
 import contextlib
 import sqlite3
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,7 +37,7 @@ class Outcome(NamedTuple):
 
 
 class Store:
-    """Records of one archive. The run is their only writer; others open it with `write=False`.
+    """Records of one archive. The run is their only writer, one thread at a time; others open it with `write=False`.
 
     Parameters
     ----------
@@ -57,7 +56,7 @@ class Store:
     """
 
     def __init__(self, path: Path, write: bool = True):
-        self.path, self._lock, self._synced = path, threading.RLock(), 0.0
+        self.path, self._synced = path, 0.0
         self.numbers: dict[str, int] = {}
         self._kin: set[str] = set()
         try:
@@ -76,10 +75,9 @@ class Store:
 
     def close(self) -> None:
         """Fold the write-ahead log into the file and close it."""
-        with self._lock:
-            with contextlib.suppress(sqlite3.Error):
-                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-            self._db.close()
+        with contextlib.suppress(sqlite3.Error):
+            self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        self._db.close()
 
     def __contains__(self, key: str) -> bool:
         return key in self.numbers
@@ -96,19 +94,18 @@ class Store:
 
         Durable at once if the run crashes, within `_SYNC_INTERVAL` if the power fails.
         """
-        with self._lock:
-            clock, earlier = time.monotonic(), self.numbers.get(key.key)
-            is_synchronous = clock - self._synced > _SYNC_INTERVAL
-            self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
-            number = self._last + 1
-            sums = file.sums(number, *key, head, payload)
-            self._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, *key, *sums, head, payload)
-            self._last = number
-            if earlier:  # if this is lost, the later one counts
-                self._execute("DELETE FROM records WHERE id = ?", earlier)
-            self._synced = clock if is_synchronous else self._synced
-            self.numbers[key.key] = number
-            self._kin.add(key.kin)
+        clock, earlier = time.monotonic(), self.numbers.get(key.key)
+        is_synchronous = clock - self._synced > _SYNC_INTERVAL
+        self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
+        number = self._last + 1
+        sums = file.sums(number, *key, head, payload)
+        self._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, *key, *sums, head, payload)
+        self._last = number
+        if earlier:  # if this is lost, the later one counts
+            self._execute("DELETE FROM records WHERE id = ?", earlier)
+        self._synced = clock if is_synchronous else self._synced
+        self.numbers[key.key] = number
+        self._kin.add(key.kin)
 
     def head(self, key: str) -> bytes:
         """Head of a record, without reading its payload."""
@@ -179,7 +176,6 @@ class Store:
 
     def _execute(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
         try:
-            with self._lock:
-                return self._db.execute(sql, values).fetchall()
+            return self._db.execute(sql, values).fetchall()
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             file.raise_for(error, self.path)
