@@ -9,7 +9,31 @@ from pipeline import dispatch
 from pipeline.errors import StudyError
 from pipeline.study.location import Location, clip
 
-_MAX_BYTES, _MAX_BASES = 1 << 20, 8
+_MAX_BASES = 8
+
+
+def read_text(path: Path, shown: str, most: int = 1) -> str:
+    """Read a text file of at most so many MiB; errors call it `shown`.
+
+    Raises
+    ------
+    StudyError
+        If it is missing, too large or no text.
+    """
+    try:
+        if not path.is_file():
+            raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
+        if path.stat().st_size > most << 20:
+            raise StudyError(f"{shown} is larger than {most} MiB.")
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise unreadable(shown, error) from error
+
+
+def unreadable(shown: str, error: Exception) -> StudyError:
+    """Error for a file that cannot be read; what caused it may quote control characters, or a path with a null byte."""
+    detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+    return StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.")
 
 
 def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> tuple[str, dict[str, Any]]:
@@ -20,18 +44,11 @@ def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> t
     StudyError
         If it is missing, too large or not TOML.
     """
-    shown = clip(shown, 200)
+    text = read_text(path, shown := clip(shown, 200))
     try:
-        if not path.is_file():
-            raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
-        if path.stat().st_size > _MAX_BYTES:
-            raise StudyError(f"{shown} is larger than 1 MiB.")
-        text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text, parse_float=number)
-    except (OSError, ValueError) as error:
-        # A TOML error may quote control characters or a path with a null byte.
-        detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
-        raise StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.") from error
+    except ValueError as error:
+        raise unreadable(shown, error) from error
     except RecursionError as error:
         raise StudyError(f"{shown} is nested too deeply.") from error
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import StudyError
+from pipeline.study import files
 from pipeline.study.location import Location, clip
 from tasks.registry import GAITS, SI_UNITS, VARIABLES
 
 Columns = dict[str, np.ndarray]
-_MAX_BYTES, _MAX_ROWS = 1 << 22, 20_000
+_MAX_MIB, _MAX_ROWS = 4, 20_000
 #: Other spellings of units, and factors of units that are converted.
 _SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "kg m2": "kg m2", "N*m": "N m"}
 _DEGREES = ("deg", "°", "degree", "degrees")
@@ -52,16 +53,10 @@ def read(
         raise location.wrong("must be a path relative to the study", name)
     shown = clip(name, 200)
     try:
-        path = folder / name
-        if not path.is_file():
-            raise location.error(f"There is no file {shown}")
-        if path.stat().st_size > _MAX_BYTES:
-            raise location.error(f"{shown} is larger than 4 MiB")
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), strict=True))
-    except (OSError, ValueError, csv.Error) as error:
-        if isinstance(error, StudyError):
-            raise
-        raise location.error(f"{shown} cannot be read: {clip(str(error), 120)}") from error
+        rows = list(csv.reader(files.read_text(folder / name, shown, _MAX_MIB).splitlines(), strict=True))
+    except (StudyError, csv.Error) as error:
+        known = error if isinstance(error, StudyError) else files.unreadable(shown, error)
+        raise location.error(str(known)) from error
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows) > _MAX_ROWS:
         raise location.error(f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}")
