@@ -124,14 +124,21 @@ class Motion:
             normal = S.rotate(sine, cosine)
             return p.rotate(normal, p.R, tilt[j]).im, p.rotate(normal, s * p.R, tilt[j]).re
 
+        def between(i: int, j: int) -> tuple[Sym, Sym]:
+            """Sine and cosine of the angle from one link to another; a flow has them cheaper than their products."""
+            if p.held_values is not None:
+                angle = scale * (q[j] - q[i])
+                return hy.sin(angle), hy.cos(angle)
+            (si, ci), (sj, cj) = tilt[i], tilt[j]
+            return sj * ci - cj * si, cj * ci + sj * si
+
         self.y, self.m = rolling(p.S_a, 0)
         self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
         self.f[0] = -(self.m * square[0]) - p.rotate(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
         #: An entry for each swing link, from 1.
         self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
         for j, (S, C) in enumerate(swing, start=1):
-            between = scale * (q[j] - q[0])
-            trig = hy.sin(between), hy.cos(between)
+            trig = between(0, j)
             K = Complex(p.l * S.im, -p.l * S.re)
             roll, roll_by = rolling(S, j)
             c, by_stance = p.rotate(K, ONE, trig).re, p.rotate(K, s, trig).im
@@ -144,8 +151,7 @@ class Motion:
             self.f[0] = self.f[0] - eps * (by_swing * square[j])
             self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).re
         if free_knee:
-            bent = scale * (q[2] - q[1])
-            trig = hy.sin(bent), hy.cos(bent)
+            trig = between(1, 2)
             self.h, self.h_by = p.rotate(p.H, ONE, trig).re, p.rotate(p.H, s, trig).im
             self.M[1][2] = self.M[2][1] = self.h
             self.f[1] = self.f[1] + self.h_by * square[2]
