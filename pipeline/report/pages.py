@@ -2,10 +2,8 @@
 
 import base64
 import contextlib
-import csv
 import fcntl
 import hashlib
-import io
 import multiprocessing
 import os
 import pickle
@@ -134,7 +132,7 @@ def _in_processes(
     workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
     if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
         _environment()
-        size = -(-len(sources) // (16 * workers))
+        size = -(-len(sources) // (3 * workers))
         parts = [list(zip(sources, slugs, strict=True))[k : k + size] for k in range(0, len(sources), size)]
         with contextlib.suppress(OSError):  # no room for another process
             for slug, page in _forked(parts, workers):
@@ -305,7 +303,8 @@ def _page(source: Source, slug: str) -> Page:
     every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
     frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
     frames |= {"absent": listed} if len(absent) else {}
-    files = {f"{slug}-{name}.csv": _csv(frame) for name, frame in frames.items()}
+    known: dict[bytes, list[str]] = {}  # a column may be in several tables
+    files = {f"{slug}-{name}.csv": _csv(frame, known) for name, frame in frames.items()}
     undrawn = [name for name in source.figures if name not in [drawing.name for drawing in drawings]]
     states = _share_states(drawings)
     return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files)
@@ -415,22 +414,29 @@ def _tightened(line: str) -> str:
     )
 
 
-def _csv(frame: pd.DataFrame) -> str:
-    """A frame as CSV; words that a spreadsheet would evaluate as a formula are quoted."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(frame.columns)
-    writer.writerows(zip(*(_entries(column) for _, column in frame.items()), strict=True))
-    return text.getvalue()
+def _csv(frame: pd.DataFrame, known: dict[bytes, list[str]] | None = None) -> str:
+    """A frame as CSV; `known` keeps the entries of columns of numbers, which other frames may have too."""
+    columns = [_entries(column, {} if known is None else known) for _, column in frame.items()]
+    return "".join(",".join(row) + "\n" for row in [map(_field, frame.columns), *zip(*columns, strict=True)])
 
 
-def _entries(column: pd.Series) -> list[Any]:
-    """What a column has in a CSV file: nothing where its number or word is missing."""
-    entries = column.to_numpy(object, copy=True)
-    entries[column.isna().to_numpy()] = ""
+def _entries(column: pd.Series, known: dict[bytes, list[str]]) -> list[str]:
+    """What a column has in a CSV file: nothing where its number or word is missing.
+
+    Words that a spreadsheet would evaluate as a formula are quoted.
+    """
     if column.dtype.kind in "iuf":
-        return list(entries)
-    return [f"'{entry}" if str(entry)[:1] in ("=", "+", "-", "@") else entry for entry in entries]
+        key = column.dtype.str.encode() + column.to_numpy().tobytes()
+        if key not in known:
+            known[key] = ["" if x != x else repr(x) for x in column.tolist()]
+        return known[key]
+    words = ["" if no else str(word) for word, no in zip(column, column.isna(), strict=True)]
+    return [_field(f"'{word}" if word[:1] in ("=", "+", "-", "@") else word) for word in words]
+
+
+def _field(word: str) -> str:
+    """A word in a CSV file, within quotes if it holds a sign of the format."""
+    return '"' + word.replace('"', '""') + '"' if re.search('[,"\n\r]', word) else word
 
 
 def _publish(path: Path, text: str) -> None:

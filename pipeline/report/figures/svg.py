@@ -83,14 +83,14 @@ def _thumbnail(figure: Figure, salt: str) -> str:
 
 
 def _coarsen(figure: Figure) -> None:
-    """Leave out what is too small to see on the index: ticks, grid, legends and the details of curves."""
+    """Leave out what is too small to see on the index: ticks, words, grid, legends and the details of curves."""
     for line in figure.findobj(Line2D):
         line.get_path().simplify_threshold = 1.0
         if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
             line.set_visible(False)
     for axes in figure.axes:
-        axes.tick_params(length=0)
-        axes.grid(False)
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
     for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))]:
         legend.set_visible(False)
 
