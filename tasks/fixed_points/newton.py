@@ -174,7 +174,7 @@ def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float)
         moved[i] += h
         stride, _ = problem.stride(moved, log_slope)
         change = (stride.derivative - base.derivative) / h
-        product = np.stack([matvec(base.inverse, change[:, j]) for j in range(len(w))], axis=1)
+        product = matvec(base.inverse[:, :, None], change[:, : len(w)])
         weighted = product * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
         gradient[:, i] = (characteristic(stride.jacobian) - characteristic(base.jacobian)) / h

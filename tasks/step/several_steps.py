@@ -88,9 +88,7 @@ class Strides:
         """Derivative of all steps, one after another, by the first section, shape (m/s, m/s, n)."""
         product = self.one.jacobian[:, :, 0]
         for i in range(1, self.steps):
-            product = np.stack(
-                [matvec(self.one.jacobian[:, :, i], column) for column in product.swapaxes(0, 1)], axis=1
-            )
+            product = matvec(self.one.jacobian[:, :, None, i], product)
         return np.asarray(product)
 
     @functools.cached_property

@@ -148,12 +148,12 @@ def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    A : ndarray, shape (i, j, n)
-    v : ndarray, shape (j, n)
+    A : ndarray, shape (i, j, n), or (i, j, 1, n) for a product of matrices
+    v : ndarray, shape (j, n), or (j, k, n)
 
     Returns
     -------
-    ndarray, shape (i, n)
+    ndarray, shape (i, n), or (i, k, n)
     """
     total = A[:, 0] * v[0]
     for j in range(1, A.shape[1]):
