@@ -3,6 +3,7 @@
 import base64
 import contextlib
 import fcntl
+import gc
 import hashlib
 import multiprocessing
 import os
@@ -179,6 +180,7 @@ def _deliver(
 
     The ends at which its parent receives are closed here, so that it does not wait for one that was killed.
     """
+    gc.freeze()  # collections would copy the memory that processes share
     try:
         for receiver in receivers:
             receiver.close()
