@@ -9,7 +9,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     # line, gait or initial condition of a row
     "walker": ("number", "walker of the row, by its name in the study"),
     "gait": ("number", "label of the gait"),
-    "detuning": ("number", "position between the exactly tuned walker (0) and the physical one (1)"),
+    "detuning": ("number", "position between a walker (0) and another (1)"),
     "special_points/error_bound": ("number", "largest relative error of the slope"),
     "curves/error_bound": ("number", "largest relative error of the slope at this value of the key"),
     "turnings/error_bound": ("number", "largest relative error of the slope"),

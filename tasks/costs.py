@@ -5,10 +5,8 @@ Like the registry, this module imports nothing but the standard library.
 
 from dataclasses import dataclass
 
-#: Width of a panel of slopes, for which the cells of a plane are made, in ln slope.
-PANEL = 0.125
-#: Share of the lines of a plane that may be surveyed for its cells before the others are computed one by one.
-MAX_SURVEYED = 0.25
+#: Share of the lines of a plane that are surveyed by themselves, because charts predict none of their gaits.
+ALONE = 0.05
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,7 @@ _STEPS = "transient+steps"
 COSTS = {
     "atlas": (Cost(0.13, 0.55), Cost(1.3, 3.0, ("searches",))),
     "atlas side by side": (Cost(0.05, 0.16),),
-    "cell": (Cost(0.7, 4.2),),
-    "panel": (Cost(0.2, 0.8),),
+    "charts": (Cost(1.4, 3.5),),
     "trace": (Cost(0.05, 0.15),),
     "branch": (Cost(0.04, 0.15),),
     "orbit": (Cost(1.3e-3, 2e-3, (_STEPS,)), Cost(4e-6, 2.1e-5, ("slopes", "starts", _STEPS))),
@@ -58,7 +55,7 @@ COSTS = {
 POINTS = {
     "long": Cost(1.8e-5, 7e-5, ("points",)),
     "interpolated": Cost(1.3e-6, 1.3e-6, ("points",)),
-    "plane": Cost(7e-5, 2.3e-4, ("points",)),
+    "plane": Cost(6e-5, 1.6e-4, ("points",)),
     "short": Cost(4e-4, 1e-3, ("points",)),
     "cycles": Cost(2e-3, 3e-3, ("points", "gait_steps")),
     "violations": Cost(1.4e-4, 4.4e-4, ("points",)),

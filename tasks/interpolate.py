@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +12,10 @@ from tasks import status
 from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.box import Refused, tensor_nodes
-from tasks.families.cell import Block, Cell, Family
+from tasks.families.cell import Block, Cell
 from tasks.families.chart import Chart, fit
-from tasks.families.patch import Patch, are_predicted, measured
+from tasks.families.family import Family
+from tasks.families.patch import Patch, measured
 from tasks.families.pieces import Piece, pieces_of
 from tasks.families.span import Span
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
@@ -40,8 +41,8 @@ _WIDTH = 1.0
 #: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and the factor
 #: on the largest of these constants.
 _MEASURED, _LIPSCHITZ_SAFETY = 3, 2.0
-#: Most nodes of a sheet over a patch along each dimension, and points drawn to check it.
-_MAX_NODES, _DRAWN = 13, 64
+#: Most nodes of a sheet over a patch along each dimension, by those of the patch and beyond, and points that check it.
+_GROWN, _FURTHER, _DRAWN = 2, 8, 64
 
 #: A panel: the number of its piece, and its span.
 Panel = tuple[int, Span]
@@ -139,6 +140,32 @@ class Sheet:
         )
         return cls(span, chart, passes, (low, high))
 
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return a sheet over part of the span of a patch as plain arrays.
+
+        Returns
+        -------
+        dict of ndarray
+            `passes`, `unmeasured`, the `part` of the span, and the chart's, if there is one.
+        """
+        own = {name: np.array(getattr(self, name)) for name in ("passes", "unmeasured")}
+        return own | {"part": np.array(self.span.part)} | (self.chart.to_arrays("chart") if self.chart else {})
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray], span: Span) -> Sheet:
+        """Return the sheet over part of a span that arrays hold.
+
+        Parameters
+        ----------
+        arrays : mapping
+            As `to_arrays` returns them.
+        span : Span
+            That of the patch.
+        """
+        part, unmeasured = (tuple(arrays[name].tolist()) for name in ("part", "unmeasured"))
+        chart = Chart.from_arrays("chart", arrays) if "chart_sizes" in arrays else None
+        return cls(replace(span, part=part), chart, int(arrays["passes"].item()), unmeasured)
+
     def is_measured(self, points: np.ndarray) -> np.ndarray:
         """Whether errors are known at points of the span.
 
@@ -151,7 +178,8 @@ class Sheet:
         ndarray of bool, shape (n,)
         """
         low, high = self.unmeasured
-        return np.asarray((1 + points[:, 0] > low) & (1 - points[:, 0] > high))
+        inside = np.abs(points[:, 0]) <= 1
+        return np.asarray(inside & (1 + points[:, 0] > low) & (1 - points[:, 0] > high))
 
 
 @dataclass(frozen=True)
@@ -412,32 +440,33 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, poi
 def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: int) -> Sheet:
     """The sheet of a patch, or Refused."""
     drawn = cell.box.draw(_DRAWN, 1 + len(family.keys), f"sheet {patch.numbers[0]}")
-    passes = 0
+    span, passes = patch.inside, 0
 
     def attempt(sizes: tuple[int, ...], _: Chart | None) -> Chart:
         nonlocal passes
         if math.prod(sizes) + _DRAWN >= points:
             raise Refused("fewer points than gaits to solve")
         at = np.vstack([tensor_nodes(sizes), drawn])
-        sampled = _over(family, cell, patch, at, want, accuracy)
+        sampled = _over(family, cell, patch, span, at, want, accuracy)
         passes = sampled.passes
         return sampled.chart(sizes, at)
 
-    good, most = _SHARE * accuracy, (_MAX_NODES,) * drawn.shape[1]
-    chart = fit(attempt(patch.gaits.sizes, None), attempt, most, good, good, len(family.keys))
-    return Sheet.of(patch.span, chart, passes, drawn[:, 0])
+    good, most = _SHARE * accuracy, tuple(_GROWN * n + _FURTHER for n in patch.gaits.sizes)
+    chart = fit(attempt(patch.gaits.sizes, None), attempt, most, points, good, good, len(family.keys))
+    return Sheet.of(span, chart, passes, drawn[:, 0])
 
 
 def _over(
-    family: Family, cell: Cell, patch: Patch, points: np.ndarray, want: Sequence[str], accuracy: float
+    family: Family, cell: Cell, patch: Patch, span: Span, points: np.ndarray, want: Sequence[str], accuracy: float
 ) -> Sampled:
-    """What was solved at points (n, 1 + d) of a patch."""
-    unit, slope = points[:, 1:], np.exp(patch.span.log_slope(points))
-    walkers = family.walkers(cell.box.at(unit))
+    """What was solved at points (n, 1 + d) of a span of a patch."""
+    unit, q = points[:, 1:], span.log_slope(points)
+    walkers, slope = family.walkers(cell.box.at(unit)), np.exp(q)
     problem, guesses = Lanes(walkers, cell.structure), patch.guesses(unit, slope)
     at = settle(problem, guesses, sampled=True, accuracy=accuracy)
-    fine = are_predicted(at, guesses, patch.gaits.error, patch.side)
-    (sampled,) = _sampled(problem, Smooth.of(walkers, want, problem.m), at, slope, want, fine[None])
+    fine, is_step = patch.judge(at, guesses.w, q, unit)
+    smooth = Smooth.of(walkers, want, problem.m)
+    (sampled,) = _sampled(problem, smooth, at, slope, want, (fine & is_step)[None])
     return sampled
 
 
@@ -459,7 +488,7 @@ def interpolate(
     parts : list of Part
         With indices into the points of the lines that are sure.
     sure : ndarray of bool, shape (n,)
-        Lines whose labels and stability do not depend on errors, all of which are known; the others are to be
+        Points whose labels and stability do not depend on errors, all of which are known; the others are to be
         integrated.
     """
     n, s = len(block.unit), len(block.slope)
@@ -467,13 +496,17 @@ def interpolate(
     for sheet, patch in zip(made, block.cell.patches, strict=True):
         index = block.on(patch)
         if sheet.chart is None or sheet.passes != 1 or not len(index):
+            lost[index] |= sheet.chart is None
             continue
         line, own = index // s, index % s
         unit = block.unit[line]
         points = sheet.span.points(block.q[own], unit)
+        known = sheet.is_measured(points)
+        lost[index[~known]] = True
+        index, line, own, unit, points = (values[known] for values in (index, line, own, unit, points))
         smooth = Smooth.of(block.walkers.some(line), want, block.cell.structure.dimension)
         one = _gaits(sheet.chart, points, index, block.slope[own], smooth, want, *patch.numbers_at(unit).T)
-        lost[index[one.uncertain | ~sheet.is_measured(points)]] = True
+        lost[index[one.uncertain]] = True
         found.append(one.part)
-    sure = ~(lost | _tied(found, n * s, _TIE * accuracy)).reshape(n, s).any(axis=1)
-    return [part.some(sure[part.index // s]) for part in found], sure
+    sure = ~(lost | _tied(found, n * s, _TIE * accuracy))
+    return [part.some(sure[part.index]) for part in found], sure

@@ -15,11 +15,12 @@ from tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, be
 from tasks.continuation.refine import COARSE
 from tasks.disturb_designs import attractors_beside, largest_steps
 from tasks.families.box import Box
-from tasks.families.cell import Family
+from tasks.families.family import Family
 from tasks.families.landscape import Landscape, is_known, make, points_at
 from tasks.families.manifold_maker import Maker
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import GAITS
+from tasks.solve_planes import charts
 from tasks.solve_planes import lines as lines_of_plane
 from tasks.solve_points import points
 from tasks.step.problem import Lanes
@@ -52,8 +53,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`, of which a key of `set` may hold an array of values, one for each design; `slope`, ndarray [rad], whose
-        ends are the window; for designs of a cell of a plane of keys `cell`, with its `keys`, `low`, `high` and the
-        `values` of each key that the study has in it.
+        ends are the window; for designs over a plane of keys `plane`, with its `keys`, `low`, `high` and all `values`
+        of each.
     inputs : list
         Empty.
 
@@ -82,16 +83,17 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     at_slope, at_speed, ground = options["at_slope"], options["at_speed"], float(options["ground"])
     log_speed = None if at_speed is None else float(np.log(at_speed))
     rows, accepted, gaits = _Rows(n, log_speed), np.zeros(n, bool), np.full((4, n), np.nan)
-    if "cell" in params:
-        accepted = _over_plane(line, keys, params["cell"], window, rows)
+    if "plane" in params:
+        accepted = _over_plane(line, keys, params["plane"], window, rows)
         # Invalid designs are not solved.
         possible = (
             sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own) if at_slope is not None else []
         )
         if possible:
             each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
-            request = {"lines": each, "slope": np.array([at_slope]), "want": _GAIT, "cell": params["cell"]}
-            gaits[:, possible] = _long(lines_of_plane(request, [])[0][1])
+            request = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT}
+            request |= {"plane": params["plane"]}
+            gaits[:, possible] = _long(lines_of_plane(request, [charts(request, [])])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):
@@ -99,7 +101,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             problem = Lanes(walkers.some(part), structure)
             branches = survey_lines(problem, COARSE)
             rows.store(problem, part, find(problem, branches, window, log_speed), window, surveyed=1)
-            if at_slope is not None and "cell" not in params:
+            if at_slope is not None and "plane" not in params:
                 for i, of_line in zip(part.tolist(), branches, strict=True):
                     own = {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
                     request = {"line": own, "slope": np.array([at_slope]), "want": _GAIT}

@@ -55,6 +55,7 @@ TASKS = {
             over_plane="tasks.solve_planes:lines",
         ),
         Task("points", "tasks.solve_points:points", 20, needs=("atlas",)),
+        Task("charts", "tasks.solve_planes:charts", 1),
         Task("trace", "tasks.trace_motion:trace", 6, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 17, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 9, needs=("atlas",)),
@@ -114,7 +115,7 @@ FITS = ("scaling", "transition", "landmarks", "crises")
 FIGURES = tuple(name for name in READS if name not in FITS)
 
 #: Tasks whose tables claims read beside those of the study's own task, and tasks whose results are in no table.
-READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "points", "corners")
+READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "charts", "points", "corners")
 
 #: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the paper prints.
 LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}

@@ -1,9 +1,7 @@
-"""The task `lines` over a plane of keys: gaits predicted by the patches of a cell and solved by their own steps."""
+"""The task `charts` of a plane of keys, and `lines`: gaits predicted by charts and solved by their own steps."""
 
 from __future__ import annotations
 
-import functools
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,12 +12,13 @@ import numpy as np
 from tasks import status
 from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
-from tasks.costs import PANEL
 from tasks.families.box import Box
-from tasks.families.cell import Block, Cell, Family
-from tasks.families.division import Cells
-from tasks.families.patch import PREDICTED_WITHIN, are_predicted, similarity
+from tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
+from tasks.families.division import make_cells
+from tasks.families.family import Family
+from tasks.families.patch import PREDICTED_WITHIN, similarity
 from tasks.fixed_points.polish import Polished, join, settle
+from tasks.fixed_points.step_check import verify_steps
 from tasks.interpolate import Sheet, interpolate, sheets
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.registry import GAITS, VARIABLES
@@ -35,85 +34,107 @@ _APART = 1e-7
 _BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
 
 
-def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays, Arrays]]:
-    """Solve the gaits at the slopes of lines in one cell of a plane of keys.
+def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Make the charts of gaits over a plane of keys and a window of slopes.
 
     Parameters
     ----------
     params : mapping
-        `lines`, the line of each; `cell`, with its `keys`, `low`, `high` and the `values` of each key that the study
-        has in it; the others as `tasks.solve_points:points` has them.
+        `line`, one of the plane; `plane`, with its `keys`, `low`, `high` and the `values` of each key that the study
+        has; `slope`, ndarray, shape (n,) [rad]; `want` and `accuracy` as `tasks.solve_points:points` has them.
     inputs : list
         Empty.
 
     Returns
     -------
+    dict
+        The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows.
+    """
+    family, box = _family(params["line"], params["plane"])
+    q, values = np.log(params["slope"]), params["plane"]["values"]
+    cells = make_cells(family, box, (float(q.min()), float(q.max())), values, len(q))
+    accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells)
+    want = _names(params)
+    if is_interpolated(want, accuracy):
+        for i, cell in enumerate(cells):
+            for j, sheet in enumerate(sheets(family, cell, want, accuracy, cell.box.count(values) * len(q))):
+                arrays |= {f"{i}/{j}/sheet_{name}": value for name, value in sheet.to_arrays().items()}
+    return arrays
+
+
+def _names(params: Mapping[str, Any]) -> list[str]:
+    """Names of the variables that a request wants, and of those that its accuracy needs."""
+    return [v for v in VARIABLES if v in params["want"] or v in always(params.get("accuracy", 0.0))]
+
+
+def _family(line: Mapping[str, Any], plane: Mapping[str, Any]) -> tuple[Family, Box]:
+    """The family and the box of a plane."""
+    family = Family.of(line, plane["keys"])
+    return family, Box(family.keys, tuple(plane["low"]), tuple(plane["high"]), log=True)
+
+
+def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays, Arrays]]:
+    """Solve the gaits at the slopes of lines in a plane of keys.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, the line of each; `plane` as `charts` has it; the others as `tasks.solve_points:points` has them.
+    inputs : list
+        What `charts` returns; without it all lines are followed by themselves.
+
+    Returns
+    -------
     list of (dict, dict)
-        One pair for all lines: no atlas, and what `points` returns, line by line. The result of a line depends on the
-        line, the cell and the slopes alone: a line that is not accepted at one of them is followed by itself at all.
+        One pair for all lines: no atlas, and what `points` returns, line by line. The result of a point depends on its
+        line, the charts and its slope alone: where its prediction is not accepted, that line is followed by itself.
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
-    cell = params["cell"]
-    family = Family.of(all_lines[0], cell["keys"])
-    box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]))
-    values = tuple(tuple(map(float, each)) for each in cell["values"])
-    accuracy = params.get("accuracy", 0.0)
-    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
+    family, box = _family(all_lines[0], params["plane"])
+    arrays = inputs[0] if inputs else {}
+    accuracy, want = params.get("accuracy", 0.0), _names(params)
     wanted = Wanted(want, set(params.get("gaits") or GAITS), params.get("violation_limits"), accuracy)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
     walkers, corners = family.walkers(keys), family.walkers(np.array([box.low, box.high]))
+    n, s = len(keys), len(slope)
     # A massless leg's steps are the limit of those of light ones; its losses have formulas of their own.
-    accepted = walkers.massless_legs == corners.massless_leg
-    width = 4 if walkers.knees else 3
+    is_alike = walkers.massless_legs == corners.massless_leg
+    accepted = np.zeros((n, s), bool)
     out = {
-        name: value.reshape(len(keys), len(slope), *value.shape[1:])
-        for name, value in nothing_solved(want, len(keys) * len(slope), width).items()
+        name: value.reshape(n, s, *value.shape[1:])
+        for name, value in nothing_solved(want, n * s, 4 if walkers.knees else 3).items()
     }
-    panels = np.floor(np.log(slope) / PANEL) * PANEL
-    cells = _cells(family, box, tuple(np.unique(panels).tolist()), values)
-    for part in itertools.chain(*cells.values()):
-        if part.why:
-            accepted &= ~_inside(part.box, keys, box)
-    for low, parts in cells.items():
-        at_panel = np.flatnonzero(panels == low)
-        for part in parts:
-            inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
-            if not len(inside):
-                continue
-            made: list[Sheet] = []
-            if is_interpolated(want, accuracy):
-                made = _sheets(family, part, tuple(want), accuracy, part.box.count(values) * len(at_panel))
-            solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], wanted, made)
-            for name, value in solved.items():
-                out[name][np.ix_(inside, at_panel)] = value
+    for cell, own in zip(from_arrays(family, arrays), parts(arrays), strict=True):
+        inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
+        if cell.why or not len(inside):
+            continue
+        made = [
+            Sheet.from_arrays({k.removeprefix("sheet_"): v for k, v in each.items()}, patch.span)
+            for each, patch in zip(parts(own), cell.patches, strict=True)
+            if "sheet_part" in each
+        ]
+        solved, accepted[inside] = solve(family, cell, keys[inside], slope, wanted, made)
+        for name, value in solved.items():
+            out[name][inside] = value
     to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, accuracy)
     reasons = _reasons(family, box)
-    others = np.flatnonzero(~accepted).tolist()
-    if others:
-        surveyed = lines_side_by_side({**params, "lines": [all_lines[i] for i in others]}, [])
+    sentences: dict[str, int] = {}
+    # Lines that are not accepted at all, then others at the slopes that some of them lack.
+    none = ~accepted.any(axis=1)
+    for some in (none, ~none & ~accepted.all(axis=1)):
+        numbers, at = np.flatnonzero(some).tolist(), np.flatnonzero(~accepted[some].all(axis=0))
+        if not numbers:
+            continue
+        request = {**params, "lines": [all_lines[i] for i in numbers], "slope": slope[at]}
         out["reason"] = out["reason"].astype(np.int32)
-        sentences: dict[str, int] = {}
-        for i, (_, points) in zip(others, surveyed, strict=True):
+        for i, (_, points) in zip(numbers, lines_side_by_side(request, []), strict=True):
+            lacking = ~accepted[i, at]
             of_line = points["reasons"].tolist()
-            own = np.array([len(reasons) + sentences.setdefault(sentence, len(sentences)) for sentence in of_line])
-            for name in out:
-                out[name][i] = own[points[name]] if name == "reason" else points[name]
-        reasons += sentences
+            number = np.array([len(reasons) + sentences.setdefault(sentence, len(sentences)) for sentence in of_line])
+            for name, every in out.items():
+                every[i, at[lacking]] = (number[points[name]] if name == "reason" else points[name])[lacking]
     joined = {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}
-    return [({}, joined | {"reasons": np.array(reasons)})]
-
-
-@functools.lru_cache(16)  # blocks of lines come cell by cell
-def _cells(
-    family: Family, box: Box, panels: tuple[float, ...], values: tuple[tuple[float, ...], ...]
-) -> dict[float, list[Cell]]:
-    """Cells of a box for each panel, for the lines at some values of its keys."""
-    cells = Cells(family, box, values)
-    return {low: cells.make(low) for low in panels}
-
-
-#: Polynomials of a cell, made once for all blocks of its lines.
-_sheets = functools.lru_cache(256)(sheets)
+    return [({}, joined | {"reasons": np.array([*reasons, *sentences])})]
 
 
 def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:
@@ -171,49 +192,57 @@ def solve(
     -------
     out : dict of ndarray, shape (n, s, len(GAITS)[, multipliers])
         In the walkers' units.
-    accepted : ndarray of bool, shape (n,)
-        Lines all of whose gaits are accepted; what `out` has of the others is void.
+    accepted : ndarray of bool, shape (n, s)
+        Points all of whose gaits are accepted; what `out` has of the others is void.
     """
     n, s = len(keys), len(slope)
     out = nothing_solved(wanted.names, n * s, 4 if cell.structure.kneed else 3)
-    accepted = np.full(n, bool(not cell.why))
+    accepted = np.ones((n, s), bool)
     lines = max(1, (_INTERPOLATED_BLOCK if made else _BLOCK) // s)
-    for k in range(0, n if not cell.why else 0, lines):
+    for k in range(0, n, lines):
         some = slice(k, k + lines)
-        block, part = (
-            Block(family, cell, keys[some], slope),
-            {name: v[k * s : (k + lines) * s] for name, v in out.items()},
-        )
-        integrated = accepted[some] = _away_from_events(block)
+        block = Block(family, cell, keys[some], slope)
+        part = {name: v[k * s : (k + lines) * s] for name, v in out.items()}
+        fine = _known_to_end(block) & _away_from_ends(block)
+        integrated = fine.copy()
         if made:
             parts, sure = interpolate(block, made, wanted.names, wanted.accuracy)
             store(part, parts, wanted.labels)
-            integrated = integrated & ~sure
-        accepted[some] &= _solve_block(block, wanted, part, integrated)
+            integrated &= ~sure
+        accepted[some] = (fine & _solve_block(block, wanted, part, integrated)).reshape(-1, s)
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
 
-def _away_from_events(block: Block) -> np.ndarray:
-    """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,).
-
-    A piece goes on beyond the end at which it is cut. The cut lies at one distance from the event at the other, which
-    beside the border of the box may be less than where the panel ends: there is no prediction.
-    """
-    away = np.ones(len(block.unit), bool)
+def _away_from_ends(block: Block) -> np.ndarray:
+    """Whether points are farther from the ends of pieces than their errors, shape (n s,)."""
+    away = np.ones((len(block.unit), len(block.slope)), bool)
     for patch in block.cell.patches:
-        low, high = patch.span.ends(block.unit)[:, :, None]
-        inwards = block.q - low, high - block.q
-        for off, error, is_event in zip(inwards, patch.end_errors, patch.events, strict=True):
-            near = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
-            away &= (np.abs(off) > near if is_event else off >= 0).all(axis=1)
-    return away
+        for end, error, kind in zip(patch.span.ends(block.unit), patch.end_errors, patch.kinds, strict=True):
+            if kind in ("fold", "end"):
+                away &= np.abs(block.q - end[:, None]) > PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
+    return away.ravel()
+
+
+def _known_to_end(block: Block) -> np.ndarray:
+    """Whether points beyond the ends of walking have no gait: the equations' solutions at these ends are none."""
+    known = np.ones((len(block.unit), len(block.slope)), bool)
+    for patch in block.cell.patches:
+        for k, (end, kind) in enumerate(zip(patch.span.ends(block.unit), patch.kinds, strict=True)):
+            beyond = (block.q < end[:, None]) if k == 0 else (block.q > end[:, None])
+            lines = np.flatnonzero(beyond.any(axis=1))
+            if kind == "beyond" and len(lines):
+                points = np.column_stack([np.full(len(lines), (-1.0, 1.0)[k]), block.unit[lines]])
+                problem = Lanes(block.walkers.some(lines), block.cell.structure)
+                _, check = verify_steps(problem, patch.gaits(points), end[lines])
+                known[lines] &= ~(beyond[lines] & check.step[:, None])
+    return known.ravel()
 
 
 def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarray) -> np.ndarray:
-    """Store the gaits of lines that are to be `integrated` in `out`, and return which of all are accepted, (n,)."""
+    """Store the gaits of points that are to be `integrated` in `out`, and return which of all are accepted, (n s,)."""
     patches, s = block.cell.patches, len(block.slope)
-    accepted = np.ones(len(block.unit), bool)
-    indices = [index[integrated[index // s]] for index in map(block.on, patches)]
+    accepted = np.ones(len(integrated), bool)
+    indices = [index[integrated[index]] for index in map(block.on, patches)]
     if not sum(map(len, indices)):
         return accepted
     guesses = join(
@@ -222,29 +251,28 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
             for patch, index in zip(patches, indices, strict=True)
         ]
     )
-    line = np.concatenate(indices) // s
-    walkers = block.walkers.some(line)
+    index = np.concatenate(indices)
+    walkers = block.walkers.some(index // s)
     problem = Lanes(walkers, block.cell.structure)
     at = settle(problem, guesses, sampled=True, accuracy=wanted.accuracy)
-    counts = [len(index) for index in indices]
-    error, side = np.repeat([(patch.gaits.error, patch.side) for patch in patches], counts, axis=0).T
-    np.logical_and.at(accepted, line, are_predicted(at, guesses, error, side))
+    ends = np.cumsum([len(each) for each in indices]).tolist()
+    of_part = [slice(end - len(each), end) for each, end in zip(indices, ends, strict=True)]
     gaits = _describe(problem, walkers, at, guesses.slope, wanted)
-    parts, of_part = (
-        [],
-        [slice(end - count, end) for count, end in zip(counts, np.cumsum(counts).tolist(), strict=True)],
-    )
-    for patch, index, part in zip(patches, indices, of_part, strict=True):
-        own = {name: value[part] for name, value in gaits.items()}
-        own["branch"], own["piece"] = patch.numbers_at(block.unit[index // s]).T
-        angle = np.where(own["anthropomorphic"], guesses.w[0, part], np.nan)
-        parts.append(Part(index, angle, own["heelstrike_rate_ratio"], own))
+    parts = []
+    for patch, own, part in zip(patches, indices, of_part, strict=True):
+        unit = block.unit[own // s]
+        fine, is_step = patch.judge(lanes_of(at, part), guesses.w[:, part], block.q[own % s], unit)
+        accepted[own[~fine]] = False
+        solved = {name: value[part] for name, value in gaits.items()}
+        solved["branch"], solved["piece"] = patch.numbers_at(unit).T
+        angle = np.where(solved["anthropomorphic"], guesses.w[0, part], np.nan)
+        parts.append(Part(own, angle, solved["heelstrike_rate_ratio"], solved).some(is_step))
     store(out, parts, wanted.labels)
     w = similarity(at)
     for i, j in combinations(range(len(parts)), 2):
         both, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
         alike = np.abs(w[:, of_part[i]][:, a] - w[:, of_part[j]][:, b]).max(axis=0, initial=0.0) < _APART
-        accepted[both[alike] // s] = False
+        accepted[both[alike]] = False
     return accepted
 
 

@@ -86,6 +86,8 @@ def test_the_studies_shown_can_be_run(tmp_path):
     (tmp_path / "mine-study.toml").write_text(sweep)
     mine = parse.read(tmp_path / "mine-study.toml")
     assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
+    templates = {path.stem: parse.read(path) for path in (ROOT / "data" / "studies" / "examples").glob("*.toml")}
+    assert len(templates) > 3 and templates["toward-round-feet"].line_shape == (1, 12, 5)
     (readme,) = blocks("README.md", "toml")
     assert parse.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
 

@@ -171,7 +171,7 @@ def gaits(
     _solve(base, solvable, found)
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
-    coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
+    coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si, answers[:1])) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     constants = _constants(first, answers, varying) if first else {}
     parts = found.parts or [Points.of_ending(0, "raised", "", wanted)]
@@ -245,11 +245,15 @@ def _solve_plane(base: Study, lines: list[_Line], found: _Found) -> list[_Line]:
     if method_of(study) is not Method.PLANE:
         return lines
     graph, left = Graph(study, in_memory=True), []
+    charts: dict[str, Any] = {}
     for k in range(graph.grid.chunks):
         node = graph.chunk_node(chunk := graph.grid.chunk(k))
         own = [lines[number] for number in by_number[chunk.lines].tolist()]
         try:
-            first = found.add(_computed(graph, node, []))
+            if node.needs[0] not in charts:
+                made = graph.line_node(int(chunk.lines[0]), "charts")
+                charts = {node.needs[0]: dispatch.resolve(graph.function(made))(graph.params(made), [])}
+            first = found.add(_computed(graph, node, [charts[node.needs[0]]]))
         except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue

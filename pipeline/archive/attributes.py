@@ -1,12 +1,14 @@
 """CF attributes of axes and variables, in files and in memory."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study import units
+from pipeline.study.ways import ends
 from tasks.registry import PROVED, VIOLATIONS, Variable
 
 CONVENTIONS = "CF-1.11"
@@ -39,9 +41,22 @@ def put(owner: Any, values: dict[str, Any]) -> None:
         raise RuntimeError("attributes are lost")
 
 
-def of_axis(name: str, is_si: bool) -> dict[str, str]:
-    """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units."""
-    return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
+def of_axis(name: str, is_si: bool, checks: Sequence[Mapping[str, Any]] = ()) -> dict[str, str]:
+    """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units.
+
+    Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as JSON, by what `tasks` reports
+    of each walker.
+    """
+    about = {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
+    found = [check["way"] for check in checks if "way" in check]
+    if name != "detuning" or not found:
+        return about
+    start, end = ends(found)
+    about["long_name"] = f"mixture of {start} (0) and {end} (1)"
+    for at in (0, 1):
+        tables = [way["tables"][at] for way in found]
+        about[f"walker_at_{at}"] = json.dumps(tables if len(tables) > 1 else tables[0])
+    return about
 
 
 def of_steps(steps: int) -> dict[str, Any]:

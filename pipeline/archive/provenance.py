@@ -43,6 +43,7 @@ def provenance(plan: Plan) -> str:
             ),
             "varied": {key: axes for check in study.checks for key, axes in check["varied"].items()},
             "tuned": sorted({key for check in study.checks for key in check["tuned"]}),
+            **({"ways": ways} if (ways := [check["way"] for check in study.checks if "way" in check]) else {}),
             "tasks": {name: layer.task.version for name, layer in plan.graph.layers.items()},
             "packages": {name: version(name) for name in _PACKAGES},
             "python": platform.python_version(),

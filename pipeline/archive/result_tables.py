@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.archive import arrays, layout
-from pipeline.archive.attributes import over_steps
+from pipeline.archive.attributes import of_axis, over_steps
 from pipeline.archive.written import write_strings, write_variable
 from pipeline.dispatch import resolve
 from pipeline.graph.plan import Plan
@@ -140,8 +140,8 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
     elif name not in COLUMNS and name in (keys := resolve("tasks.walkers.walker:KEYS")):
         kind, meaning = keys[name], f"walker's {name}"
-    elif name == "slope":
-        kind, meaning = "angle", "slope of the ground"
+    elif name in ("slope", "detuning"):
+        kind, meaning = COLUMNS.get(name, ("angle", ""))[0], of_axis(name, is_si, study.checks)["long_name"]
     meaning = over_steps(meaning, study.steps)
     attributes = {"long_name": meaning, "units": registry.SI_UNITS[kind] if is_si or kind == "angle" else "1"}
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":

@@ -163,7 +163,7 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
             write_strings(file, "walker_units", name, known, about)
             continue
         axis = next(a for a in study.axes if a.name == name)
-        about = attributes.of_axis(name, units.is_si(study))
+        about = attributes.of_axis(name, units.is_si(study), study.checks)
         write_variable(file, name, (name,), axis.values.astype(float), about, fletcher32=True)
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences.texts))

@@ -53,13 +53,15 @@ def tolerance(text: str) -> tuple[str, float]:
     return name, rtol
 
 
-def setting(text: str) -> tuple[str, float | bool]:
-    """A walker key and its value."""
+def setting(text: str) -> tuple[str, float | bool | str]:
+    """A walker key and its value, or `toward` and another walker."""
     key, _, value = text.partition("=")
     if not key or not value:
         raise ArgumentTypeError(f"must be KEY=VALUE; got {text}")
     if key == "knees" and value not in ("true", "false"):
         raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
+    if key == "toward":
+        return key, value
     return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value)
 
 

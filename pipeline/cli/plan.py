@@ -1,6 +1,7 @@
 """`gaitsweep plan`: what would run and why."""
 
 import argparse
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from pipeline.cli import kinds, studies
 from pipeline.engine.progress import duration
 from pipeline.graph.plan import Plan, Summary, summary
 from pipeline.grid import costs
+from pipeline.grid.method import seconds_over_plane
 from pipeline.store.store import Store
 from pipeline.study import corners
 from tasks.registry import FITS, TASKS, VARIABLES
@@ -39,10 +41,15 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
     yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
     for name, layer in planned.graph.layers.items():
-        what = "point" if name == "points" else "line" if layer.per_line else "study"
+        what = {"points": "point", "charts": "plane"}.get(name, "line" if layer.per_line else "study")
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
+    by_charts, by_lines = seconds_over_plane(study)
+    if study.plane and by_lines < math.inf:
+        keys = " and ".join(study.plane.region["keys"])
+        chosen = "charts" if by_charts < by_lines else "lines one by one"
+        yield f"  method: {chosen}; by charts over {keys} {duration(by_charts)}, line by line {duration(by_lines)}"
     every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
     if (integrated := costs.integrated(planned.study, every)) < every:
         yield f"  integrated: about {integrated:,} points to an accuracy of {planned.study.accuracy:g}, all others not"

@@ -15,6 +15,7 @@ from pipeline.errors import ArchiveError, StudyError
 from pipeline.statuses import FOUND
 from pipeline.study import files, parse, slopes
 from pipeline.study.location import Location
+from pipeline.study.single_point import led
 from tasks.registry import GAITS
 
 #: Relative radii that may be asked for.
@@ -56,9 +57,10 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
         raise Location("", "slope").wrong(slopes.BOUND, float(slope))
     if gait is not None and gait not in GAITS:
         raise Location("", "gait").unknown(gait, GAITS)
-    ask("check_walker", {"walker": files.walker(options.walker, Path())})
-    table = files.walker(options.walker, Path(), number=str)  # with every digit
-    wanted = {"set": options.set, "gait": gait, "accuracy": options.accuracy}
+    known, _ = led(files.walker(options.walker, Path()), options.set)
+    ask("check_walker", {"walker": known})
+    table, changes = led(files.walker(options.walker, Path(), number=str), options.set, str)  # with every digit
+    wanted = {"set": changes, "gait": gait, "accuracy": options.accuracy}
     answer: dict[str, Any] = ask("prove", {"walker": table, "slope": slope, **wanted})
     return answer
 

@@ -101,7 +101,7 @@ class Jobs:
         if node.key.key not in self._pending:
             return
         pending = next((need for need in node.needs if need in self._pending), None)
-        if failed := next((need for need in node.needs if need in self._failed), None):
+        if node.todo is None and (failed := next((need for need in node.needs if need in self._failed), None)):
             lost, outcome = self._arrived(node.key.key, False) + node.points, self.store.outcome(failed)
             status = outcome.status if outcome else "not_attempted"
             self.listen("task", {"task": node.task, "seconds": 0.0, "points": 0, "lost": lost, "outcome": status})
@@ -152,7 +152,8 @@ class Jobs:
         if node.line is None and node.chunk is None:
             inputs = list(study_inputs(self.plan, node.task))
         else:
-            inputs = [self.store.get(need)[1] for need in node.needs]
+            results = [(self.store.outcome(need), need) for need in node.needs]
+            inputs = [self.store.get(need)[1] for outcome, need in results if outcome and outcome.status == "ok"]
         packing, alone = None, ("", "")
         if node.chunk:
             slopes = len(study.slope[node.chunk.slopes])
@@ -242,7 +243,7 @@ class Jobs:
         self._failed.update(() if is_ok else (key,))
         lost = 0
         for node in self._waiting.pop(key, ()):
-            if is_ok:
+            if is_ok or node.todo is not None:
                 self._ready.append(node)
             else:
                 lost += node.points + self._arrived(node.key.key, False)

@@ -254,7 +254,7 @@ def _run_part(request: Request, packing: Packing, places: np.ndarray | None) -> 
 def _run_alone(request: Request, packing: Packing, place: int) -> tuple[list[Record], list[Atlas]]:
     """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
-    (line,) = ({k: value for k, value in each.items() if k != "cell"} for each in request.params["lines"])
+    (line,) = request.params["lines"]
     atlas, points = request.alone
     alone = replace(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
     outcome, result = _ask(alone, *_EXTERNAL)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.graph import layers
 from pipeline.grid.method import Method
-from pipeline.study.model import Axis, Study
+from pipeline.study.model import Study
 
 #: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
@@ -44,10 +44,9 @@ class Digests:
         axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
         values = [axis.values.astype(float)[index] for axis, index in axes]
         if self.method is Method.PLANE and self.study.plane:
-            # The results of a line of a plane depend on its cell.
-            for axis, index in axes:
-                sides = self.study.plane.sides(axis, axis.values)
-                values += [side[index] for side in (*sides, *self._neighbours(axis, sides))]
+            # The results of a line of a plane depend on its charts, and these on all values of its keys.
+            marks = np.array([_mark(each) for each in self.study.plane.region["values"]])
+            values += [np.full(len(numbers), mark).view(float) for mark in marks]
         # All slopes of a line are computed together, and kept in their order.
         values.append(np.full(len(numbers), _mark(self.study.slope)).view(float))
         for value in values:
@@ -57,24 +56,21 @@ class Digests:
             digest = z ^ z >> np.uint64(31)
         return digest
 
-    def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-        """For each value of an axis a number for all values in its cell, which decide how that is split."""
-        marks = np.zeros(len(axis) if sides else 0, np.uint64)
-        for low, high in np.unique(sides, axis=1).T if sides else ():
-            # A value on the upper border counts here too, though its line belongs to the next cell.
-            marks[sides[0] == low] = _mark(np.sort(axis.values[(axis.values >= low) & (axis.values <= high)]))
-        return [marks.view(float)] if sides else []
-
     @functools.cached_property
     def _walkers(self) -> dict[bool, np.ndarray]:
         """Digest of each walker with all that its lines share, for this version of the tasks and for all."""
-        tasks = [self.layers[name].task for name in ("atlas", "points")]
+        names = ("atlas", "points", *(("charts",) if self.method is Method.PLANE else ()))
+        tasks = [self.layers[name].task for name in names]
         shared = {
             "options": layers.point_params(self.study, self.method),
             "keys": sorted(axis.name for axis in self.study.line_axes),
         }
         keys = [
-            layers.key(tasks[1], {**shared, "walker": walker}, [f"{tasks[0].name} {tasks[0].version}"])
+            layers.key(
+                tasks[1],
+                {**shared, "walker": walker},
+                [f"{task.name} {task.version}" for task in (tasks[0], *tasks[2:])],
+            )
             for walker in self.study.walkers
         ]
         texts = {True: [key.key for key in keys], False: [key.kin for key in keys]}

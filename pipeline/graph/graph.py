@@ -15,7 +15,7 @@ from pipeline.graph.digests import Digests
 from pipeline.grid.grid import Chunk, Grid
 from pipeline.grid.method import Method, variables
 from pipeline.store.store import Key
-from pipeline.study.model import Plane, Study
+from pipeline.study.model import Study
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class Copies:
 class Node:
     """A task over a line (`line` is its number, or that of a batch of designs), a chunk, or, without both, the study.
 
-    `needs` are keys of results that it reads, `why` it would run. Of a chunk of lines side by side, `todo` are the
+    `needs` are keys of results that it reads, `why` it would run. A chunk of lines side by side can do without those
+    that failed: the charts of its plane. Of a chunk of lines side by side, `todo` are the
     places of those to compute, and `copies` the others, if there are any.
     """
 
@@ -93,7 +94,7 @@ class Graph:
     def line_tasks(self) -> list[str]:
         """Tasks over each line, besides its points; atlases of lines side by side are kept for those that read them."""
         is_internal = self.method.is_of_lines and not self.atlas_readers
-        per_line = (name for name, layer in self.layers.items() if layer.per_line and name != "points")
+        per_line = (name for name, layer in self.layers.items() if layer.per_line and name not in ("points", "charts"))
         return [name for name in per_line if name != "atlas" or not is_internal]
 
     @property
@@ -147,9 +148,10 @@ class Graph:
     def chunk_node(self, chunk: Chunk) -> Node:
         """Node of a chunk."""
         key = self.chunk_key(chunk)
-        if self.method.is_of_lines:
-            return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.lines)))
         line = int(chunk.lines[0])
+        if self.method.is_of_lines:
+            needs = (self.line_keys(line)["charts"].key,) if self.method is Method.PLANE else ()
+            return Node("points", key, needs, chunk=chunk, todo=np.arange(len(chunk.lines)))
         return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk)
 
     def function(self, node: Node) -> str:
@@ -170,15 +172,6 @@ class Graph:
         if node.line is not None:
             return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}
         lines = [study.line(number) for number in node.numbers.tolist()]
-        cells = {"cells": _mark_cells(study.plane, lines)} if self.method is Method.PLANE and study.plane else {}
+        plane = {"plane": study.plane.region} if self.method is Method.PLANE and study.plane else {}
         keeps_atlases = {"atlases": "atlas" in self.line_tasks}
-        return {"lines": lines, **cells, **keeps_atlases, **layers.point_params(study, self.method), **shared}
-
-
-def _mark_cells(plane: Plane, lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The cells of a plane in which some lines lie; each line gets the number of its own as `cell`."""
-    low = [plane.sides(axis, np.array([line["set"][axis.name] for line in lines]))[0] for axis in plane.axes]
-    _, first, cell = np.unique(np.stack(low, axis=1), axis=0, return_index=True, return_inverse=True)
-    for line, number in zip(lines, cell.ravel().tolist(), strict=True):
-        line["cell"] = number
-    return [plane.cell(lines[k]["set"]) for k in first.tolist()]
+        return {"lines": lines, **plane, **keeps_atlases, **layers.point_params(study, self.method), **shared}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.grid.method import Method
+from pipeline.grid.method import Method, method_of, variables
 from pipeline.store.store import Key
 from pipeline.study.model import Study
 from tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
@@ -36,6 +36,8 @@ def layers(study: Study) -> dict[str, Layer]:
             add(need, per_line or need == "points" or _over_lines(need))
         needed[name] = Layer(task, per_line, needs)
 
+    if method_of(study) is Method.PLANE:
+        add("charts", True)
     add("points" if study.kind == "grid" else study.kind, True)
     for name in (*study.figures, *study.claims):
         for read in READS.get(name, ()):
@@ -71,6 +73,11 @@ def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]
         return {"line": line, **point_params(study, method)}
     if name == "corners":
         return {"line": line}
+    if name == "charts":
+        assert study.plane
+        fixed = {key: value for key, value in line["set"].items() if key not in study.plane.region["keys"]}
+        wanted = {"want": variables(study), "accuracy": study.accuracy} if study.accuracy else {"want": ()}
+        return {"line": {**line, "set": fixed}, "plane": study.plane.region, "slope": study.slope, **wanted}
     if name == "cascade" != study.kind:  # for the fit `crises`
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
@@ -82,7 +89,7 @@ def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]
     own = {} if name == "trace" else study.options  # whose `steps` may be those of orbits
     params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
     if name == "design" and study.plane:
-        params["cell"] = study.plane.cell({key: float(values[0]) for key, values in line["set"].items()})
+        params["plane"] = study.plane.region
     return params
 
 

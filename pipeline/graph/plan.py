@@ -39,9 +39,13 @@ class Plan:
             for number in golden_ratio_order(self.study.batches):
                 yield from self._of_line(number)
             return
+        charted: set[str] = set()  # keys of charts
         for number in golden_ratio_order(grid.chunks):
             chunk = grid.chunk(number)
             node = self._of_chunk(chunk)
+            if node and node.lines and not charted.issuperset(node.needs):
+                charted.update(node.needs)
+                yield from filter(None, [self._why(graph.line_node(int(chunk.lines[0]), "charts"))])
             if node:
                 yield node
             if graph.line_tasks:
@@ -66,7 +70,8 @@ class Plan:
             node = self._why(graph.line_node(number, "atlas"))
             if node:
                 yield node
-        yield from missing
+        # The result of one may have come from another study since.
+        yield from (node for node in missing if node.chunk or self._why(node))
 
     def _why(self, node: Node) -> Node | None:
         """A node over a line with the reason why it runs; None if it does not."""
@@ -174,7 +179,7 @@ def summary(plan: Plan) -> Summary:
     """Count the work of a plan without storing it."""
     study, layers = plan.study, plan.graph.layers
     totals = {
-        name: study.points if name == "points" else study.batches if layer.per_line else 1
+        name: {"points": study.points, "charts": study.planes}.get(name, study.batches if layer.per_line else 1)
         for name, layer in layers.items()
     }
     todo: dict[str, Counter[str]] = {name: Counter() for name in layers}

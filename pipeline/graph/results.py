@@ -3,9 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
-from pipeline.store.record import Points, joined, rows_of
+from pipeline.store.record import Points, joined
 
 
 def points_of(
@@ -25,7 +23,7 @@ def points_of(
     points : Points
         Line by line.
     atlases : list of dict
-        Atlas of each of the lines side by side; those of a plane, which are computed cell by cell, have none.
+        Atlas of each of the lines side by side; those of a plane have none.
 
     Raises
     ------
@@ -35,18 +33,9 @@ def points_of(
     want, n = params["want"], len(params["slope"])
     if "lines" not in params:
         return Points.of_result(function(params, inputs), want, n), []
-    cells: dict[int, list[int]] = {}
-    for k, line in enumerate(params["lines"]):
-        cells.setdefault(line.get("cell", 0), []).append(k)
-    parts, atlases = [], [dict[str, Any]()] * len(params["lines"])
-    for cell, places in cells.items():
-        lines = [{key: params["lines"][k][key] for key in ("walker", "set")} for k in places]
-        own = {"cell": params["cells"][cell]} if "cells" in params else {}
-        pairs = function({**params, "lines": lines, **own}, inputs)
-        parts += [Points.of_result(result, want, len(result["status"])) for _, result in pairs]
-        for k, (atlas, _) in zip(places, pairs, strict=False):
-            atlases[k] = atlas
-    order, points = np.argsort(np.concatenate(list(cells.values()))), joined(parts)
-    if len(points) != n * len(order):
-        raise ValueError(f"{len(points)} points are returned of {len(order)} lines of {n}")
-    return points.take(rows_of(order, n)), atlases
+    pairs = function(params, inputs)
+    points = joined([Points.of_result(result, want, len(result["status"])) for _, result in pairs])
+    count = len(params["lines"])
+    if len(points) != n * count:
+        raise ValueError(f"{len(points)} points are returned of {count} lines of {n}")
+    return points, [atlas for atlas, _ in pairs]

@@ -9,11 +9,8 @@ from pipeline.grid.method import Method, method_of, variables
 from pipeline.study.model import Study
 from tasks import registry
 from tasks.accuracy import nodes_for
-from tasks.costs import COSTS, MAX_SURVEYED, OTHERS, PANEL, POINTS, STARTING, Cost
+from tasks.costs import ALONE, COSTS, OTHERS, POINTS, STARTING, Cost
 from tasks.registry import OPTIONS, VARIABLES
-
-#: From so many panels of slopes on, plans take all lines of a plane to be surveyed as well.
-_PANELS_WITH_ENDS = 32
 
 
 def starting(study: Study) -> float:
@@ -37,15 +34,10 @@ def seconds(study: Study, name: str) -> float:
     method = method_of(study)
     if name == "points":
         return of_point(study, method)
-    if name == "atlas" and study.plane and method is Method.PLANE:
-        line = _total(study, COSTS["atlas side by side"])
-        lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
-        # The more panels of slopes, the more surely branches end in one of them, and lines are surveyed as well.
-        panels = len(np.unique(np.floor(np.log(study.slope) / PANEL)))
-        cell = _total(study, COSTS["cell"]) + panels * _total(study, COSTS["panel"])
-        by_cells = cell / lines_a_cell + min(1.0, panels / _PANELS_WITH_ENDS) * line
-        points = len(study.slope) * (_total(study, [POINTS["short"]]) - _total(study, [POINTS["plane"]]))
-        return min(by_cells, (1 + MAX_SURVEYED) * (line + points))
+    if name == "atlas" and method is Method.PLANE:
+        return ALONE * _total(study, COSTS["atlas side by side"])
+    if name == "charts" and study.plane:
+        return len(study.plane.axes) * _total(study, COSTS["charts"])
     if name == "design":
         designs, cells = study.lines / study.batches, int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])

@@ -18,7 +18,7 @@ _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
 _TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
 _LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
-_PLANE_POINTS = 16384  # points in a chunk of a plane: a chunk makes all cells that reach into it
+_PLANE_POINTS = 4096  # points in a chunk of a plane, about a quarter of a second of work
 
 
 @dataclass(frozen=True)

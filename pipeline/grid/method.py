@@ -1,9 +1,11 @@
 """By which method the gaits of a study's lines are computed: decided here, once."""
 
+import math
 from enum import StrEnum
 
 from pipeline.study.model import Study
 from tasks import accuracy
+from tasks.costs import ALONE, COSTS, POINTS, Cost
 from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
 
 
@@ -18,7 +20,7 @@ class Method(StrEnum):
     INTERPOLATED = "interpolated"  # from a coarse atlas, by polynomials where these are accurate enough
     SHORT = "short"  # atlases, coarse ones, and points of lines side by side
     ALONE = "alone"  # the same for a line by itself, whose atlas is kept for other slopes: in memory
-    PLANE = "plane"  # lines side by side, their gaits predicted over a plane of keys
+    PLANE = "plane"  # lines side by side, their gaits predicted by charts over a plane of keys
     TASK = "task"
 
     @property
@@ -43,12 +45,31 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
         return Method.CYCLES
     if study.claims:
         return Method.LONG
+    by_charts, by_lines = seconds_over_plane(study)
+    if by_charts < by_lines:
+        return Method.PLANE
     if len(study.slope) > SHORT_LINE or not TASKS["atlas"].side_by_side:
         is_smooth = accuracy.is_interpolated(variables(study), study.accuracy)
         return Method.INTERPOLATED if is_smooth and len(study.slope) > SHORT_LINE else Method.LONG
-    if study.plane and TASKS["atlas"].over_plane and _wants_points_alone(study):
-        return Method.PLANE
     return Method.ALONE if in_memory else Method.SHORT
+
+
+def seconds_over_plane(study: Study) -> tuple[float, float]:
+    """Processor time of a grid by charts over its plane of keys, and line by line [s]; infinite where there is none."""
+    plane, slopes = study.plane, len(study.slope)
+    if study.kind != "grid" or not plane or not TASKS["atlas"].over_plane or not _wants_points_alone(study):
+        return math.inf, math.inf
+    kneed = sum(check["multipliers"] > 3 for check in study.checks) / len(study.checks)
+
+    def each(cost: Cost) -> float:
+        return cost.straight * (1 - kneed) + cost.kneed * kneed
+
+    is_long, is_smooth = slopes > SHORT_LINE, accuracy.is_interpolated(variables(study), study.accuracy)
+    line, point = (COSTS["atlas"], "long") if is_long and not is_smooth else (COSTS["atlas side by side"], "short")
+    alone, charted = ("interpolated",) * 2 if is_smooth and is_long else (point, "plane")
+    charts = study.planes * len(plane.axes) * each(COSTS["charts"][0])
+    by_charts = charts + study.lines * (ALONE * each(line[0]) + slopes * each(POINTS[charted]))
+    return by_charts, study.lines * (each(line[0]) + slopes * each(POINTS[alone]))
 
 
 def variables(study: Study) -> tuple[str, ...]:

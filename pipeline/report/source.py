@@ -21,6 +21,7 @@ from pipeline.archive import read as archives
 from pipeline.archive.unfold import dataset, unfolded
 from pipeline.paths import sidecar_path
 from pipeline.report.words import axis_values, print_units
+from pipeline.study.ways import ends, inline
 
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -130,7 +131,24 @@ class Source:
     def walker_files(self) -> list[str]:
         """Names of the study's walker files."""
         walkers = self.study.get("walker")
-        return [str(w) for w in (walkers if isinstance(walkers, list) else [walkers]) if str(w).endswith(".toml")]
+        given = [*(walkers if isinstance(walkers, list) else [walkers]), self.toward]
+        given += [each.get(key) for each in given if isinstance(each, dict) for key in ("base", "toward")]
+        names = (each for each in given if isinstance(each, str))
+        return list(dict.fromkeys(name for name in names if name.endswith(".toml")))
+
+    @property
+    def toward(self) -> str | dict[str, Any]:
+        """The walker to which the axis `detuning` leads, as the study writes it; empty if it names none."""
+        axes = self.study.get("axes", {})
+        way = axes.get("detuning") if isinstance(axes, dict) else None
+        toward = way.get("toward", "") if isinstance(way, dict) else ""
+        return toward if isinstance(toward, str | dict) else ""
+
+    @property
+    def detuning_ends(self) -> tuple[str, str]:
+        """The walkers at `detuning` 0 and 1 in words; those of the paper in an archive of an earlier version."""
+        ways = self.provenance.get("ways")
+        return ends(ways) if ways else ("the exactly tuned walker", "the physical one")
 
     @property
     def overlay_file(self) -> str:
@@ -258,11 +276,14 @@ class Source:
         elif isinstance(table, dict):
             # Only numbers can be set on the command line; otherwise the study's file serves as the walker's file.
             own = {k: v for k, v in table.items() if k != "base"}
-            settable = "base" in table and all(type(v) in (int, float) for v in own.values())
+            # Of a walker on its way to another the table's keys are those at one end.
+            settable = "base" in table and all(type(v) in (int, float) for v in own.values()) and not self.toward
             walker, overrides = (str(table["base"]), own | overrides) if settable else (self.file, overrides)
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+        if self.toward:
+            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else inline(self.toward)}"]
         tuned = self.study.get("options", {}).get("tuned", ())
         words += [word for key in tuned for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []

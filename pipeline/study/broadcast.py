@@ -22,7 +22,7 @@ def definition(walker: object) -> str | dict[str, Any]:
     Parameters
     ----------
     walker : str, Path or mapping
-        A name from the catalogue, a walker file, or a table, whose `base` may be a file too.
+        A name from the catalogue, a walker file, or a table, whose `base` and `toward` may be files too.
 
     Raises
     ------
@@ -30,11 +30,22 @@ def definition(walker: object) -> str | dict[str, Any]:
         If it is anything else, or the name or the file is unknown.
     """
     if isinstance(walker, Mapping):
-        table = {str(k): v.item() if isinstance(v, np.generic) else v for k, v in walker.items()}
-        return files.walker({k: str(v) if isinstance(v, Path) else v for k, v in table.items()}, Path())
+        return files.walker(_plain(walker), Path())
     if not isinstance(walker, str | Path):
         raise StudyError(f"`walker` must be a name, a file or a table; got {_kind(walker)}.")
     return files.walker(str(walker), Path())
+
+
+def _plain(value: Any) -> Any:
+    """A table, and one that it holds, with numbers and names in place of numpy's numbers and paths."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    return value.item() if isinstance(value, np.generic) else str(value) if isinstance(value, Path) else value
+
+
+def _check_key(name: str) -> None:
+    if name == "toward":
+        raise StudyError("`toward` stands in the table of the walker, beside its `base` or its keys.")
 
 
 def number(name: str, value: object) -> float:
@@ -61,6 +72,8 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     for value in (keys[k] for k in keys if k == "knees"):
         if not isinstance(value, bool | np.bool_):
             raise Location("", "knees").wrong("must be true or false", value)
+    for key in keys:
+        _check_key(key)
     return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
 
 
@@ -107,6 +120,7 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
 
 
 def _numbers(name: str, value: object) -> np.ndarray:
+    _check_key(name)
     try:
         array = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
     except (ValueError, TypeError):  # rows of different lengths, objects of other packages

@@ -9,8 +9,10 @@ from pipeline.study.model import Study
 from tasks import registry
 
 
-def check_walkers(study: Study, top: Location) -> tuple[dict[str, Any], ...]:
+def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str, Any], ...]:
     """Check every walker at the corners of the grid of lines; returns the properties of each.
+
+    `top` is the place of the study in errors, `way` that of the walker toward which detuning leads.
 
     Raises
     ------
@@ -26,7 +28,8 @@ def check_walkers(study: Study, top: Location) -> tuple[dict[str, Any], ...]:
             try:
                 check = dispatch.call("check_walker", {"walker": candidate, "set": values})
             except ValueError as error:
-                raise _fault(candidate, values, error, top).error(str(error)) from error
+                place = way if getattr(error, "key", "") == "toward" else _fault(candidate, values, error, top)
+                raise place.error(str(error)) from error
             if study.kind == "curve":
                 _check_curve(study, candidate, values, top.at("options"))
         checks.append(check)
@@ -42,7 +45,18 @@ def notes(study: Study) -> list[str]:
         for walker in study.walkers
     ]
     sentences = {str(line["walker"]): sentence for line in every if (sentence := dispatch.ask("untuned", line))}
-    return list(sentences.values())
+    return [*sentences.values(), *_not_led(study)]
+
+
+def _not_led(study: Study) -> list[str]:
+    """Say of walkers with a way to another that none goes it."""
+    is_led = registry.options("curve", study.options)["key"] == "detuning" if study.kind == "curve" else False
+    led = is_led or any(axis.name == "detuning" for axis in study.line_axes)
+    return [
+        f"`toward` is of no effect without `detuning`: the walker is {check['way']['start']}."
+        for walker, check in zip(study.walkers, study.checks, strict=True)
+        if "toward" in walker and "detuning" not in walker and not led
+    ]
 
 
 def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueError, top: Location) -> Location:

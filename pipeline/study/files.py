@@ -58,18 +58,21 @@ def walker(
     folder: Path,
     location: Location | None = None,
     number: Callable[[str], Any] = float,
+    is_end: bool = False,
 ) -> str | dict[str, Any]:
     """Name of a catalogue walker, or the table of a walker.
 
     Parameters
     ----------
     value : str or dict
-        A name, a file (relative to `folder`, or absolute), or a table, whose `base` may be a file too.
+        A name, a file (relative to `folder`, or absolute), or a table, whose `base` and `toward` may be files too.
     folder : Path
     location : Location, optional
         Place of the value in a study.
     number : callable
         Reads the decimals of files.
+    is_end : bool
+        It is the walker that another leads to, and leads to none itself.
 
     Raises
     ------
@@ -81,6 +84,11 @@ def walker(
     for _ in range(_MAX_BASES):
         if isinstance(table, dict):
             base = table.get("base")
+            if "toward" in table and "toward" not in overrides:
+                place = location.at("toward")
+                if is_end:
+                    raise location.error("The walker that `toward` names has a `toward` itself")
+                table = {**table, "toward": other(table["toward"], folder, place, number)}
             overrides = {**table, **overrides}
             if not isinstance(base, str) or not base.endswith(".toml"):
                 return overrides
@@ -95,12 +103,37 @@ def walker(
     raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
 
 
+def other(
+    value: object, folder: Path, location: Location, number: Callable[[str], Any] = float
+) -> str | dict[str, Any]:
+    """The walker `toward` which `detuning` leads: a name, a file, a table, or the text of a table.
+
+    Raises
+    ------
+    StudyError
+        If it is none of these, or no walker.
+    """
+    if isinstance(value, str) and value.lstrip().startswith("{"):
+        try:
+            value = tomllib.loads(f"toward = {value}", parse_float=number)["toward"]
+        except (ValueError, RecursionError) as error:
+            raise location.wrong("must be a name, a file or a table", value) from error
+    if not isinstance(value, str | dict):
+        raise location.wrong("must be a name, a file or a table", value)
+    return walker(value, folder, location, number, is_end=True)
+
+
 def retuned(value: str | dict[str, Any], keys: str | Sequence[str]) -> str | dict[str, Any]:
     """A walker of which some keys, if any, are changed by least so that it meets the static conditions."""
     if not keys:
         return value
     names = [keys] if isinstance(keys, str) else list(keys)
     return {**({"base": value} if isinstance(value, str) else value), "tuned": names}
+
+
+def detuned(value: str | dict[str, Any], toward: str | dict[str, Any] | None) -> str | dict[str, Any]:
+    """A walker with the one, if any, toward which `detuning` leads it."""
+    return value if toward is None else {**({"base": value} if isinstance(value, str) else value), "toward": toward}
 
 
 def _walker_file(

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-#: Fewest lines over one or two keys that are divided into cells, whose gaits polynomials predict; fewest designs in a
-#: cell.
-_MIN_LINES, _MIN_DESIGNS = 64, 400
+#: Fewest lines over one or two keys whose gaits charts predict, fewest values of the second of these, about as many as
+#: charts have nodes along it, and fewest designs.
+_MIN_LINES, _MIN_ACROSS, _MIN_DESIGNS = 12, 10, 400
 #: Most designs that one job computes: of a cell, and of lines surveyed one by one.
 _MAX_CELL_DESIGNS, _MAX_SURVEYED_DESIGNS = 1 << 16, 32
 
@@ -37,39 +37,21 @@ class Axis:
 
 @dataclass(frozen=True)
 class Plane:
-    """One or two axes of keys and into how many equal parts each is divided: a cell is one part of each."""
+    """One or two axes of keys, over which charts predict gaits."""
 
     axes: tuple[Axis, ...]
-    parts: tuple[int, ...]
 
-    def sides(self, axis: Axis, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Bounds of the cells in which values of an axis lie; none if it is not an axis of the plane.
+    @property
+    def lines(self) -> int:
+        """Number of its lines."""
+        return math.prod(map(len, self.axes))
 
-        Parameters
-        ----------
-        axis : Axis
-        values : ndarray, shape (n,)
-
-        Returns
-        -------
-        tuple of ndarray, shape (n,)
-        """
-        for own, parts in zip(self.axes, self.parts, strict=True):
-            if own.name == axis.name:
-                edges = np.linspace(own.values.min(), own.values.max(), parts + 1)
-                part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, parts - 1)
-                return edges[part], edges[part + 1]
-        return ()
-
-    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the keys of the cell that holds some values of them, its bounds `low` and `high`, and its `values`."""
-        sides = [self.sides(axis, np.array([values[axis.name]])) for axis in self.axes]
-        low, high = ([float(side[i][0]) for side in sides] for i in (0, 1))
-        inside = [
-            axis.values[(axis.values >= a) & (axis.values <= b)]
-            for axis, a, b in zip(self.axes, low, high, strict=True)
-        ]
-        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "values": inside}
+    @property
+    def region(self) -> dict[str, Any]:
+        """Its keys, their least and largest values `low` and `high`, and all `values` of each, rising."""
+        values = [np.sort(axis.values) for axis in self.axes]
+        low, high = ([float(each[k]) for each in values] for k in (0, -1))
+        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "values": values}
 
 
 @dataclass(frozen=True)
@@ -141,18 +123,19 @@ class Study:
     @functools.cached_property
     def plane(self) -> Plane | None:
         """The longest one or two axes of keys, if they hold enough lines for gaits to be interpolated over them."""
-        axes = [
-            a for a in self.line_axes if len(a) > 1 and all(a.name in check.get("widths", ()) for check in self.checks)
-        ]
-        axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
+        names = [check.get("smooth", ()) for check in self.checks]
+        axes = [a for a in self.line_axes if len(a) > 1 and all(a.name in each for each in names)]
+        axes = sorted(axes, key=len)[-2:]
         of_designs = self.kind == "design"
-        if not axes or math.prod(map(len, axes)) < (_MIN_DESIGNS if of_designs else _MIN_LINES):
-            return None
-        if of_designs:
-            return Plane(tuple(axes), (1,) * len(axes))
-        widths = [min(check["widths"][axis.name] for check in self.checks) for axis in axes]
-        spans = [float(np.ptp(axis.values)) for axis in axes]
-        return Plane(tuple(axes), tuple(max(1, math.ceil(s / w)) for s, w in zip(spans, widths, strict=True)))
+        if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
+            del axes[0]
+        plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))
+        return plane if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES) else None
+
+    @property
+    def planes(self) -> int:
+        """Number of planes of keys: one for each walker and for all values of other keys."""
+        return self.lines // self.plane.lines if self.plane else 0
 
     @property
     def batches(self) -> int:
@@ -195,7 +178,7 @@ class Study:
     def _designs(self) -> int:
         """Designs of a cell, or of a walker where there are no cells."""
         if self.plane:
-            return math.prod(map(len, self.plane.axes))
+            return self.plane.lines
         return self.lines // len(self.walkers)
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline import dispatch
 from pipeline.study import options, overlay, slopes, units
 from pipeline.study.corners import check_walkers
-from pipeline.study.files import read_toml, retuned, walker
+from pipeline.study.files import detuned, other, read_toml, retuned, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import accuracy as accuracies
@@ -25,7 +25,7 @@ from tasks import registry
 from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
-_INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
+_INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 _ONE_LINK = "tasks.walkers.walker:ONE_LINK"
@@ -105,7 +105,9 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     if asked and kind != "grid":
         raise top.at("accuracy").error(f"`accuracy` is of the gaits of a grid; this study is a `{kind}`")
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, asked, top.at("want")))
-    axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
+    way = top.at("axes", "detuning", "toward")
+    given, toward = _toward(table.get("axes"), path, way)
+    axes, tolerance = _axes(given, top.at("axes"), kind)
     chosen = options.check(table.get("options", {}), kind, _axis_keys(), top.at("options"))
     tuned = chosen.pop("tuned", ())
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
@@ -120,7 +122,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         names=tuple(table["walker"] if listed else (w if isinstance(w, str) else "walker" for w in walkers)),
         gaits=tuple(g for g in GAITS if g in gaits),
         limits=_limits(table, top),
-        walkers=tuple(retuned(each, tuned) for each in walkers),
+        walkers=tuple(retuned(detuned(each, toward), tuned) for each in walkers),
         axes=axes,
         accuracy=asked,
         **want,
@@ -131,7 +133,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     count = study.lines if kind == "design" else study.points
     if count > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {count:.3g} points, more than {MAX_POINTS:.0e}")
-    study = replace(study, checks=check_walkers(study, top))
+    way = way if toward is not None else top.at("walker", "toward")
+    study = replace(study, checks=check_walkers(study, top, way))
     if kind in registry.WINDOWED and study.slope.min() == study.slope.max():
         sentence = f"The slopes of a `{kind}` are a window: give at least two; got {study.slope[0]:g}"
         raise top.at("axes", "slope").error(sentence)
@@ -199,6 +202,15 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[
     if value is None:
         raise location.error("A study needs a `walker`: a name, a file, a table, or a list of names")
     raise location.wrong("must be a name, a file, a table, or a list of names", value)
+
+
+def _toward(axes: object, path: Path, location: Location) -> tuple[object, str | dict[str, Any] | None]:
+    """Axes without the walker toward which `detuning` leads, and that walker, if one is named."""
+    way = axes.get("detuning") if isinstance(axes, dict) else None
+    if not isinstance(axes, dict) or not isinstance(way, dict) or "toward" not in way:
+        return axes, None
+    rest = {key: value for key, value in way.items() if key != "toward"}
+    return {**axes, "detuning": rest}, other(way["toward"], path.parent, location)
 
 
 def _axis_keys() -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """The gaits of a walker at one slope, without a study."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from tasks.registry import MAX_STEPS
 def solve(
     definition: str | dict[str, Any],
     slope: float,
-    keys: Mapping[str, float],
+    keys: Mapping[str, Any],
     every: bool,
     steps: int = 1,
     asked: float | None = None,
@@ -30,7 +30,7 @@ def solve(
         Name, file or table of the walker.
     slope : float [rad]
     keys : mapping
-        Walker keys to change.
+        Walker keys to change, and `toward`, the name, file or text of a table of the walker that `detuning` leads to.
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
     steps : int
@@ -57,10 +57,30 @@ def solve(
     Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
-    walker = files.retuned(files.walker(definition, Path()), tuned)
-    params = {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps}
+    given, changes = led(files.walker(definition, Path()), keys)
+    walker = files.retuned(given, tuned)
+    params = {"walker": walker, "slope": slope, "set": changes, "all": every, "steps": steps}
     if limits:
         params["violation_limits"] = violation_limits(limits, Location(""))
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
     return ask("solve", params)
+
+
+def led(
+    walker: str | dict[str, Any], keys: Mapping[str, Any], number: Callable[[str], Any] = float
+) -> tuple[str | dict[str, Any], dict[str, Any]]:
+    """A walker with the other one that `toward` among its keys names, and the other keys.
+
+    Raises
+    ------
+    StudyError
+        If that is no walker, or nothing says how far the walker is detuned.
+    """
+    changes, place = dict(keys), Location("", "toward")
+    toward = changes.pop("toward", None)
+    if toward is None:
+        return walker, changes
+    if "detuning" not in changes and "detuning" not in walker:
+        raise place.wrong("needs `detuning`, which says how far the walker is led", toward)
+    return files.detuned(walker, files.other(toward, Path(), place, number)), changes

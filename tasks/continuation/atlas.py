@@ -9,8 +9,9 @@ Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a li
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -34,10 +35,12 @@ from tasks.continuation.refine import FINE, densify, locate_gaps, measure, witho
 from tasks.continuation.tracking import (
     CLOSED,
     MIN_SLOPE,
+    MOST_RATE,
     Point,
     Track,
     fall_margin,
     follow,
+    rate_of_steps,
 )
 from tasks.fixed_points.search import search_lines, starts
 from tasks.fixed_points.step_check import verify_steps
@@ -159,12 +162,19 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         raw, segment = yield from narrow_segment(raw, first - 1, lambda point, direction: _is_no_step(point))
         first, last = segment + 1, last + len(raw.Z) - before
         ends[0] = yield from locate_end(raw, first, segment)
+    m, steps = raw.m, raw.steps
+    # What is positive beyond ends that the last point of a track has passed.
+    beyond: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "a fall": lambda Z: fall_margin(Z[: m + 1, None], Z[m + 1 :, None], steps)[0],
+        "zero step length": lambda Z: rate_of_steps(Z[1:m]) - MOST_RATE,
+    }
     for side, segment in ((0, 0), (1, len(raw.Z) - 2)):
-        if whole[side] and raw.why[side] == "a fall":
-            fall = yield from locate_root(
-                raw, segment, lambda point, direction: float(fall_margin(point.X, point.times, raw.steps)[0])
-            )
-            ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
+        if not whole[side] or raw.why[side] not in beyond:
+            continue
+        test = beyond[raw.why[side]]
+        if float(test(raw.Z[-side])) > 0:
+            passed = yield from locate_root(raw, segment, partial(_of_row, test))
+            ends[side] = BranchEnd(raw.why[side], *passed, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
@@ -183,6 +193,11 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     if len(branch.Z) < MIN_NODES:
         return None
     return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
+
+
+def _of_row(test: Callable[[np.ndarray], np.ndarray], point: Point, _: np.ndarray) -> float:
+    """Value of a test of rows of Z at a point."""
+    return float(test(row(point)))
 
 
 def _is_no_step(point: Point) -> Procedure[bool]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
-from tasks.continuation.tracking import Point
+from tasks.continuation.tracking import MOST_RATE, Point, rate_of_steps
 from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes, Problem
@@ -255,6 +255,7 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.Z[at.m],
+    "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": lambda at: at.log_froude + at.log_unit,
     "exponent": _exponent,
 }

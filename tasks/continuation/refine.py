@@ -210,7 +210,7 @@ def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure
     """
     m, n = len(X) - 1, X.shape[1]
     # At the branch's ends they may change by orders of magnitude from node to node.
-    beside = np.clip(np.r_[folds - 1, folds + 1], 0, n - 1)
+    beside = np.clip(np.r_[folds - 1, folds, folds + 1], 0, n - 1)
     nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, beside])
     lipschitz, gradient = yield Call(curvature, (X[:, nodes], times[:, nodes]))
     lipschitz[np.isin(nodes, folds)] = np.inf

@@ -215,7 +215,7 @@ class Track:
 def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray, steps: int) -> np.ndarray:
     """Why tracks stop at their points, X (m + 1, n), of which they have `count`: indices into `_STOP_REASONS`."""
     slope = (X[-1] <= np.log(MIN_SLOPE)) | (X[-1] >= np.log(MAX_SLOPE))
-    vanished = np.abs(X[1:-1]).max(axis=0) > 30
+    vanished = rate_of_steps(X[1:-1]) > MOST_RATE
     early = np.diff(times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = X[0] < np.minimum(-40, X[-1] - 10)
@@ -223,6 +223,8 @@ def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray, steps: in
     return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
 
 
+#: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
+MOST_RATE = 36.0
 #: Why a track that returns to its start stops, and one of several steps that passes the flip of half as many.
 CLOSED, HALVED = "closed", "halved"
 _STOP_REASONS = (
@@ -239,6 +241,11 @@ _STOP_REASONS = (
     HALVED,
     "multiplier_limit",
 )
+
+
+def rate_of_steps(rates: np.ndarray) -> np.ndarray:
+    """Return the norm (n,) of rates over angle, (m - 1, n) [sqrt(g/leg)]: steps vanish where it has no bound."""
+    return np.asarray(np.sqrt((rates**2).sum(axis=0)))
 
 
 def fall_margin(X: np.ndarray, times: np.ndarray, steps: int = 1) -> np.ndarray:

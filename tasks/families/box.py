@@ -137,9 +137,9 @@ class Box:
         """
         return at * np.array(list(itertools.product((-1.0, 1.0), repeat=len(self.keys))))
 
-    def halves(self, axis: int) -> tuple[Box, Box]:
-        """Return both halves along one key."""
-        middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis])
+    def parts(self, axis: int, at: float | None = None) -> tuple[Box, Box]:
+        """Return both parts along one key, divided at a value of it, or in the middle."""
+        middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
         return (
             Box(self.keys, self.low, (*self.high[:axis], middle, *self.high[axis + 1 :]), self.log),
             Box(self.keys, (*self.low[:axis], middle, *self.low[axis + 1 :]), self.high, self.log),
@@ -173,8 +173,8 @@ class Box:
 
 
 class Refused(Exception):
-    """Why a box cannot be described as one, and the key along which it should be halved."""
+    """Why a box cannot be described as one, and the key along which, and the value at which, it should be divided."""
 
-    def __init__(self, why: str, axis: int = 0):
+    def __init__(self, why: str, axis: int = 0, at: float | None = None):
         super().__init__(why)
-        self.axis = axis
+        self.axis, self.at = axis, at

@@ -1,74 +1,69 @@
-"""Cells: the patches of a box of keys for a panel of slopes, checked."""
+"""Cells: boxes of keys with patches that predict all gaits in a window of slopes, made from few lines and checked."""
 
 from __future__ import annotations
 
-import functools
 import itertools
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from tasks.continuation.atlas import survey_lines
-from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
-from tasks.costs import PANEL
 from tasks.families.box import Box, Refused, tensor_nodes
 from tasks.families.chart import Chart, fit
+from tasks.families.family import Family
+from tasks.families.manifold_maker import Maker
 from tasks.families.patch import Patch, measured, side_of_fold
-from tasks.families.pieces import Piece, match, pieces_of, towards_middle
+from tasks.families.pieces import Piece, match, pieces_of
 from tasks.families.span import Span
 from tasks.fixed_points.newton import newton, newton_step
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
-from tasks.step.several_steps import AnyStride
-from tasks.walkers.resolve import resolve_many
-from tasks.walkers.walker_array import WalkerArray
+from tasks.walkers.statics import leg_moment
 
-#: Lines surveyed along each key: always, and where pieces end in the panel.
-FEW, _MANY = 3, 5
-#: Largest Newton correction of a good patch's predictions at random points, if its nodes are solved and if they are
-#: those of surveyed lines; a patch that stays worse is used up to the last.
-_GOOD, _COARSE_GOOD, _FAIR = 1e-6, 3e-5, 2e-2
+#: Coordinates of lines at the centre of a box, where no constant of a walker vanishes that does not vanish everywhere,
+#: and at its corners; a known line this near to one wanted serves as well.
+_CENTRE, _CORNER, _NEAR_NODE = 1e-3, 0.999, 0.02
+#: Largest Newton correction of a good patch's predictions at random points; a patch that stays worse is used up to the
+#: last.
+_GOOD, _FAIR = 1e-6, 2e-2
 _DRAWN = 48
-#: Nodes along a piece with which a patch begins, and most along any dimension; the same of a piece that ends in the
-#: panel, along the piece alone.
-_FIRST, _MAX_NODES, _FIRST_OF_EVENTS, _MAX_OF_EVENTS = 4, 11, 8, 48
+#: Newton step after which a node is accurate enough.
+_ENOUGH = 1e-5
+#: Nodes along a piece and along each key with which a patch begins; most along a piece, and along each of one or two
+#: keys.
+_FIRST, _MOST, _MOST_OF_KEYS = (8, 5), 48, (33, 13)
+#: Nodes for each key from which on no more are added for few points.
+_LEAST_NODES = 600
 #: Nodes along a piece and along each key at which rounding and the Lipschitz constant are measured.
-_MEASURED = (6, 3)
-#: A piece that goes on farther than this beyond the panel, in ln slope, is cut, at most twice as far.
+_MEASURED = (12, 3)
+#: A piece that goes on farther than this beyond the window, in ln slope, is cut, at most twice as far.
 _CLEAR = 0.03
-#: Ends farther than this from the panel are taken to be this far, in ln slope.
-_FAR = 1.0
-#: Coordinates of lines at the corners of a box, and how near a patch, which is extrapolated, is to its piece there.
-_CORNER, _ALIKE = 0.999, 0.1
-
-
-@dataclass(frozen=True)
-class Family:
-    """A walker with free keys: its name or table and the keys that have one value, as JSON, and the free ones."""
-
-    text: str
-    keys: tuple[str, ...]
-
-    @classmethod
-    def of(cls, line: Mapping[str, Any], keys: Iterable[str]) -> Family:
-        """Return the family of a line with some keys free."""
-        fixed = {key: value for key, value in (line.get("set") or {}).items() if key not in set(keys)}
-        return cls(json.dumps([line["walker"], fixed], sort_keys=True), tuple(keys))
-
-    def walkers(self, points: np.ndarray) -> WalkerArray:
-        """Return the walkers at values of the free keys.
-
-        Parameters
-        ----------
-        points : ndarray, shape (n, d) [the walker's units]
-        """
-        walker, fixed = json.loads(self.text)
-        return resolve_many(walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
+#: Least width of a piece that is cut at one end, in ln slope.
+_WIDTH = 0.1
+#: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
+_REACH = 5.0
+#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none; the most by which
+#: they may be away, in ln slope, from where a few lines let them be expected.
+_EVENTS = {
+    f"end_{kind}"
+    for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
+}
+_ASTRAY = 0.25
+#: Places along a key at which walkers may be tuned, the slope at which those are balanced, over others', the part of a
+#: box that is cut off at a face of tuned ones, and the largest slope of balance, over those of the window, that does
+#: not matter.
+_PLACES, _TUNED, _SLIVER, _BALANCED = 9, 1e-9, 1 / 64, 0.25
+#: Norm of rates over angle at an end from which on steps nearly vanish there [sqrt(g/leg)].
+_FAST = 4.0
+#: How near a patch is to pieces of lines in a corner, and inside.
+_ALIKE = (0.1, 1e-2)
+#: First and smallest share of the way on which a gait is carried at a time, the largest distance from its prediction,
+#: and by how much strides grow and shrink.
+_STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR, _LONGER, _SHORTER = 0.25, 1 / 256, 0.3, 1.5, 0.4
 
 
 @dataclass(eq=False)
@@ -79,6 +74,45 @@ class Cell:
     structure: Structure
     patches: list[Patch] = field(default_factory=list)
     why: str = ""
+
+
+def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
+    """Return cells as plain arrays, to be stored and passed between processes."""
+    arrays: dict[str, np.ndarray] = {}
+    for i, cell in enumerate(cells):
+        arrays |= {
+            f"{i}/low": np.array(cell.box.low),
+            f"{i}/high": np.array(cell.box.high),
+            f"{i}/why": np.array(cell.why),
+        }
+        for j, patch in enumerate(cell.patches):
+            arrays |= {f"{i}/{j}/{name}": value for name, value in patch.to_arrays().items()}
+    return arrays
+
+
+def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
+    """Return the cells of a family that arrays hold."""
+    cells = []
+    for own in parts(arrays):
+        box = Box(family.keys, tuple(own["low"].tolist()), tuple(own["high"].tolist()), log=True)
+        patches = [Patch.from_arrays(each) for each in parts(own)]
+        cells.append(Cell(box, structure_of(family, box), patches, str(own["why"].item())))
+    return cells
+
+
+def parts(arrays: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
+    """Return the arrays of the parts 0, 1, ... of something."""
+    each: dict[int, dict[str, np.ndarray]] = {}
+    for name, value in arrays.items():
+        number, _, rest = name.partition("/")
+        if number.isdigit():
+            each.setdefault(int(number), {})[rest] = value
+    return [each[number] for number in sorted(each)]
+
+
+def structure_of(family: Family, box: Box) -> Structure:
+    """Return the structure of all walkers of a box."""
+    return common_structure(family.walkers(box.nodes(3)))
 
 
 class Block:
@@ -97,17 +131,52 @@ class Block:
         return np.flatnonzero((low <= self.q) & (self.q <= high))
 
 
-def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
-    """Make the cell of a box for a panel.
+class Lines:
+    """Lines of a family that were surveyed, for one box or for another that holds them."""
+
+    def __init__(self, family: Family):
+        self.family = family
+        self.keys = np.zeros((0, len(family.keys)))
+        self.structures: list[Structure] = []
+        self.pieces: list[list[Piece]] = []
+
+    def at(self, box: Box, structure: Structure, wanted: np.ndarray) -> tuple[np.ndarray, list[list[Piece]]]:
+        """Return coordinates and pieces of lines at or beside those wanted (n, d), then of all others in the box.
+
+        Those that are not known are surveyed.
+        """
+        alike = [k for k, own in enumerate(self.structures) if own == structure and box.holds(self.keys[k])]
+        known = box.unit(self.keys[alike])
+        near = np.abs(wanted[:, None] - known).max(axis=2, initial=0.0) < _NEAR_NODE
+        new = ~near.any(axis=1)
+        numbers = np.full(len(wanted), -1)
+        if len(alike):
+            numbers[~new] = np.array(alike)[near[~new].argmax(axis=1)]
+        numbers[new] = len(self.pieces) + np.arange(new.sum())
+        if new.any():
+            keys = box.at(wanted[new])
+            surveyed = survey_lines(Lanes(self.family.walkers(keys), structure), COARSE)
+            self.keys = np.vstack([self.keys, keys])
+            self.structures += [structure] * len(keys)
+            self.pieces += [pieces_of(branches) for branches in surveyed]
+        others = [k for k in alike if k not in set(numbers.tolist())]
+        every = [*numbers.tolist(), *others]
+        return box.unit(self.keys[every]), [self.pieces[k] for k in every]
+
+
+def make_cell(family: Family, box: Box, window: tuple[float, float], lines: Lines, points: int, why: str = "") -> Cell:
+    """Make the cell of a box for a window of slopes.
 
     Parameters
     ----------
     family : Family
     box : Box
-    low : float
-        Ln slope at which the panel begins.
-    surveyed : set of (Box, int)
-        Receives the box with the nodes along each key of which lines are surveyed, `FEW` or more.
+    window : (float, float)
+        Least and largest ln slope.
+    lines : Lines
+        Those surveyed so far, to which the cell's own are added.
+    points : int
+        How many points it is for: good predictions of few are not worth many nodes.
     why : str, optional
         Why the cell is to have no patches.
 
@@ -116,228 +185,229 @@ def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int
     Refused
         If the gaits in the box cannot be described as one.
     """
-    maker = _Maker(family, box, low, surveyed)
+    maker = _Maker(family, box, window, lines, points)
     return Cell(box, maker.structure, [] if why else maker.patches(), why)
 
 
-@functools.lru_cache(64)
-def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
-    """Branches of n^d node lines, the same for all panels; after the few, those of a random line and of corners."""
-    points = np.vstack([box.nodes(n), box.at(box.lot()), box.at(box.corners(_CORNER))]) if n == FEW else box.nodes(n)
-    return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
+@dataclass(frozen=True)
+class _End:
+    """Where a piece ends over the keys: ln slopes at coordinates, the kind, the error, how far from it walking ends.
+
+    `kind` is `cut`, `fold`, `end`, a located one, or `beyond`: then the chart ends beyond that of walking, at most by
+    `reach`. `vanishing` is as spans have it.
+    """
+
+    kind: str
+    at: Any
+    error: float = 0.0
+    reach: float = 0.0
+    vanishing: float = 0.0
+    sizes: tuple[int, ...] = ()
 
 
 class _Maker:
-    """Makes the patches of one box and panel."""
+    """Makes the patches of one box and window."""
 
-    def __init__(self, family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]]):
-        self.family, self.box, self.low, self.high = family, box, low, low + PANEL
+    def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: int):
+        self.family, self.box, self.window = family, box, window
         self.d = len(box.keys)
-        self.structure = common_structure(family.walkers(box.nodes(FEW)))
-        self.surveyed = surveyed
-
-    def survey(self, n: int) -> tuple[list[Branch], ...]:
-        self.surveyed.add((self.box, n))
-        return _survey(self.family, self.box, self.structure, n)
+        self.total = max(_LEAST_NODES * self.d, points // 2)
+        self.structure = structure_of(family, box)
+        self.known = lines
+        self.special = Maker(family, box, self.structure)
 
     def problem(self, unit: np.ndarray) -> Lanes:
         return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
 
     def patches(self) -> list[Patch]:
-        patches = self.of_few_lines()
-        if patches is None or self.is_lacking(patches):
-            patches = []
-            for group in self.groups(_MANY):
-                cuts = self.cuts(group)
-                patches.append(self.with_events(group) if np.isnan(cuts).any() else self.regular(group, cuts))
-            if self.is_lacking(patches):
-                raise Refused("a line at a corner has a further piece")
-        return self.checked(patches)
+        self.check_tuning()
+        self.begin()
+        return self.checked([self.patch(group) for group in self.groups()])
 
-    def of_few_lines(self) -> list[Patch] | None:
-        """Patches of pieces that end near the panel nowhere in the box, by a few lines; None if more are needed."""
-        groups = self.groups(FEW)
-        cuts = [self.cuts(group) for group in groups]
-        if not np.isnan(cuts).any():
-            return [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
-        # A polynomial through few ends may wrongly place one near the panel: gaits at the edges of the box show it.
-        cuts = [self.cuts(group, between=False) for group in groups]
-        if np.isnan(cuts).any():
-            return None
-        try:
-            patches = [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
-        except Refused:
-            return None
-        return patches if all(map(self.is_whole, patches)) else None
+    def begin(self) -> None:
+        """Survey the lines at the centre, the corners and a random place; others may be known."""
+        wanted = np.vstack([np.full((1, self.d), _CENTRE), self.box.corners(_CORNER), self.box.lot()])
+        self.unit, self.lines = self.known.at(self.box, self.structure, wanted)
+        self.few = len(wanted) - 1
 
-    def is_whole(self, patch: Patch) -> bool:
-        """Whether gaits at both ends of a patch are steps, in the middle, the corners and on the edges of the box."""
-        points = np.array([(x, *unit) for *unit, x in itertools.product(*[(-1.0, 0.0, 1.0)] * self.d, (-1.0, 1.0))])
-        _, check = verify_steps(self.problem(points[:, 1:]), patch.gaits(points), patch.span.log_slope(points))
-        return bool(check.step.all())
+    def check_tuning(self) -> None:
+        """Refuse a box with tuned walkers, beside which special points move by powers, unless they stay off the window.
 
-    def groups(self, n: int) -> list[list[Piece]]:
-        """Pieces that come near the panel on any of n^d node lines, each on all of them."""
-        surveyed = self.survey(n)[: n**self.d]
-        lines = [pieces_of(branches) for branches in surveyed]
+        Others have them at slopes of the order of that at which the still walker, legs together, is balanced.
+        """
+        for axis in range(self.d):
+            unit = np.zeros((_PLACES, self.d))
+            unit[:, axis] = np.linspace(-1, 1, _PLACES)
+            walkers, values = self.family.walkers(self.box.at(unit)), self.box.at(unit)[:, axis]
+            moment = leg_moment(walkers)
+            balanced = 2 * moment.real / (walkers.total_mass * walkers.leg + 2 * moment.imag)
+            offset = np.broadcast_to(balanced, _PLACES)
+            if np.abs(offset).max() < _BALANCED * np.exp(self.window[0]):
+                continue
+            is_tuned = np.abs(offset) < _TUNED * np.abs(offset).max()
+            if is_tuned[0] or is_tuned[-1]:
+                share = _SLIVER if is_tuned[0] else 1 - _SLIVER
+                raise Refused("tuned walkers at a face", axis, float(values[0] + share * (values[-1] - values[0])))
+            crossing = np.flatnonzero(is_tuned[1:] | (np.diff(np.sign(offset)) != 0))
+            if len(crossing):
+                k = int(crossing[0])
+                share = offset[k] / (offset[k] - offset[k + 1])
+                raise Refused("tuned walkers inside", axis, float(values[k] + share * (values[k + 1] - values[k])))
+
+    def groups(self) -> list[list[Piece]]:
+        """Pieces that come near the window on any line at the centre and the corners, each on all of these."""
+        low, high = self.window[0] - _CLEAR, self.window[1] + _CLEAR
         groups: list[list[Piece]] = []
-        for group in match(lines, towards_middle(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
+        for group in match(self.lines[: self.few], low, high):
             known = [piece for piece in group if piece is not None]
-            ends = self.reach(known, n)
-            if ends[1, 1] < self.low - _CLEAR or ends[0, 0] > self.high + _CLEAR:
+            if not any(piece.q[1] > low and piece.q[0] < high for piece in known):
                 continue
             if len(known) < len(group):
-                present = np.array([piece is not None for piece in group]).reshape((n,) * self.d)
-                changes = [np.abs(np.diff(present.astype(int), axis=k)).sum() for k in range(self.d)]
-                raise Refused(f"{len(known)} of {len(group)} node lines have a piece", int(np.argmax(changes)))
+                present = np.array([piece is not None for piece in group], float)
+                raise Refused(f"{len(known)} of {len(group)} lines have a piece", self.rougher(present))
             groups.append(known)
         return groups
 
-    def reach(self, known: list[Piece], n: int) -> np.ndarray:
-        """Least and largest ln slope of the lower and of the upper end of a piece in the box: (2, 2), ends first.
+    def rougher(self, values: np.ndarray) -> int:
+        """The key along which values at the centre and the corners (1 + 2^d,) change most."""
+        corners = values[1:].reshape((2,) * self.d)
+        return int(np.argmax([np.abs(np.diff(corners, axis=k)).sum() for k in range(self.d)]))
 
-        By their values on node lines; if the piece is on all n^d, by their polynomial too, up to the edges of the box;
-        with n = 0 by their values alone.
-        """
-        q = np.clip([piece.q for piece in known], self.low - _FAR, self.high + _FAR).T
-        extremes = np.array([q.min(axis=1), q.max(axis=1)])
-        if len(known) == n**self.d:
-            edges = np.array(list(itertools.product(np.linspace(-1, 1, 5), repeat=self.d)))
-            q = Chart.through((n,) * self.d, q)(edges)
-            extremes = np.array([np.minimum(extremes[0], q.min(axis=1)), np.maximum(extremes[1], q.max(axis=1))])
-        return np.asarray(extremes.T)
+    def ends(self, group: list[Piece]) -> list[_End]:
+        """Both ends of a piece over the box: where it is cut it goes on, and never before its other end."""
+        ends = [self.end(group, k, self.window[k]) for k in (0, 1)]
+        for k, sign in enumerate((-1, 1)):
+            if ends[k].kind == "cut" and ends[1 - k].kind != "cut":
+                other = ends[1 - k].at(tensor_nodes((_PLACES,) * self.d))
+                least = float((other * sign).max() + _WIDTH) * sign
+                if sign * (least - self.window[k]) > 0:
+                    ends[k] = self.end(group, k, least)
+        return ends
 
-    def cuts(self, group: list[Piece], between: bool = True) -> np.ndarray:
-        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel.
+    def end(self, group: list[Piece], k: int, edge: float) -> _End:
+        """The lower (0) or upper (1) end of a piece over the box: cut beyond an `edge` on all lines, or its own."""
+        sign = (-1, 1)[k]
+        q = np.array([piece.q[k] for piece in group])
+        beyond = sign * (q - edge)
+        if (beyond > _CLEAR).all():
+            cut = edge + sign * min(2 * _CLEAR, 0.5 * float(beyond.min()))
+            return _End("cut", lambda unit: np.full(len(unit), cut))
+        kinds = {piece.kinds[k] for piece in group}
+        if beyond.max() > _REACH:
+            raise Refused("a piece ends in the window or far from it", self.rougher(np.clip(beyond, -1, _REACH)))
+        # Near vanishing steps the slope is a smooth function of angle over rate, on whose square the angle depends.
+        rate = max(piece.rate_beside(k) for piece in group)
+        vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
+        (kind, *others) = sorted(kinds)
+        if others and kinds <= _EVENTS:
+            return self.event(q, sign, vanishing)
+        if others or kind not in _EVENTS | {"fold", "zero step length"}:
+            numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
+            raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
+        if kind == "end_earlier_strike":
+            return self.event(q, sign, vanishing)
+        scalar = "short_steps" if kind == "zero step length" else kind
+        points = self.special.ends(scalar, self.unit[0], group[0].end_point(k), self.total)
+        m = self.structure.dimension
 
-        On a line of its group, or, with `between`, by the polynomial of its ends anywhere in the box.
-        """
-        ends = self.reach(group, round(len(group) ** (1 / self.d)) if between else 0)
-        beyond = np.array([self.low - ends[0, 1], ends[1, 0] - self.high])
-        off = np.where(beyond > _CLEAR, np.minimum(2 * _CLEAR, 0.5 * beyond), np.nan)
-        return np.array([self.low - off[0], self.high + off[1]])
+        def at(unit: np.ndarray) -> np.ndarray:
+            return np.asarray(points(unit)[m])
 
-    def regular(self, group: list[Piece], cut: np.ndarray) -> Patch:
-        """A patch between two ln slopes, on which no piece ends: at more nodes gaits follow from those of the lines."""
-        span = Span.between(cut, self.d)
-        return self.patch(group, span, (False, False), _FIRST, (_MAX_NODES,) * (1 + self.d))
+        is_fold = kind == "fold"
+        kind = "fold" if is_fold else "end"
+        return _End(kind, at, points.error, 0.0, 0.0 if is_fold else vanishing, points.sizes)
 
-    def with_events(self, group: list[Piece]) -> Patch:
-        """A patch that ends at events, whose slopes and gaits are those of surveyed lines."""
-        own, is_event = np.array([piece.q for piece in group]), np.isnan(self.cuts(group))
-        q = own.copy()
-        if not is_event.all():
-            # Cut at one distance from the event on all lines: as a share of it, gaits are smooth over the keys.
-            event = int(is_event[1])
-            reach = np.abs((self.high + _CLEAR, self.low - _CLEAR)[event] - own[:, event]).max()
-            q[:, 1 - event] = own[:, event] + (reach if event == 0 else -reach)
-            beyond = (q - own)[:, 1 - event] * (1 if event == 0 else -1) > 0
-            if beyond.any():
-                q[:, 1 - event], is_event[1 - event] = own[:, 1 - event], True
-        for end in (0, 1):
-            kinds = {piece.kinds[end] for piece in group}
-            if is_event[end] and len(kinds) > 1:
-                raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.steeper(own))
-        low, high = (kind if event else "" for kind, event in zip(group[0].kinds, is_event, strict=True))
-        at_zero = low == "zero step length", high == "zero step length"
-        span = Span(Chart.through((_MANY,) * self.d, q.T), (low == "fold", high == "fold"), at_zero)
-        events = bool(is_event[0]), bool(is_event[1])
-        return self.patch(group, span, events, _FIRST_OF_EVENTS, (_MAX_OF_EVENTS, *[_MANY] * self.d))
+    def event(self, q: np.ndarray, sign: int, vanishing: float) -> _End:
+        """An end beyond that of walking, from ln slopes at the centre and the corners."""
 
-    def steeper(self, q: np.ndarray) -> int:
-        """The key along which ends, (n^d, 2), vary most."""
-        ends = q.reshape(*[_MANY] * self.d, 2)
-        return int(np.argmax([np.ptp(ends, axis=k).max() for k in range(self.d)]))
+        def terms(unit: np.ndarray) -> np.ndarray:
+            powers = itertools.product((0, 1), repeat=self.d)
+            products = [np.prod(unit ** np.array(power), axis=1) for power in powers]
+            return np.column_stack([*products, (unit**2).mean(axis=1)])
 
-    def patch(
-        self, group: list[Piece], span: Span, events: tuple[bool, bool], first: int, most: tuple[int, ...]
-    ) -> Patch:
-        """The patch of a group of pieces over a span, at whose ends pieces may have `events`.
+        coefficients = np.linalg.solve(terms(self.unit[: self.few]), q)
+        reach = _CLEAR + 0.02 * float(np.ptp(q))
 
-        With `first` nodes along the piece and those of the surveyed lines, up to `most`.
-        """
-        numbers = np.array([[piece.number, piece.place] for piece in group])
-        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {numbers[0]}")
-        lines = (round(len(group) ** (1 / self.d)),) * self.d
+        def at(unit: np.ndarray) -> np.ndarray:
+            return np.asarray(terms(unit) @ coefficients + sign * reach)
 
-        def attempt(sizes: tuple[int, ...], before: Chart | None) -> Chart:
-            points = tensor_nodes(sizes)
-            if before is None or any(events):
-                chart = Chart.through(sizes, self.gaits_of(group, span, points))
-            else:
-                chart = Chart.through(sizes, self.solved(span, points, before))
-            w = chart(drawn)
-            off = np.abs(newton_step(self.stride(span, drawn, w), w))
-            return replace(chart, error=float(np.nan_to_num(off, nan=np.inf).max()))
+        return _End("beyond", at, 0.0, 2 * reach, vanishing, (3,) * self.d)
 
-        good = _COARSE_GOOD if any(events) else _GOOD
-        gaits = fit(attempt((first, *lines), None), attempt, most, good, _FAIR, self.d)
-        sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
-        if not (sides == sides[0]).all():
-            raise Refused("a fold lies inside")
+    def patch(self, group: list[Piece]) -> Patch:
+        """The patch of a piece."""
+        ends = self.ends(group)
+        sizes = tuple(max((end.sizes[k] for end in ends if end.sizes), default=1) for k in range(self.d))
+        nodes = tensor_nodes(sizes)
+        folds = ends[0].kind == "fold", ends[1].kind == "fold"
+        vanishing = ends[0].vanishing, ends[1].vanishing
+        span = Span(Chart.through(sizes, np.array([end.at(nodes) for end in ends])), folds, vanishing)
+        gaits, side = self.gaits(group[0], span)
         points = tensor_nodes((_MEASURED[0], *[_MEASURED[1]] * self.d))
         along = measured(self.problem(points[:, 1:]), gaits(points), span.log_slope(points), _MEASURED[1] ** self.d)
-        if any(span.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
+        if any(vanishing):  # rounding over step size grows from node to node: it is measured at each gait
             along[-1][:] = np.nan
-        end_errors = span.ends.tails().max(axis=0) * events
-        return Patch(tensor_nodes(lines), numbers, span, events, end_errors, gaits, along, float(sides[0]))
+        numbers = np.array([[piece.number, piece.place] for piece in group])
+        errors = np.array([end.error for end in ends])
+        reach = np.array([end.reach for end in ends])
+        kinds = ends[0].kind, ends[1].kind
+        return Patch(self.unit[: self.few], numbers, span, kinds, errors, reach, gaits, along, side)
 
-    def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> AnyStride:
+    def gaits(self, piece: Piece, span: Span) -> tuple[Chart, float]:
+        """The chart of the gaits of a piece at the centre over a span, and the side of a fold on which all lie."""
+        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {piece.number} {piece.place}")
+        way = _Way(self, piece, span)
+
+        def attempt(sizes: tuple[int, ...], before: Chart | None) -> Chart:
+            chart = Chart.through(sizes, way.solved(tensor_nodes(sizes), before))
+            w = chart(drawn)
+            off = np.abs(newton_step(self.stride(span, drawn, w), w)).max(axis=0) * span.distance(drawn)
+            return replace(chart, error=float(np.nan_to_num(off, nan=np.inf).max()))
+
+        first = (_FIRST[0], *[_FIRST[1]] * self.d)
+        most = (_MOST, *[_MOST_OF_KEYS[self.d - 1]] * self.d)
+        gaits = fit(attempt(first, None), attempt, most, self.total, _GOOD, _FAIR, self.d)
+        sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
+        if not (sides == way.side).all():
+            raise Refused("a fold lies inside")
+        return gaits, way.side
+
+    def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> Any:
         """Steps from gaits (m + k, n) at points of a span."""
         return self.problem(points[:, 1:]).stride(w, span.log_slope(points))[0]
 
-    def gaits_of(self, group: list[Piece], span: Span, points: np.ndarray) -> np.ndarray:
-        """Gaits at points over the surveyed lines by their polynomials, shape (m + k, n); the keys fastest."""
-        by_line = span.log_slope(points).reshape(-1, len(group))
-        rows = np.stack([piece.at(by_line[:, i]) for i, piece in enumerate(group)], axis=1)
-        return np.delete(rows.reshape(len(points), -1), group[0].branch.m, axis=1).T
-
-    def solved(self, span: Span, points: np.ndarray, gaits: Chart) -> np.ndarray:
-        """Gaits near those of a chart, shape (m + k, n)."""
-        guess = gaits(points)
-        result = newton(self.problem(points[:, 1:]), guess, span.log_slope(points))
-        moved = np.abs(result.w - guess).max(axis=0)
-        if not result.converged.all() or moved.max() > 0.3:
-            raise Refused(
-                f"{(~result.converged).sum()} of {len(points)} nodes do not converge, or move by {moved.max():.2g}"
-            )
-        return result.w
-
-    def is_lacking(self, patches: list[Patch]) -> bool:
-        """Whether a line at a corner has a piece near the panel of which there is no patch.
-
-        The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial predicts.
-        """
-        surveyed = self.survey(FEW)[FEW**self.d + 1 :]
-        for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
-            for piece in self.near_panel(branches, 0.5 * _CLEAR):
-                if not min((self.compare(patch, piece, unit) for patch in patches), default=np.inf) < _ALIKE:
-                    return True
-        return False
-
-    def near_panel(self, branches: list[Branch], beyond: float) -> list[Piece]:
-        """Pieces that reach the panel, or `beyond` of it."""
-        return [p for p in pieces_of(branches) if p.q[1] > self.low - beyond and p.q[0] < self.high + beyond]
+    def near_window(self, pieces: Sequence[Piece], beyond: float) -> list[Piece]:
+        """Pieces that reach the window, or `beyond` of it."""
+        return [p for p in pieces if p.q[1] > self.window[0] - beyond and p.q[0] < self.window[1] + beyond]
 
     def checked(self, patches: list[Patch]) -> list[Patch]:
-        """Patches with the errors of their ends on a random line, which must have these pieces and no others."""
-        unit = self.box.lot()
-        branches = self.survey(FEW)[FEW**self.d]
-        pieces = self.near_panel(branches, _CLEAR)
-        checked = []
+        """Patches that have all pieces of all lines and no others, and whose ends are what they should be."""
+        for number, (unit, line) in enumerate(zip(self.unit[:, None], self.lines, strict=True)):
+            alike = _ALIKE[0 if number < self.few else 1]
+            pieces = self.near_window(line, 0.5 * _CLEAR)
+            for patch in patches:
+                off = [self.compare(patch, piece, unit) for piece in pieces]
+                (low,), (high,) = patch.span.ends(unit) + np.array([[1.0], [-1.0]]) * patch.reach[:, None]
+                if off and min(off) < alike:
+                    pieces.pop(int(np.argmin(off)))
+                elif high > self.window[0] - 0.5 * _CLEAR and low < self.window[1] + 0.5 * _CLEAR:
+                    raise Refused("a line lacks a piece")
+            if any(piece.q[1] > self.window[0] and piece.q[0] < self.window[1] for piece in pieces):
+                raise Refused("a line has a further piece")
         for patch in patches:
-            (low,), (high,) = ends = patch.span.ends(unit)
-            off = [self.compare(patch, piece, unit) for piece in pieces]
-            nearest = int(np.argmin(off)) if off else -1
-            if off and off[nearest] < 1e-2:
-                own = np.abs(np.array(pieces.pop(nearest).q) - ends[:, 0])
-                patch = replace(patch, end_errors=np.where(patch.events, np.maximum(patch.end_errors, own), 0.0))
-            elif high > self.low - 0.5 * _CLEAR and low < self.high + 0.5 * _CLEAR:
-                raise Refused("a line between the nodes lacks a piece")
-            checked.append(patch)
-        if any(piece.q[1] > self.low and piece.q[0] < self.high for piece in pieces):
-            raise Refused("a line between the nodes has a further piece")
-        return checked
+            self.check_ends(patch)
+        return patches
+
+    def check_ends(self, patch: Patch) -> None:
+        """Refuse a patch that is cut where gaits are no steps, or beyond whose ends of walking they are."""
+        for k, kind in enumerate(patch.kinds):
+            if kind in ("cut", "beyond"):
+                edges = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d)))
+                points = np.column_stack([np.full(len(edges), (-1.0, 1.0)[k]), edges])
+                _, check = verify_steps(self.problem(edges), patch.gaits(points), patch.span.log_slope(points))
+                if not (check.step == (kind == "cut")).all():
+                    raise Refused(
+                        "a piece ends before it is cut" if kind == "cut" else "walking goes on beyond its end"
+                    )
 
     def compare(self, patch: Patch, piece: Piece, unit: np.ndarray) -> float:
         """How far a patch is from a piece of a line, at three slopes that both have; infinite where there is none."""
@@ -347,4 +417,54 @@ class _Maker:
             return np.inf
         q = low + (high - low) * np.array([0.2, 0.5, 0.8])
         w = patch.gaits(patch.span.points(q, np.repeat(unit, 3, axis=0)))
-        return float(np.abs(w - np.delete(piece.at(q), piece.branch.m, axis=1).T).max())
+        return float(np.abs(w - piece.gaits(q)).max())
+
+
+class _Way:
+    """Gaits of a piece of the line at the centre of a box, carried to other points of a span."""
+
+    def __init__(self, maker: _Maker, piece: Piece, span: Span):
+        self.maker, self.piece, self.span = maker, piece, span
+        inside = span.points(np.array(piece.q), np.repeat(maker.unit[:1], 2, axis=0))[:, 0]
+        self.low, self.high = (float(np.clip(x, -1, 1)) for x in inside)
+        middle = np.array([[0.5 * (self.low + self.high), *maker.unit[0]]])
+        self.side = float(side_of_fold(maker.stride(span, middle, piece.gaits(span.log_slope(middle))))[0])
+
+    def newton(self, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaits near guesses (m + k, n), and whether they are on the right side of folds, (n,)."""
+        problem, q = self.maker.problem(points[:, 1:]), self.span.log_slope(points)
+        result = newton(problem, guess, q, enough=_ENOUGH)
+        fair = result.converged & (np.abs(result.w - guess).max(axis=0) < _MAX_STRIDE_ERROR)
+        fair &= side_of_fold(problem.stride(result.w, q)[0]) == self.side
+        return result.w, fair
+
+    def solved(self, points: np.ndarray, before: Chart | None) -> np.ndarray:
+        """Gaits at points (n, 1 + d), shape (m + k, n)."""
+        if before is None:
+            return self.carried(points)
+        w, fair = self.newton(points, before(points))
+        if not fair.all():
+            w[:, ~fair] = self.carried(points[~fair])
+        return w
+
+    def carried(self, points: np.ndarray) -> np.ndarray:
+        """Gaits carried to points along straight lines."""
+        start = np.tile(self.maker.unit[0], (len(points), 1))
+        start = np.column_stack([np.clip(points[:, 0], self.low, self.high), start])
+        w = self.piece.gaits(self.span.log_slope(start))
+        n = len(points)
+        share, stride, rate, active = np.zeros(n), np.full(n, _STRIDE), np.zeros_like(w), np.arange(n)
+        while len(active):
+            step = np.minimum(stride[active], 1 - share[active])
+            at = start[active] + (share[active] + step)[:, None] * (points - start)[active]
+            new, fair = self.newton(at, w[:, active] + step * rate[:, active])
+            moved = active[fair]
+            rate[:, moved] = (new[:, fair] - w[:, moved]) / step[fair]
+            w[:, moved] = new[:, fair]
+            share[moved] += step[fair]
+            stride[active] *= np.where(fair, _LONGER, _SHORTER)
+            if (stride[active] < _MIN_STRIDE).any():
+                lost = (points - start)[active[stride[active] < _MIN_STRIDE], 1:]
+                raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
+            active = active[share[active] < 1 - 1e-12]
+        return w

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,8 @@ _ROWS = 64
 #: Share of the error wanted, or of the largest if all are below, above which the last coefficients along a dimension
 #: ask for more nodes there.
 _UNRESOLVED = 0.1
-#: Nodes are added by twos, and more where they are so many times as many.
-_GROWING = 6
+#: Most and fewest nodes along a dimension after some are added, as multiples of those before; at least two are.
+_MOST_GROWN, _LEAST_GROWN = 1.6, 1.15
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,16 @@ class Chart:
             inverse[0] *= 0.5
             coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis)
         return cls(sizes, coefficients.reshape(values.shape[1], -1), size=size)
+
+    def to_arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Return the chart as plain arrays, whose names begin with its own."""
+        return {f"{name}_{key}": np.asarray(getattr(self, key)) for key in ("sizes", "coefficients", "error", "size")}
+
+    @classmethod
+    def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> Chart:
+        """Return the chart of a name that arrays hold."""
+        sizes, coefficients, error, size = (arrays[f"{name}_{k}"] for k in ("sizes", "coefficients", "error", "size"))
+        return cls(tuple(sizes.tolist()), coefficients, float(error.item()), size)
 
     def __call__(self, points: np.ndarray, columns: Sequence[int] | slice = slice(None)) -> np.ndarray:
         """Evaluate some of the values at points, each by itself: the bits of one do not depend on the others.
@@ -95,6 +106,7 @@ def fit(
     chart: Chart,
     attempt: Callable[[tuple[int, ...], Chart], Chart],
     most: Sequence[int],
+    total: int,
     good: float,
     fair: float,
     keys: int,
@@ -109,6 +121,8 @@ def fit(
         The chart with given numbers of nodes, and its error, by the chart before.
     most : sequence of int
         Most nodes along each dimension, where the first chart has no more.
+    total : int
+        Nodes from which on no more are added.
     good, fair : float
         The error wanted, and the largest of a useful chart.
     keys : int
@@ -117,12 +131,13 @@ def fit(
     Raises
     ------
     Refused
-        If the error is not fair where the dimensions that are not resolved have the most nodes.
+        If the error is not fair where no nodes are added any more.
     """
-    while not chart.error <= good:
+    while not chart.error <= good and math.prod(chart.sizes) < total:
         tails = chart.tails().max(axis=1)
+        goal = _UNRESOLVED * min(good, tails.max())
         sizes = tuple(
-            max(n, min(n + 2 * max(1, n // _GROWING), limit)) if tail > _UNRESOLVED * min(good, tails.max()) else n
+            max(n, min(_grown(n, tail, goal), limit)) if tail > goal else n
             for n, limit, tail in zip(chart.sizes, most, tails, strict=True)
         )
         if sizes == chart.sizes:
@@ -131,3 +146,9 @@ def fit(
     if not chart.error <= fair:
         raise Refused(f"predictions err by {chart.error:.1g}", int(np.argmax(chart.tails().max(axis=1)[-keys:])))
     return chart
+
+
+def _grown(n: int, tail: float, goal: float) -> int:
+    """Nodes with which the last coefficients would reach a goal, if they go on falling as they did from 1."""
+    needed = np.log(goal) / np.log(tail) if tail < 1 else _MOST_GROWN
+    return max(n + 2, math.ceil(n * min(max(needed, _LEAST_GROWN), _MOST_GROWN)))

@@ -1,4 +1,4 @@
-"""How a box of keys is divided where it cannot be described as one: into cells for panels of slopes, or landscapes."""
+"""How a box of keys is divided where it cannot be described as one: into cells, or landscapes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from tasks.costs import MAX_SURVEYED
 from tasks.families.box import Box, Refused
-from tasks.families.cell import FEW, Cell, Family, make_cell
+from tasks.families.cell import Cell, Lines, make_cell
+from tasks.families.family import Family
 
 #: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
 #: along one key never leaves.
 _MAX_UNEVENNESS = 2
 #: Most halvings of a box, and fewest lines for which making its patches pays.
-_MAX_SPLITS, _MIN_LINES = 6, 24
-
+_MAX_SPLITS, _MIN_LINES = 8, 12
+#: Share of the lines of a plane as many as which may be surveyed for its charts before others are left to themselves.
+_MAX_SHARE = 0.2
 Part = TypeVar("Part")
 
 
@@ -52,49 +53,34 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
                 parts[place] = make(part, str(refused))
                 continue
             halved = np.bincount([key for _, key in place], minlength=len(box.keys))
-            axis = refused.axis if halved[refused.axis] < halved.min() + _MAX_UNEVENNESS else int(halved.argmin())
-            left += [((*place, (i, axis)), half) for i, half in enumerate(part.halves(axis))]
+            is_even = halved[refused.axis] < halved.min() + _MAX_UNEVENNESS
+            axis = refused.axis if is_even or refused.at is not None else int(halved.argmin())
+            left += [((*place, (i, axis)), half) for i, half in enumerate(part.parts(axis, refused.at))]
     return [parts[place] for place in sorted(parts)]
 
 
-class Cells:
-    """Makes the cells of a box panel by panel, as long as that takes less than its lines one by one.
+def make_cells(
+    family: Family, box: Box, window: tuple[float, float], values: Sequence[Sequence[float]], slopes: int
+) -> list[Cell]:
+    """Make the cells of a box for a window of slopes, as long as that takes less than its lines one by one.
 
     Parameters
     ----------
     family : Family
     box : Box
-    values : sequence of sequences of float
+    window : (float, float)
+        Least and largest ln slope.
+    values : sequence of sequence of float
         Values of each key in the box that a study has [the walker's units].
+    slopes : int
+        How many of them it has.
     """
+    lines, most = Lines(family), _MAX_SHARE * box.count(values)
 
-    def __init__(self, family: Family, box: Box, values: Sequence[Sequence[float]]):
-        self.family, self.box, self.values = family, box, [np.asarray(each) for each in values]
-        #: Parts whose lines are surveyed one by one, and what was surveyed so far: parts and nodes along each key.
-        self.alone: list[Box] = []
-        self.surveyed: set[tuple[Box, int]] = set()
+    def cell(part: Box, why: str) -> Cell:
+        return make_cell(family, part, window, lines, part.count(values) * slopes, why)
 
-    def make(self, low: float) -> list[Cell]:
-        """Make the cells for the panel from ln slope `low` on."""
+    def is_worth(part: Box) -> bool:
+        return part.count(values) >= _MIN_LINES and len(lines.pieces) <= most
 
-        def cell(box: Box, why: str) -> Cell:
-            return make_cell(self.family, box, low, self.surveyed, why)
-
-        cells = divide(self.box, cell, self._is_worth, _MAX_SPLITS)
-        self.alone += [each.box for each in cells if each.why and self._left(each.box)]
-        return cells
-
-    def _is_worth(self, part: Box) -> bool:
-        """Whether a part has enough lines, and was tried before or may be tried after all that was surveyed."""
-        spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
-        is_new = (part, FEW) not in self.surveyed
-        return self._left(part) >= _MIN_LINES and not (is_new and spent > MAX_SURVEYED * self.box.count(self.values))
-
-    def _left(self, part: Box) -> int:
-        """About how many lines of a part are not surveyed one by one for the sake of another panel."""
-        return part.count(self.values) - sum(part.common(other).count(self.values) for other in self.alone)
-
-
-def _number_of_lines(d: int, n: int) -> int:
-    """How many lines are surveyed for n nodes along each of d keys."""
-    return int(n**d + (1 + 2**d) * (n == FEW))
+    return divide(box, cell, is_worth, _MAX_SPLITS)

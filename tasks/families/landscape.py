@@ -26,8 +26,8 @@ from tasks.continuation.extremes import (
 )
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box, Refused
-from tasks.families.cell import Family
 from tasks.families.division import divide
+from tasks.families.family import Family
 from tasks.families.manifold import Manifold
 from tasks.families.manifold_maker import Maker
 from tasks.mechanics.lumped import Structure, common_structure

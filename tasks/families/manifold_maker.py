@@ -9,8 +9,8 @@ import numpy as np
 
 from tasks.continuation.defining import Solved, defining_system, evaluate, gradient, newton_step, solve
 from tasks.families.box import Box, Refused, tensor_nodes
-from tasks.families.cell import Family
 from tasks.families.chart import Chart, fit
+from tasks.families.family import Family
 from tasks.families.manifold import LEAST, Manifold, Region
 from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
@@ -20,6 +20,8 @@ from tasks.walkers.walker import WalkerError
 
 #: First and most nodes along each key, and the error of predictions below which no more are taken.
 _FIRST, _MAX_NODES, _GOOD = 5, 33, 1e-6
+#: Error of the ends of pieces below which no more nodes are taken.
+_GOOD_ENDS = 1e-9
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
@@ -102,6 +104,25 @@ class Maker:
         except WalkerError as error:
             raise Refused(f"a {kind} counts where {error}") from None
 
+    def ends(self, kind: str, unit: np.ndarray, Z: np.ndarray, total: int) -> Chart:
+        """Return the chart of the special points of a kind through one, of Z (c values), over the whole box.
+
+        Parameters
+        ----------
+        kind : str
+        unit : ndarray, shape (d,)
+            Coordinates of keys.
+        Z : ndarray, shape (c,)
+        total : int
+            Nodes from which on no more are added.
+
+        Raises
+        ------
+        Refused
+            If they are not smooth enough, or do not extend over the box.
+        """
+        return _Extension(self, kind, 0.0, unit, Z).ends(total)
+
 
 class _Carried:
     """Points (c, n) on their way to other designs, with the derivatives of their scalars and the next strides (n,).
@@ -133,9 +154,26 @@ class _Extension:
         if not there.all():
             region = self.cut(nodes[~there])
         first = self.chart(region, sizes, points=points if there.all() else None)
-        return self.measured(
-            region, fit(first, partial(self.chart, region), (_MAX_NODES,) * self.d, _GOOD, _FAIR, self.d)
-        )
+        return self.measured(region, self.fit(region, first, _GOOD, _MAX_NODES**self.d))
+
+    def fit(self, region: Region, first: Chart, good: float, total: int) -> Chart:
+        return fit(first, partial(self.chart, region), (_MAX_NODES,) * self.d, total, good, _FAIR, self.d)
+
+    def ends(self, total: int) -> Chart:
+        sizes = (_FIRST,) * self.d
+        nodes, region = tensor_nodes(sizes), Region.whole(self.d)
+        points, there = self.carried(nodes, region)
+        if not there.all():
+            lost = np.abs(nodes[~there] - self.unit).sum(axis=0)
+            raise Refused(f"a {self.kind} does not extend over the box", int(lost.argmax()))
+        chart = self.fit(region, self.chart(region, sizes, points=points), _GOOD_ENDS, total)
+        nodes = tensor_nodes(chart.sizes)
+        guess, rows = np.split(chart(nodes), 2)
+        solved = solve(self.problem(nodes), self.kind, guess, self.target, rows)
+        chart = self.fitted(chart.sizes, region, nodes, solved.Z, rows)
+        if not (chart.error <= _FAIR and solved.ok.all()):
+            raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
+        return replace(chart, coefficients=chart.coefficients[:, : len(self.Z)], size=1.0)
 
     def chart(
         self, region: Region, sizes: tuple[int, ...], before: Chart | None = None, points: _Carried | None = None

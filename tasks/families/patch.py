@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,10 +50,11 @@ class Patch:
         Coordinates of keys of surveyed lines, and on each the numbers of the branch and of the piece on it.
     span : Span
         The piece, or the part of it at which it is cut.
-    events : (bool, bool)
-        Whether it ends at an event, whose slope depends on the keys; elsewhere it is cut.
-    end_errors : ndarray, shape (2,)
-        Errors of the span's ends.
+    kinds : (str, str)
+        Of which kind its ends are: `cut`, where the piece goes on, `fold`, `end`, where walking ends, or `beyond`,
+        where the equations go on and walking ended before.
+    end_errors, reach : ndarray, shape (2,)
+        Errors of folds and located ends, and how far before an end beyond walking that may be, in ln slope.
     gaits : Chart
         Of the gaits in similarity coordinates; its error is the largest correction that was measured.
     measured : tuple of ndarray
@@ -63,11 +66,47 @@ class Patch:
     lines: np.ndarray
     numbers: np.ndarray
     span: Span
-    events: tuple[bool, bool]
+    kinds: tuple[str, str]
     end_errors: np.ndarray
+    reach: np.ndarray
     gaits: Chart
     measured: tuple[np.ndarray, np.ndarray, np.ndarray]
     side: float
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return the patch as plain arrays."""
+        return {
+            **{name: np.asarray(getattr(self, name)) for name in ("lines", "numbers", "end_errors", "reach", "side")},
+            **{name: np.asarray(getattr(self.span, name)) for name in ("folds", "vanishing")},
+            **{f"measured_{k}": value for k, value in enumerate(self.measured)},
+            **self.span.ends.to_arrays("span"),
+            **self.gaits.to_arrays("gaits"),
+            "kinds": np.array(self.kinds),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Patch:
+        """Return the patch that arrays hold."""
+        folds, vanishing, kinds = (tuple(arrays[name].tolist()) for name in ("folds", "vanishing", "kinds"))
+        return cls(
+            **{name: arrays[name] for name in ("lines", "numbers", "end_errors", "reach")},
+            span=Span(Chart.from_arrays("span", arrays), folds, vanishing),
+            kinds=kinds,
+            gaits=Chart.from_arrays("gaits", arrays),
+            measured=(arrays["measured_0"], arrays["measured_1"], arrays["measured_2"]),
+            side=float(arrays["side"].item()),
+        )
+
+    @property
+    def inside(self) -> Span:
+        """The part of the span in which all gaits are steps."""
+        if not self.reach.any():
+            return self.span
+        keys = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=len(self.span.ends.sizes))))
+        low, high = self.span.ends(keys)
+        inner = self.span.points(np.concatenate([low + self.reach[0], high - self.reach[1]]), np.vstack([keys, keys]))
+        low, high = np.split(0.5 * (1 + inner[:, 0]), 2)
+        return replace(self.span, part=(float(low.max()), float(high.min())))
 
     def numbers_at(self, unit: np.ndarray) -> np.ndarray:
         """Return the numbers of branch and piece (n, 2) on the surveyed line nearest to coordinates of keys (n, d)."""
@@ -89,6 +128,29 @@ class Patch:
         lipschitz = _LIPSCHITZ_SAFETY * np.max([lipschitz[k] for k in around], axis=0)
         std = np.max([std[:, k] for k in around], axis=0)
         return Guesses(self.gaits(points), slope, lipschitz, gradient[..., node], std, np.full(len(slope), UNKNOWN))
+
+    def judge(self, at: Polished, w: np.ndarray, q: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return which gaits are as predicted (steps, or none near an end of walking), and which are steps.
+
+        Parameters
+        ----------
+        at : Polished
+            Of n lanes.
+        w : ndarray, shape (m + k, n)
+            Predictions.
+        q : ndarray, shape (n,)
+            Ln slopes.
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        fine, is_step : ndarray of bool, shape (n,)
+        """
+        error = self.gaits.error / self.span.distance(self.span.points(q, unit))
+        off = np.abs(self.span.ends(unit) - q)
+        may_end = (off < self.reach[:, None]).any(axis=0)
+        return near_predictions(at, w, error, self.side) & (at.step | may_end), at.step
 
 
 def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,22 +194,24 @@ def similarity(at: Polished) -> np.ndarray:
     return np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
 
 
-def are_predicted(at: Polished, guesses: Guesses, error: np.ndarray | float, side: np.ndarray | float) -> np.ndarray:
-    """Whether gaits are converged steps as near their predictions as they should be, on the right side of a fold.
+def near_predictions(at: Polished, w: np.ndarray, error: np.ndarray | float, side: float) -> np.ndarray:
+    """Whether gaits converged as near their predictions as they should, on the right side of a fold.
 
     Parameters
     ----------
     at : Polished
         Of n lanes.
-    guesses : Guesses
-    error, side : ndarray, shape (n,), or float
-        Those of the gaits' patches.
+    w : ndarray, shape (m + k, n)
+        The predictions.
+    error : ndarray, shape (n,), or float
+        Of these, as measured elsewhere.
+    side : float
+        That of the gaits' patch.
 
     Returns
     -------
     ndarray of bool, shape (n,)
     """
     with np.errstate(invalid="ignore"):
-        moved = np.abs(similarity(at) - guesses.w).max(axis=0)
-    fine = at.converged & at.step & (moved < PREDICTED_WITHIN * error)
-    return np.asarray(fine & (side_of_fold(at.stride) == side))
+        moved = np.abs(similarity(at) - w).max(axis=0)
+    return np.asarray(at.converged & (moved < PREDICTED_WITHIN * error) & (side_of_fold(at.stride) == side))

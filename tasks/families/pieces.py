@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.tracking import rate_of_steps
 from tasks.fixed_points.polish import Guesses
 
 #: How far beyond a panel pieces are compared, in ln slope.
@@ -52,20 +53,31 @@ class Piece:
         Z, segment = self.branch.on_piece(self.first, self.last, q)
         return self.branch.known_guesses(Z, segment, np.exp(q))
 
-    def at(self, q: np.ndarray) -> np.ndarray:
-        """Evaluate the branch's polynomials; beyond the piece, at its ends.
+    def gaits(self, q: np.ndarray) -> np.ndarray:
+        """Return gaits by the branch's polynomials; beyond the piece, those at its ends.
 
         Parameters
         ----------
-        q : ndarray, shape (k,)
+        q : ndarray, shape (n,)
             Values of ln slope.
 
         Returns
         -------
-        ndarray, shape (k, c)
-            Rows of Z.
+        ndarray, shape (m + k, n)
         """
-        return self.branch.on_piece(self.first, self.last, np.clip(q, *self.q))[0]
+        Z = self.branch.on_piece(self.first, self.last, np.clip(q, *self.q))[0]
+        return np.delete(Z, self.branch.m, axis=1).T
+
+    def rate_beside(self, k: int) -> float:
+        """Return the largest norm of rates over angle on the half next to the lower (0) or upper (1) end."""
+        nodes = self.branch.Z[self.first : self.last + 1]
+        nodes = nodes if (nodes[0, self.branch.m] == self.q[k]) else nodes[::-1]
+        return float(rate_of_steps(nodes[: len(nodes) // 2 + 1, 1 : self.branch.m].T).max())
+
+    def end_point(self, k: int) -> np.ndarray:
+        """Return its point (c,) at the lower (0) or upper (1) end."""
+        first = self.branch.q[self.first] == self.q[k]
+        return self.branch.Z[self.first if first else self.last]
 
 
 def pieces_of(branches: list[Branch]) -> list[Piece]:
@@ -85,27 +97,23 @@ def pieces_of(branches: list[Branch]) -> list[Piece]:
 def _distance(a: Piece, b: Piece, low: float, high: float) -> float:
     """How far apart two pieces of neighbouring lines are."""
     for end in (0, 1):
-        # Ends beyond the range of interest may be of any kind.
+        # Ends beyond the range of interest may be of any kind, and so may those where walking ends.
         beyond = (a.q[0] < low and b.q[0] < low, a.q[1] > high and b.q[1] > high)[end]
-        if not beyond and a.kinds[end] != b.kinds[end]:
+        kinds = [kind.partition("_")[0] for kind in (a.kinds[end], b.kinds[end])]
+        if not beyond and kinds[0] != kinds[1]:
             return _FAR
     spans = [np.clip(piece.q, low - _REACH, high + _REACH) for piece in (a, b)]
     shares = np.array([0.15, 0.5, 0.85])
-    rows = [
-        np.delete(piece.at(span[0] + (span[1] - span[0]) * shares), piece.branch.m, axis=1)
-        for piece, span in zip((a, b), spans, strict=True)
-    ]
-    return float(np.abs(rows[0] - rows[1]).max() + np.abs(spans[0] - spans[1]).max())
+    gaits = [piece.gaits(q[0] + (q[1] - q[0]) * shares) for piece, q in zip((a, b), spans, strict=True)]
+    return float(np.abs(gaits[0] - gaits[1]).max() + np.abs(spans[0] - spans[1]).max())
 
 
-def match(lines: list[list[Piece]], neighbour: list[int], low: float, high: float) -> list[list[Piece | None]]:
-    """Group the pieces of node lines that continue each other.
+def match(lines: list[list[Piece]], low: float, high: float) -> list[list[Piece | None]]:
+    """Group the pieces of lines that continue those of the first.
 
     Parameters
     ----------
     lines : list of list of Piece
-    neighbour : list of int
-        For each line one nearer to the middle, itself for the middle.
     low, high : float
         The range of ln slopes of interest.
 
@@ -117,37 +125,17 @@ def match(lines: list[list[Piece]], neighbour: list[int], low: float, high: floa
     # This takes as long to import as all other modules that solve points together: only planes need it.
     from scipy.optimize import linear_sum_assignment
 
-    groups: list[list[Piece | None]] = []
-    for i in sorted(range(len(lines)), key=lambda i: _depth(neighbour, i)):
-        pieces, before = lines[i], neighbour[i]
+    groups: list[list[Piece | None]] = [[piece, *[None] * (len(lines) - 1)] for piece in lines[0]]
+    known = len(groups)
+    for i, pieces in enumerate(lines[1:], 1):
         new = set(range(len(pieces)))
-        known = [g for g, group in enumerate(groups) if before != i and group[before] is not None]
         if pieces and known:
-            cost = np.array([[_distance(groups[g][before], piece, low, high) for piece in pieces] for g in known])  # type: ignore[arg-type]
+            cost = np.array([[_distance(first, piece, low, high) for piece in pieces] for first in lines[0]])
             for row, column in zip(*linear_sum_assignment(cost), strict=True):
                 if cost[row, column] < _FAR:
-                    groups[known[row]][i] = pieces[column]
+                    groups[row][i] = pieces[column]
                     new.remove(int(column))
         for column in sorted(new):
             groups.append([None] * len(lines))
             groups[-1][i] = pieces[column]
     return groups
-
-
-def _depth(neighbour: list[int], i: int) -> int:
-    depth = 0
-    while neighbour[i] != i:
-        i, depth = neighbour[i], depth + 1
-    return depth
-
-
-def towards_middle(n: int, d: int) -> list[int]:
-    """For each of n^d node lines the one next to it towards the middle, the middle's own for itself."""
-    neighbours = []
-    for i in range(n**d):
-        place = np.array(np.unravel_index(i, (n,) * d))
-        off = place - n // 2
-        k = int(np.abs(off).argmax())
-        place[k] -= np.sign(off[k])
-        neighbours.append(int(np.ravel_multi_index(tuple(place), (n,) * d)))
-    return neighbours

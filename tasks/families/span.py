@@ -11,13 +11,13 @@ import numpy as np
 from tasks.families.box import roots
 from tasks.families.chart import Chart
 
-#: Logarithm of the share of the way to an end at zero step length up to which gaits are predicted.
-_VANISHING = np.log(1e2)
+#: Least distance from a fold that counts, as a share of the piece.
+_NEAREST = 1e-9
 #: Narrowest part of a span.
 _NARROWEST = 2.0**-12
 
 
-def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bool] = (False, False)) -> np.ndarray:
+def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
     """Return the share of the range of ln slope at a coordinate from 0 to 1 in which gaits are smooth.
 
     Parameters
@@ -25,8 +25,9 @@ def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bo
     share : ndarray
     folds : (bool, bool)
         Whether the piece begins and ends at a fold, where gaits depend on the root of the distance in ln slope.
-    vanishing : (bool, bool)
-        Whether it begins and ends where steps vanish, and gaits depend on the distance's logarithm: up to 1e-2 of it.
+    vanishing : (float, float)
+        Where it begins or ends at steps that nearly vanish, minus the logarithm of the share of the piece that is left:
+        there gaits depend on that logarithm. 0 elsewhere.
 
     Returns
     -------
@@ -37,21 +38,20 @@ def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bo
         return 1 - along(1 - share, folds[::-1], vanishing[::-1])
     low, high = folds
     if vanishing[1]:
-        return -np.expm1(-_VANISHING * (share**2 if low else share))
+        return np.expm1(-vanishing[1] * (share**2 if low else share)) / np.expm1(-vanishing[1])
     if low and high:
         return 0.5 * (1 - np.cos(np.pi * share))
     return share**2 if low else 1 - (1 - share) ** 2 if high else share
 
 
-def coordinate(
-    share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bool] = (False, False)
-) -> np.ndarray:
+def coordinate(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
     """Return the coordinate at a share of the range of ln slope, the inverse of `along`.
 
     Parameters
     ----------
     share : ndarray
-    folds, vanishing : (bool, bool)
+    folds : (bool, bool)
+    vanishing : (float, float)
 
     Returns
     -------
@@ -63,7 +63,7 @@ def coordinate(
     share = np.clip(share, 0.0, 1.0)
     low, high = folds
     if vanishing[1]:
-        way = np.minimum(-np.log1p(-np.minimum(share, 1 - 1e-9)) / _VANISHING, 1.0)
+        way = -np.log1p(share * np.expm1(-vanishing[1])) / vanishing[1]
         return np.sqrt(way) if low else way
     if low and high:
         return np.arccos(1 - 2 * share) / np.pi
@@ -78,15 +78,17 @@ class Span:
     ----------
     ends : Chart
         Ln slopes of the piece's two ends over the keys.
-    folds, vanishing : (bool, bool)
-        Whether the piece begins and ends at a fold, and at zero step length.
+    folds : (bool, bool)
+        Whether the piece begins and ends at a fold.
+    vanishing : (float, float)
+        As for `along`.
     part : (float, float)
         The part, in the coordinate of `along`.
     """
 
     ends: Chart
     folds: tuple[bool, bool] = (False, False)
-    vanishing: tuple[bool, bool] = (False, False)
+    vanishing: tuple[float, float] = (0.0, 0.0)
     part: tuple[float, float] = (0.0, 1.0)
 
     @classmethod
@@ -107,6 +109,15 @@ class Span:
         start, stop = self.part
         share = coordinate((q - low) / (high - low), self.folds, self.vanishing)
         return np.column_stack([2 * (share - start) / (stop - start) - 1, unit])
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return how far points (n, 1 + d) are from the piece's folds, as a share of the piece, (n,); 1 without."""
+        start, stop = self.part
+        share = start + (stop - start) * 0.5 * (1 + points[:, 0])
+        low, high = self.folds
+        return np.asarray(
+            np.clip(np.minimum(share if low else 1.0, 1 - share if high else 1.0), _NEAREST, 1.0) * np.ones(len(points))
+        )
 
     @property
     def bounds(self) -> tuple[float, float]:

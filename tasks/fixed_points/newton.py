@@ -21,6 +21,8 @@ _MAX_ITERATIONS = 25
 #: Differences by which Lipschitz constants are estimated, in turn, until the derivative changes over one by no more
 #: than this, relative: steps that almost end in a fall are far more curved than others.
 _DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
+#: The same of the characteristic polynomial, whose roots grow without bound beside strikes that turn tangential.
+_MAX_STEEPNESS = 0.05
 
 
 def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
@@ -76,6 +78,7 @@ def newton(
     w: np.ndarray,
     log_slope: np.ndarray,
     coarse: bool = False,
+    enough: float = 0.0,
     max_iterations: int = _MAX_ITERATIONS,
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
@@ -91,6 +94,8 @@ def newton(
         ln of the slope in rad.
     coarse : bool
         Only to the search's tolerance.
+    enough : float
+        Size of a Newton step after which a gait that only leads to others is accurate enough.
     max_iterations : int
     max_step_by_iteration : sequence of float
         Size of the first, second, ... Newton step that ends a lane's search; the last holds for all that follow.
@@ -119,7 +124,10 @@ def newton(
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
-        done = alive & ((size < (1e-5 if coarse else rounding_std)) | ((size < 1e-6) & (size > 0.3 * last[active])))
+        done = alive & (
+            (size < (1e-5 if coarse else np.maximum(rounding_std, enough)))
+            | ((size < 1e-6) & (size > 0.3 * last[active]))
+        )
         sane = (np.abs(w[1 : problem.m, active]) < 50).all(axis=0) & (w[problem.m :, active] > 0.05).all(axis=0)
         sane &= (w[-1, active] < LONGEST_PERIOD * problem.steps) & (w[0, active] < 0.4)
         converged[active[done & sane]] = True
@@ -155,18 +163,19 @@ def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.nd
     lipschitz, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
     gradient = np.full((problem.structure.dimension, *w.shape), np.nan)
     for h in _DIFFERENCES:
-        lipschitz[lanes], gradient[..., lanes] = _curvature(problem.some(lanes), w[:, lanes], X[m, lanes], h)
-        # Where the derivative changes much over the difference, that must be smaller.
-        lanes = lanes[~(lipschitz[lanes] * h < _MAX_CHANGE)]
+        lipschitz[lanes], gradient[..., lanes], change = _curvature(problem.some(lanes), w[:, lanes], X[m, lanes], h)
+        # Where derivatives change much over the difference, that must be smaller.
+        lanes = lanes[~((lipschitz[lanes] * h < _MAX_CHANGE) & (change < _MAX_STEEPNESS))]
         if not len(lanes):
             break
     return lipschitz, gradient
 
 
-def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """What `curvature` returns, at w by differences h."""
+def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> tuple[np.ndarray, ...]:
+    """What `curvature` returns, at w by differences h, and how much the polynomial changes over these, relatively."""
     base, _ = problem.stride(w, log_slope)
     worst, gradient = np.zeros(w.shape[1]), np.zeros((len(base.jacobian), *w.shape))
+    polynomial = characteristic(base.jacobian)
     # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
     for i in range(len(w)):
@@ -177,5 +186,7 @@ def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float)
         product = matvec(base.inverse[:, :, None], change[:, : len(w)])
         weighted = product * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
-        gradient[:, i] = (characteristic(stride.jacobian) - characteristic(base.jacobian)) / h
-    return worst, gradient / characteristic_scale(base)[:, None]
+        gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
+    # Multipliers near zero have no size of their own: then 1 is their scale.
+    steepness = np.abs(gradient).max(axis=(0, 1)) * h / np.maximum(np.abs(polynomial).max(axis=0), 1.0)
+    return worst, gradient / characteristic_scale(base)[:, None], steepness

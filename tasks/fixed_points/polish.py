@@ -28,6 +28,8 @@ SAFETY_FACTOR = 16.0
 _MAX_BOUND = 1e-3
 #: Share of Newton's radius of convergence up to which the Lipschitz estimate of a segment's nodes serves its points.
 _MAX_CONTRACTION = 0.1
+#: Rate of a guard over the angle below which its strike is nearly tangential [sqrt(g/leg)].
+_GRAZING = 0.01
 #: States side by side by which the rounding of a gait alone is measured; a fine atlas averages over its nodes.
 _NEAR_STATES = 3
 #: Rounding of the eigenvalues themselves, as that of the terms of the polynomial's coefficients.
@@ -151,7 +153,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz, SAMPLES if sampled else 0)
     last, relative = newton_step(stride, w), relative_sizes(w, problem.m)
     eta = np.abs(last).max(axis=0)
-    lipschitz, gradient = _curvature_at_points(problem, w, guesses, eta)
+    lipschitz, gradient = _curvature_at_points(problem, w, guesses, eta, stride)
     std, of_polynomial = np.split(
         _rounding_at_points(problem, w, slope, guesses.rounding_std), [-problem.structure.dimension]
     )
@@ -212,14 +214,19 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     return Polished(y, state, times, scale, stride, bound, doubles, change, error, converged, step, leg_passes)
 
 
-def _curvature_at_points(problem: Problem, w: np.ndarray, guesses: Guesses, eta: np.ndarray) -> tuple[np.ndarray, ...]:
+def _curvature_at_points(
+    problem: Problem, w: np.ndarray, guesses: Guesses, eta: np.ndarray, stride: AnyStride
+) -> tuple[np.ndarray, ...]:
     """What `curvature` gives, measured at the point itself where there is nothing or it does not suffice.
 
     At a fold the map at fixed slope is singular, and ever less so beside it: the estimate at that node says nothing of
-    the segment.
+    the segment. So it is beside strikes that turn tangential, where derivatives grow without bound.
     """
     lipschitz, gradient = guesses.lipschitz, guesses.gradient
-    known = np.isfinite(gradient).all(axis=(0, 1))
+    singles = stride.singles
+    grazing = np.min([np.abs(rate / singles.y[0]) for rate in singles.closing], axis=0) < _GRAZING
+    grazing = grazing.reshape(problem.steps, -1).any(axis=0)
+    known = np.isfinite(gradient).all(axis=(0, 1)) & ~grazing
     lanes = np.nonzero(~((2 * lipschitz * eta <= _MAX_CONTRACTION) & known))[0]
     if len(lanes):
         X = np.vstack([w[: problem.m, lanes], np.log(guesses.slope[lanes])])

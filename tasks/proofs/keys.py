@@ -24,7 +24,7 @@ TUNED_TO = 4e-16
 #: Characters of a number that is read exactly, and of a zero's exponent.
 MAX_CHARACTERS, MAX_EXPONENT = 1000, 5
 #: Keys that are no numbers.
-_TEXTS = ("base", "name", "units")
+_TEXTS = ("toward", "base", "name", "units")
 #: Keys a table may leave out.
 _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
 
@@ -43,6 +43,8 @@ def check_written(numbers: Mapping[str, Any]) -> None:
         If one has too many digits, or lies below all doubles but is not zero.
     """
     for key, text in numbers.items():
+        if isinstance(text, Mapping):  # the walker that another leads to
+            check_written(text)
         if not isinstance(text, str) or key in _TEXTS:
             continue
         if len(text) > MAX_CHARACTERS:
@@ -63,7 +65,14 @@ def in_doubles(numbers: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
     """
-    return {k: float(v) if isinstance(v, str) and k not in _TEXTS else v for k, v in numbers.items()}
+    return {
+        key: in_doubles(value)
+        if isinstance(value, Mapping)
+        else float(value)
+        if isinstance(value, str) and key not in _TEXTS
+        else value
+        for key, value in numbers.items()
+    }
 
 
 def decimal(value: Any) -> fmpq:
@@ -117,19 +126,21 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     if "tuned" in table:  # the walker tuned in doubles; the offsets that tune it best stand for those that do
         return doubles(resolve(in_doubles(table), in_doubles(overrides)).table())
     table, overrides = split(table, overrides)
-    base = walker if isinstance(walker, str) else table.pop("base", None)
+    base, toward = walker if isinstance(walker, str) else table.pop("base", None), table.pop("toward", None)
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
     if base is None and table.get("knees") is False:
         lengths: dict[str, Any] = {key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table}
         table = straight({"R": 0, **table, **lengths})
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
     keys, kneed = _changed(keys, kneed, table)
+    moved: Numbers = {}
     if "detuning" in overrides:
-        tuned, physical = _named(str(base))[0], _named(TUNED[str(base)][1])[0]
-        keys = {**keys, **_mixed(tuned, physical, decimal(overrides.pop("detuning")))}
+        of_base = () if toward else (_named(str(base))[0], _named(TUNED[str(base)][1])[0])
+        tuned, physical = of_base or (keys, exact(toward)[0])
+        moved |= _mixed(tuned, physical, decimal(overrides.pop("detuning")))
     if "foot_mass_ratio" in overrides:
-        keys = _with_foot_mass(keys, decimal(overrides.pop("foot_mass_ratio")))
-    return _changed(keys, kneed, overrides)
+        moved |= _foot_masses(keys, decimal(overrides.pop("foot_mass_ratio")))
+    return _changed({**keys, **moved}, kneed, overrides)
 
 
 def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
@@ -229,12 +240,12 @@ def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
         }
 
 
-def _with_foot_mass(keys: Numbers, ratio: fmpq) -> Numbers:
-    """A point-foot walker whose feet each have a share of the whole mass; the hip carries the rest."""
+def _foot_masses(keys: Numbers, ratio: fmpq) -> Numbers:
+    """Masses of a point-foot walker whose feet each have a share of the whole; the hip carries the rest."""
     total = 2 * (keys["m_t"] + keys["m_s"]) + keys["m_h"]
     if keys["m_t"] == 0 and any(keys[name] != 0 for name in ("c_t", "w_t", "r_t")):  # of a thigh without mass
-        return {**keys, "m_s": ratio * total, "m_t": fmpq(0), "m_h": (1 - 2 * ratio) * total}
-    return {**keys, "m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
+        return {"m_s": ratio * total, "m_t": fmpq(0), "m_h": (1 - 2 * ratio) * total}
+    return {"m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
 
 
 def written(value: Number) -> str:

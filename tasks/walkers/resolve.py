@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -17,8 +16,11 @@ from tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, c
 from tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
-_DERIVED = ("foot_mass_ratio", "detuning")
-#: The walker that `detuning` = 1 gives, for each tuned walker (paper, section 5.2 and figure 8).
+_DERIVED = ("detuning", "foot_mass_ratio")
+#: What a walker's table may hold beside its own keys.
+_MORE = (*_DERIVED, "tuned", "toward")
+#: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker (paper, section 5.2 and
+#: figure 8).
 _PARTNERS = {"A": "physical-straight", "C": "physical"}
 
 
@@ -119,8 +121,9 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     Parameters
     ----------
     walker : str or mapping
-        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too, and `tuned`,
-        keys that are changed, as little as possible, so that the walker meets the static conditions.
+        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too; `toward`, the
+        name or table of the walker that `detuning` = 1 gives; and `tuned`, keys that are changed, as little as
+        possible, so that the walker meets the static conditions.
     overrides : mapping, optional
         Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units; for a leg of one link
         its own keys, with the meaning that they have in its table; `R` keeps the length to the bottom of the foot.
@@ -132,27 +135,63 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     """
     changes: dict[str, Any] = dict(overrides or {})
     tuned: tuple[str, ...] = ()
+    given, links = walker, dict[str, Any]()
     if isinstance(walker, Mapping):
         changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
         tuned = _free_keys(walker.get("tuned", ()), changes)
-        walker, changes = split({k: v for k, v in walker.items() if k not in (*_DERIVED, "tuned")}, changes)
-    result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
-    base = None if isinstance(walker, str) else walker.get("base")
+        walker, others = split({k: v for k, v in walker.items() if k not in _MORE}, changes)
+        links = {link: (key, changes[key]) for key in changes.keys() - others.keys() for link in _OF_LINKS[key]}
+        changes = others
+    start = _itself(walker)
     derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
-    table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
-    for owner, value in derived.items():
-        result = detuned(walker, value) if owner == "detuning" else _with_foot_mass_ratio(result, value, base)
-        keys = owned(owner, walker)
-        for key in (k for k in (*table, *changes) if k in keys):
-            raise WalkerError(
-                key, changes.get(key, table.get(key)), f"is set by `{owner}`, which owns {', '.join(keys)}"
-            )
+    if isinstance(given, Mapping) and "toward" in given and "detuning" not in derived:
+        _detuning_ends(given)  # is checked though nothing is detuned
+    moved: dict[str, Any] = _moved_values(given, start, derived, changes, links)
     numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
     for key in (k for k in numbers if k in ONE_LINK):
         raise WalkerError(key, numbers[key], "is a key of a leg of one link, whose table has `l`, `m` and `c`")
     _check_names(numbers, NUMBERS, [*NUMBERS, *_DERIVED, "slope"])
-    result = replace(result, **changes) if changes else result
+    result = replace(start, **moved, **changes)
     return _retuned(result, tuned) if tuned else result
+
+
+def _moved_values(
+    walker: str | Mapping[str, Any],
+    start: Walker,
+    derived: Mapping[str, float],
+    changes: Mapping[str, Any],
+    links: Mapping[str, tuple[str, Any]],
+) -> dict[str, float]:
+    """Values of all keys that derived keys set; none of these may be set otherwise.
+
+    `walker` is a name or a whole table and `start` its walker before derived keys move it; `changes` are the other keys
+    that a line sets, `links` the keys that those of a leg of one link set, each with that key and its value.
+    """
+    values: dict[str, float] = {}
+    owners: dict[str, str] = {}
+    table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
+    for owner, value in derived.items():
+        is_way = owner == "detuning"
+        own_values = _mixed(walker, value) if is_way else _of_feet(start, value, table.get("base"))
+        keys = tuple(own_values) if is_way else owned(owner, walker)
+        # A table's own keys are those of the walker at one end of its way to another.
+        given = changes if is_way and "toward" in table else {**table, **changes}
+        own = [(key, given[key]) for key in given if key in keys]
+        own += [links[key] for key in keys if key in links and is_way]
+        for key, other in own:
+            raise WalkerError(key, other, f"is set by `{owner}`, which owns {', '.join(keys)}")
+        for key in (k for k in keys if k in owners):
+            raise WalkerError(owner, value, f"sets {key}, and so does `{owners[key]}`")
+        owners |= dict.fromkeys(keys, owner)
+        values |= own_values
+    return values
+
+
+def _itself(walker: str | Mapping[str, Any]) -> Walker:
+    """The walker of a name, or of a table without what moves it."""
+    if isinstance(walker, str):
+        return from_catalogue(walker)
+    return from_table({key: value for key, value in walker.items() if key not in _MORE})
 
 
 def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -203,14 +242,14 @@ def _number(key: str, value: Any) -> float:
 
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
-    """Keys that a derived key sets: the masses, or those in which the tuned walker and the physical one differ."""
+    """Keys that a derived key sets: the masses, or those in which the walkers at both ends of a way differ."""
     if derived == "foot_mass_ratio":
         return tuple(key for key, kind in KEYS.items() if kind == "mass")
-    return _detuned_keys(walker if isinstance(walker, str) else str(walker.get("base")))
+    return tuple(_mixed(walker, 0.0))
 
 
-def _with_foot_mass_ratio(walker: Walker, ratio: float, base: str | None) -> Walker:
-    """A point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1).
+def _of_feet(walker: Walker, ratio: float, base: str | None) -> dict[str, float]:
+    """Masses of a point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1).
 
     Of a table with a point-foot walker as its `base` the other keys, such as R, are free, as those that a line sets.
     """
@@ -218,7 +257,7 @@ def _with_foot_mass_ratio(walker: Walker, ratio: float, base: str | None) -> Wal
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
     if not 0 <= ratio < 0.5:
         raise WalkerError("foot_mass_ratio", ratio, "must lie in [0, 0.5)")
-    return replace(walker, **_masses(walker, ratio))
+    return _masses(walker, ratio)
 
 
 def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
@@ -264,14 +303,14 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         raise impossible
     values: dict[str, Any] = {}
     if is_one_link(table):
-        table, others = split({k: v for k, v in table.items() if k not in _DERIVED}, overrides)
+        table, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
         values |= {key: value for key, value in straight(table).items() if isinstance(value, np.ndarray)}
         arrays = {key: value for key, value in arrays.items() if key in others}
     for key, array in arrays.items():
         if key == "detuning":
             values |= _mixed(walker, array)
         elif key == "foot_mass_ratio":
-            values |= _masses(resolve(walker), array)
+            values |= _masses(_itself(walker), array)
         else:
             values[key] = array
     return WalkerArray(**{**first.table(), **values})
@@ -304,8 +343,9 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     dict
         `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
         walker with `set`), `varied` (for each key of the walker that `set` moves, the keys of `set` that do),
-        `tuned` (keys that are changed so that the walker is tuned), and `widths` (for each key of `set` over which
-        gaits may be interpolated, how far in one cell at most).
+        `tuned` (keys that are changed so that the walker is tuned), `smooth` (keys of `set` with which gaits change
+        smoothly, so that charts may predict them), and of a walker that is or may be detuned `way`: the walkers `start`
+        and `end` between which `detuning` leads, in words, and both `tables`.
 
     Raises
     ------
@@ -329,8 +369,24 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "parameters": walker.table(),
         "varied": varied,
         "tuned": tuned,
-        "widths": {key: width for key in overrides if (width := _cell_width(walker, key)) is not None},
+        "smooth": tuple(key for key in overrides if key in ("foot_mass_ratio", "detuning") or _is_size(key)),
+        **({"way": _way(given)} if {"detuning", "toward"} & {*overrides, *_names_in(given)} else {}),
     }
+
+
+def _names_in(walker: str | Mapping[str, Any]) -> tuple[str, ...]:
+    return () if isinstance(walker, str) else tuple(walker)
+
+
+def _way(walker: str | Mapping[str, Any]) -> dict[str, Any]:
+    """The walkers between which detuning leads."""
+    tables = [end.table() for end in _detuning_ends(walker)]
+    if "toward" not in _names_in(walker):
+        return {"start": "the exactly tuned walker", "end": "the physical one", "tables": tables}
+    assert isinstance(walker, Mapping)
+    own = {key: value for key, value in walker.items() if key not in _MORE}
+    start = own["base"] if own.keys() == {"base"} else own
+    return {"start": label(start), "end": label(walker["toward"]), "tables": tables}
 
 
 def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
@@ -340,59 +396,63 @@ def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     return _OF_LINKS.get(owner, (owner,)) if is_one_link(walker) else (owner,)
 
 
-def _cell_width(walker: Walker, key: str) -> float | None:
-    """How far a key may reach in a cell over which gaits are interpolated; None where they are not."""
-    if key in _CELL_WIDTHS:
-        return _CELL_WIDTHS[key]
-    units = {"length": walker.leg, "mass": walker.total_mass, "angle": 1.0}
-    unit = units.get((KEYS | ONE_LINK).get(key, ""))
-    return None if unit is None else unit / 8
-
-
-#: Widths of cells in derived keys.
-_CELL_WIDTHS = {"foot_mass_ratio": 0.125, "detuning": 0.5}
+def _is_size(key: str) -> bool:
+    """Whether a key is a length, a mass or an angle."""
+    return (KEYS | ONE_LINK).get(key, "") in ("length", "mass", "angle")
 
 
 def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
-    """The tuned walker of the catalogue and its physical partner, between which `detuning` interpolates."""
-    name = walker if isinstance(walker, str) else str(walker.get("base"))
-    return from_catalogue(name), from_catalogue(_PARTNERS[name])
+    """Return the walkers between which `detuning` interpolates: the walker itself and the one it is `toward`.
 
-
-@functools.cache
-def _detuned_keys(name: str) -> tuple[str, ...]:
-    """Keys in which a tuned walker of the catalogue and its physical partner differ."""
-    tuned, physical = _detuning_ends(name)
-    return tuple(key for key in NUMBERS if getattr(tuned, key) != getattr(physical, key))
-
-
-def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
-    """Interpolate linearly between the tuned walker and the physical one.
-
-    Parameters
-    ----------
-    walker : str or mapping
-        Walker A or C, or a table with one of them as its `base`.
-    amount : float
-        0 is the tuned walker, 1 the physical one; values beyond extrapolate.
+    Where a table names none, those are the exactly tuned walker of the catalogue, A or C, and its physical partner.
 
     Raises
     ------
     WalkerError
-        If the walker is neither A nor C.
+        If there is no other walker, or no way to it.
 
     Notes
     -----
     Paper, section 5.2 and figure 8.
     """
-    if (walker if isinstance(walker, str) else walker.get("base")) not in _PARTNERS:
-        raise WalkerError("detuning", amount, "needs walker A or C")
-    mixed = _mixed(walker, amount) if amount else {}
-    return replace(from_catalogue(walker) if isinstance(walker, str) else from_table(walker), **mixed)
+    if isinstance(walker, str) or "toward" not in walker:
+        name = walker if isinstance(walker, str) else walker.get("base")
+        if name not in _PARTNERS:
+            raise WalkerError("detuning", label(walker), "needs walker A or C, or `toward`, another walker")
+        return from_catalogue(name), from_catalogue(_PARTNERS[str(name)])
+    other = walker["toward"]
+    if not isinstance(other, str | Mapping):
+        raise WalkerError("toward", other, "must be the name or the table of a walker")
+    if "toward" in (() if isinstance(other, str) else other):
+        raise WalkerError("toward", label(other), "must be a walker that has no `toward` itself")
+    start = _itself(walker)
+    try:
+        end = resolve(other)
+    except WalkerError as error:
+        key = "base" if error.key == "walker" else error.key
+        raise WalkerError("toward", error.value, f"must be a walker, and its `{key}` {error.bound}") from error
+    if start.knees != end.knees:
+        raise WalkerError("toward", label(other), f"must have {_LEGS[start.knees]}, as the walker has")
+    if start.si != end.si:
+        raise WalkerError("toward", label(other), f'must have `units` = "{start.units}", as the walker has')
+    if all(getattr(start, key) == getattr(end, key) for key in NUMBERS):
+        raise WalkerError("toward", label(other), "must differ from the walker in a key")
+    return start, end
+
+
+_LEGS = {True: "knees", False: "straight legs"}
+
+
+def label(walker: str | Mapping[str, Any]) -> str:
+    """A walker in words: its name, or that of its base with the keys that differ."""
+    if isinstance(walker, str):
+        return walker
+    keys = ", ".join(f"{key} = {value}" for key, value in walker.items() if key not in ("base", "name", "toward"))
+    name = walker.get("name") or walker.get("base")
+    return f"{name} with {keys}" if walker.get("base") == name and keys else str(name or "a walker of its own")
 
 
 def _mixed(walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
     """Values of the keys that detuning by `amount`, a number or an array, sets."""
-    tuned, physical = _detuning_ends(walker)
-    keys = owned("detuning", walker)
-    return {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in keys}
+    start, end = (each.table() for each in _detuning_ends(walker))
+    return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}

@@ -14,6 +14,9 @@ import numpy as np
 from pipeline.api import run
 from soak.extended_reference import convert
 
+#: Longest tick of a clock of processor time [s].
+TICK = 0.01
+
 
 @dataclass
 class Case:
@@ -59,9 +62,12 @@ def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
     """Take every case's processor time once per round, in turns; a round of a case lasts at least `least` seconds."""
     calls = []
     for case in cases:
-        start = time.process_time()
-        case.run()
-        calls.append(max(1, int(least / max(time.process_time() - start, 1e-9))))
+        start, count = time.process_time(), 0
+        # Some clocks of processor time tick a hundred times a second only.
+        while (seconds := time.process_time() - start) < min(least, TICK):
+            case.run()
+            count += 1
+        calls.append(max(1, int(least * count / seconds)))
     for _ in range(rounds):
         for case, count in zip(cases, calls, strict=True):
             start = time.process_time()

@@ -44,8 +44,8 @@ for scipy is compiled by numba.</p>
 <p>At each grid point all gaits are solved, with multipliers, energies and error bounds.</p>
 {{ table(tables.counts) }}
 <h2>Grids</h2>
-<p>Processor time of all processes for grids of slopes and one key, with multipliers, error bounds and the archive,
-beyond that of a study of one point; also in Newton solves of a gait of D by scipy, to 13 digits, in this run.</p>
+<p>Processor time of all processes for grids of slopes and one or two keys, with multipliers, error bounds and the
+archive, beyond that of a study of one point; also in Newton solves of a gait of D by scipy (to 13 digits, here).</p>
 {{ table(tables.grids) }}
 <h2>Lines</h2>
 <p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its

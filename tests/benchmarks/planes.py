@@ -1,4 +1,4 @@
-"""Processor time of planes of keys: the cost of making a cell, and of every further walker."""
+"""Processor time of planes of keys: the cost of making charts, and of every further walker."""
 
 import functools
 import time
@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import what_more_take
+from pipeline.dispatch import resolve
+from pipeline.graph.graph import Graph
+from pipeline.grid.method import Method
 from pipeline.study.parse import parse
-from tasks.registry import ALWAYS
-from tasks.solve_planes import lines
+from tasks.families.cell import parts
 
 #: Walkers, a slope, and the two keys with their ranges.
 PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
@@ -19,29 +21,28 @@ PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
 }
 #: Walkers along each key in the smaller and in the larger study of a full and of a quick run.
 _ACROSS = {False: (40, 120), True: (32, 48)}
-_BEYOND = 1e-9  # relative enlargement of a cell
 
 
 def table(quick: bool) -> list[dict[str, float | str]]:
     """Measure planes of walkers at one slope.
 
-    Two studies have the same cells and differ in their number of walkers; the difference is what further gaits take,
+    Two studies have the same charts and differ in their number of walkers; the difference is what further gaits take,
     with multipliers, error bounds, journal and archive.
     """
     rows: list[dict[str, float | str]] = []
     for name, (slope, keys) in list(PLANES.items())[: 1 if quick else None]:
         study = functools.partial(_study, name, slope, keys)
         further = what_more_take(study, *_ACROSS[quick])
-        cells, surveyed = _made(study(_ACROSS[quick][0]))
+        seconds, boxes, charts = made(study(_ACROSS[quick][0]))
         rows.append(
             {
                 "walker": name,
                 "keys": " × ".join(keys),
                 "gaits": float(further.gaits + further.gaits_of_fewer),
                 "s a further gait": further.seconds / further.gaits,
-                "s a cell": float(np.mean(cells)),
-                "cells": float(len(cells)),
-                "share of walkers surveyed one by one": surveyed,
+                "s of charts": seconds,
+                "boxes": float(boxes),
+                "charts": float(charts),
             }
         )
     return rows
@@ -52,25 +53,15 @@ def _study(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: i
     return {"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}
 
 
-def _made(table: dict[str, Any]) -> tuple[list[float], float]:
-    """Processor time that each cell of a plane takes to make [s], and the share of its walkers surveyed one by one."""
-    study = parse(table, "", Path("plane.toml"))
-    assert study.plane
-    seconds, surveyed = [], 0
-    cells: dict[tuple[float, ...], list[dict[str, Any]]] = {}
-    for line in map(study.line, range(study.lines)):
-        cells.setdefault(tuple(study.plane.cell(line["set"])["low"]), []).append(line)
-    for block in cells.values():
-        cell = study.plane.cell(block[0]["set"])
-        took = []
-        # A slightly larger cell is made anew by code already loaded; the second time it is cached.
-        for beyond in (0.0, _BEYOND, _BEYOND):
-            larger = cell | {"high": [high * (1 + beyond) for high in cell["high"]]}
-            params = {"lines": block, "slope": study.slope, "want": ALWAYS, "cell": larger}
-            begin = time.process_time()
-            ((_, points),) = lines(params, [])
-            took.append(time.process_time() - begin)
-        seconds.append(took[1] - took[2])
-        # Sentences of the cell come first; every line that was surveyed has its own.
-        surveyed += int((points["reason"].max(axis=1) > 5).sum())
-    return seconds, surveyed / study.lines
+def made(table: dict[str, Any]) -> tuple[float, int, int]:
+    """Processor time of making the charts of a study's first plane [s], the boxes of keys, the charts; 0 without."""
+    graph = Graph(parse(table, "", Path("plane.toml")), in_memory=True)
+    if graph.method is not Method.PLANE:
+        return 0.0, 0, 0
+    node = graph.line_node(0, "charts")
+    make, params = resolve(graph.function(node)), graph.params(node)
+    make(params, [])  # loads code
+    begin = time.process_time()
+    arrays = make(params, [])
+    seconds, boxes = time.process_time() - begin, parts(arrays)
+    return seconds, len(boxes), sum(len(parts(box)) for box in boxes)

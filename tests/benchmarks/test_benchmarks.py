@@ -57,7 +57,9 @@ def test_numba_takes_the_same_step(simplest):
 def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     # The smallest studies that have every row of the page; what is searched has tests of its own.
     monkeypatch.setattr(problems, "THEIRS", {"scipy DOP853": (1e-7, 1e-5)})
-    monkeypatch.setattr(grids, "SIZES", {True: ((6, 2),)})
+    monkeypatch.setattr(
+        grids, "QUICK", (grids.QUICK[0]._replace(slopes=6, keys={"foot_mass_ratio": (0.1, 0.2, 2, "log")}),)
+    )
     monkeypatch.setattr(lines, "KEYS", {"E": lines.KEYS["E"]})
     monkeypatch.setattr(accuracies, "ACCURACIES", {True: (1e-3,)})
     monkeypatch.setattr(accuracies, "_COMPARED", {"line": 30})

@@ -17,7 +17,7 @@ from tasks.mechanics.lumped import structures_of
 from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
 from tasks.step.problem import Lanes
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import detuned
+from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker, WalkerError
 
 #: Lanes solved together.
@@ -127,7 +127,7 @@ def _tuned(walker: Walker) -> Walker:
 
 def _near(random: Random, name: str) -> Walker:
     """A walker at a random detuning, half of the time with keys changed by up to a fifth."""
-    walker = detuned(name, float(random.choice([0.0, 1.0, random.uniform(-1, 3)])))
+    walker = resolve(name, {"detuning": float(random.choice([0.0, 1.0, random.uniform(-1, 3)]))})
     if random.random() < 0.5:
         keys = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T")
         walker = replace(walker, **{k: getattr(walker, k) * float(random.uniform(0.8, 1.2)) for k in keys})

@@ -258,7 +258,7 @@ def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
     assert commands.main(["verify", str(archive)]) == 3
 
 
-@pytest.mark.parametrize("files", [8, 12, 16])
+@pytest.mark.parametrize("files", [8, 10, 12])
 def test_few_file_handles_are_said_in_one_line(toy, files):
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, ({files}, {files}))"
     program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"

@@ -68,10 +68,10 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
             own = study.line(number)
             assert own["walker"] == line["walker"]
             assert own["set"] == {key: float(values[i]) for key, values in line["set"].items()}
-        assert ("cell" in params) == (study.plane is not None)
+        assert ("plane" in params) == (study.plane is not None)
         if study.plane:
             assert len(np.unique(line["set"]["m_h"])) == 1
-            assert params["cell"]["keys"] == ["R", "m_s"]
+            assert params["plane"]["keys"] == ["R", "m_s"]
 
 
 def test_a_plan_tells_what_designs_cost(tmp_path):

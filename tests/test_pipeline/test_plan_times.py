@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT, STUDY
 from pipeline.cli import commands
 from pipeline.grid import costs
+from pipeline.grid.method import method_of, seconds_over_plane
 from pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
@@ -79,19 +80,25 @@ def test_costs_grow_with_what_is_asked(tmp_path):
     basin = STUDIES["basin"]
     many = seconds(basin.replace("[0.009]", "[0.009, 0.01]"), "basin")
     assert many == pytest.approx(2 * seconds(basin, "basin"))
+    # Charts over two keys cost twice as much as over one, and few lines beside them are surveyed.
     plane = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
-    narrow = plane.replace("from = 0.001", "from = 0.019")
-    assert seconds(plane, "atlas") > 5 * seconds(narrow, "atlas")  # cells are made for every panel of slopes
+    two = plane + "m_h = { from = 0.0, to = 0.1, n = 20 }\n"
+    assert seconds(two, "charts") == 2 * seconds(plane, "charts") and seconds(plane, "atlas") < 0.1 * 0.05
 
-    def of_more_panels(n):
-        of = [seconds(study.replace("n = 1000", f"n = {n}"), "atlas") for study in (plane, narrow)]
-        return of[0] - of[1]
+    def method(n, slopes=20, walker="E"):
+        (tmp_path / "s.toml").write_text(
+            f'name = "s"\nwalker = "{walker}"\n[axes]\nslope = {{ from = 0.001, to = 0.02, n = {slopes} }}\n'
+            f"m_h = {{ from = 0.0, to = 0.1, n = {n} }}\n"
+        )
+        study = read(tmp_path / "s.toml")
+        by_charts, by_lines = seconds_over_plane(study)
+        return str(method_of(study)), by_charts < by_lines
 
-    assert of_more_panels(100) > 1.5 * of_more_panels(1000)  # which fewer lines share
-    # But for no more than a quarter above the lines one by one, whose points take longer.
-    few = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 64 }\n"
-    alone = 0.05 + 20 * (4e-4 - 7e-5)
-    assert seconds(few, "atlas") == pytest.approx(1.25 * alone) and seconds(plane, "atlas") < 0.7 * alone
+    # Charts are made where they take less than lines one by one: more slopes, or knees, make them pay for fewer lines.
+    assert method(20) == ("short", False) and method(40) == ("plane", True)
+    assert method(20, 200) == ("plane", True) and method(16, 20, "C") == ("short", False)
+    assert method(24, 20, "C") == ("plane", True) and method(11, 200, "C") == ("short", False)
+    assert method(100, 300) == ("plane", True) and method(100, 10_000) == ("long", False)
     # A list counts by its length; a study of a straight and a kneed walker is their mean.
     assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
         2 * seconds(STUDIES["cascade"], "cascade")

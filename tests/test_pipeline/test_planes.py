@@ -1,5 +1,6 @@
 """Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 import xarray as xr
 
 import pipeline
+from pipeline import paths
 from pipeline.engine.runner import _check_room
 from pipeline.errors import DiskFullError
 from pipeline.graph.graph import Graph
+from pipeline.grid.method import Method
 from pipeline.statuses import ALL_STATUSES
+from pipeline.store.store import Store
 from pipeline.study.parse import read
 from tasks import solve_points
 
@@ -24,7 +28,7 @@ slope = [0.008, 0.01]
 variables = ["stance_angle", "period", "loss_normal"]
 """
 BOTH = ["long", "short"]
-AXES = "R = { from = 0.0, to = 0.2, n = 12 }\nm_s = { from = 0.08, to = 0.12, n = 6 }"
+AXES = "R = { from = 0.0, to = 0.2, n = 18 }\nm_s = { from = 0.08, to = 0.12, n = 16 }"
 
 
 def written(folder, text):
@@ -45,69 +49,92 @@ def archive(tmp_path_factory):
     return run(tmp_path_factory.mktemp("one"), STUDY.format(walker="B", axes=AXES), jobs=1)
 
 
-def test_the_lines_of_a_chunk_know_their_cells(tmp_path):
-    study = read(written(tmp_path, STUDY.format(walker="B", axes=AXES)))
-    assert study.plane.parts == (2, 1)
+def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
+    """Those of each value of a third key, and of each walker, have their own."""
+    axes = AXES + "\ng = [1.0, 2.0]"
+    study = read(written(tmp_path, STUDY.format(walker="B", axes=axes).replace('"B"', '["B", "E"]')))
+    assert study.planes == 4 and study.plane.lines == 288
     graph = Graph(study)
     chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
-    assert sorted(np.concatenate([chunk.lines for chunk in chunks])) == list(range(72))
+    assert sorted(np.concatenate([chunk.lines for chunk in chunks])) == list(range(4 * 288))
+    charts = {}
     for chunk in chunks:
-        params = graph.params(graph.chunk_node(chunk))
-        assert len(params["cells"]) == 2
-        for number, line in zip(chunk.lines.tolist(), params["lines"], strict=True):
-            cell, values = params["cells"][line["cell"]], study.line(number)["set"]
-            assert cell["low"] == study.plane.cell(values)["low"]
-            assert all(a <= values[key] <= b for key, a, b in zip(cell["keys"], cell["low"], cell["high"], strict=True))
+        node = graph.chunk_node(chunk)
+        params, (line, *_) = graph.params(node), graph.params(node)["lines"]
+        made = graph.params(graph.line_node(int(chunk.lines[0]), "charts"))
+        assert made["plane"]["keys"] == params["plane"]["keys"] == ["R", "m_s"] and params["plane"]["high"] == [
+            0.2,
+            0.12,
+        ]
+        assert made["line"] == {"walker": line["walker"], "set": {"g": line["set"]["g"]}}
+        assert {(one["walker"], one["set"]["g"]) for one in params["lines"]} == {(line["walker"], line["set"]["g"])}
+        charts[node.needs] = line["walker"], line["set"]["g"]
+    assert sorted(charts.values()) == [("B", 1.0), ("B", 2.0), ("E", 1.0), ("E", 2.0)]
 
 
-def test_the_digest_of_a_line_tells_its_cell_and_slopes(tmp_path):
-    """One slope at which a line is not accepted has it followed by itself at all: fewer slopes may give other bits."""
-    other_cells, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 12", "n = 13")
+def test_charts_are_made_once_and_kept(tmp_path):
+    """For all chunks, for another study of the same plane, and if the points are lost."""
+    made = []
+
+    def run_and_count(text):
+        run(tmp_path, text, jobs=1)
+        with contextlib.closing(Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"), write=False)) as store:
+            made.append(sorted(store.numbers[key] for key in store.numbers if key.startswith("charts-")))
+
+    text = STUDY.format(walker="B", axes=AXES)
+    run_and_count(text)
+    run_and_count(text.replace('"loss_normal"', '"speed"'))
+    assert len(made[0]) == 1 and made[1] == made[0]
+
+
+def test_points_without_charts_are_solved_line_by_line(tmp_path, monkeypatch):
+    def fail(params, inputs):
+        raise FloatingPointError
+
+    monkeypatch.setattr("tasks.solve_planes.charts", fail)
+    axes = "m_s = { from = 0.08, to = 0.12, n = 40 }"
+    plane = pipeline.load(run(tmp_path, STUDY.format(walker="B", axes=axes), jobs=1))
+    assert (plane.status.sel(gait=BOTH) == "converged").all()
+
+
+def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
+    """Its charts depend on all values of the keys, and on all slopes."""
+    other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 19")
     digests = []
     whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
     for name, text, axes in (
         ("one", whole, AXES),
-        ("two", whole, other_cells),
+        ("two", whole, other_sides),
         ("three", whole, other_lines),
         ("four", fewer, AXES),
     ):
         study = read(written(tmp_path / name, text.format(walker="B", axes=axes)))
         graph = Graph(study)
+        assert graph.method is Method.PLANE
         first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
         digests.append(graph.digests(np.array(first)).tolist())
-    assert digests[0] not in digests[1:]
-
-
-def test_the_digest_of_a_line_tells_a_value_on_the_border_of_its_cell(tmp_path):
-    """It belongs to the next cell, but is among those that decide whether patches are worth their making."""
-    digests, values = [], []
-    for k, others in enumerate(("0.18", "0.1, 0.18")):
-        axes = f"R = [0.0, 0.08, {others}, 0.2]\nm_s = {{ from = 0.08, to = 0.12, n = 16 }}"
-        study = read(written(tmp_path / str(k), STUDY.format(walker="B", axes=axes)))
-        values.append(study.plane.cell(study.line(0)["set"])["values"][0].tolist())
-        digests.append(Graph(study).digests(np.array([0])).tolist())
-    assert values == [[0.0, 0.08], [0.0, 0.08, 0.1]]
-    assert digests[0] != digests[1]
+    assert all(one not in digests[:k] for k, one in enumerate(digests))
 
 
 def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
     digests = []
-    for name, R in (("rising", "[0.0, 0.08, 0.1, 0.18, 0.2]"), ("falling", "[0.2, 0.18, 0.1, 0.08, 0.0]")):
-        axes = f"R = {R}\nm_s = {{ from = 0.08, to = 0.12, n = 13 }}"
+    rising = np.linspace(0.0, 0.2, 16).tolist()
+    for name, R in (("rising", rising), ("falling", rising[::-1])):
+        axes = f"R = {R}\nm_s = {{ from = 0.08, to = 0.12, n = 16 }}"
         study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
         graph = Graph(study)
         digests.append(graph.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2))
     assert np.array_equal(digests[0], digests[1][::-1])
 
 
-@pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 7 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
+@pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 11 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.engine.runner._MIN_BYTES", 10**12)
-    with pytest.raises(DiskFullError, match=r"^144 points need 1,296,000.0 GB at least; [\d,.]+ are free\.$"):
+    with pytest.raises(DiskFullError, match=r"^576 points need 5,184,000.0 GB at least; [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
 
@@ -130,7 +157,7 @@ def test_two_workers_write_the_same_bytes(archive, tmp_path):
 
 def test_a_plane_holds_what_its_lines_hold(archive):
     plane = pipeline.load(archive)
-    for i, k in ((0, 0), (5, 3), (6, 0), (11, 5)):
+    for i, k in ((0, 0), (5, 3), (6, 15), (17, 5)):
         one = pipeline.gaits("B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])).sel(gait=BOTH)
         other = plane.isel(R=i, m_s=k).sel(gait=BOTH)
         for name in ("stance_angle", "period"):
@@ -141,10 +168,12 @@ def test_a_plane_holds_what_its_lines_hold(archive):
 
 
 def test_violations_are_measured_walker_by_walker(tmp_path):
-    text = STUDY.format(walker="B", axes=AXES.replace("n = 12", "n = 11")).replace("loss_normal", "scuff_depth")
+    text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }").replace(
+        "loss_normal", "scuff_depth"
+    )
     plane = pipeline.load(run(tmp_path, text, jobs=1))
-    one = pipeline.gaits("B", plane.slope.values, R=0.2, m_s=0.12, variables=["scuff_depth"])
-    depth = plane.scuff_depth.isel(R=-1, m_s=-1).sel(gait=BOTH)
+    one = pipeline.gaits("B", plane.slope.values, m_s=0.12, variables=["scuff_depth"])
+    depth = plane.scuff_depth.isel(m_s=-1).sel(gait=BOTH)
     assert depth.values == pytest.approx(one.scuff_depth.sel(gait=BOTH).values, rel=1e-9)
 
 

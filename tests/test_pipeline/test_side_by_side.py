@@ -1,6 +1,7 @@
 """Lines side by side: the same archives as line by line, whatever ends a run, divides it or changes its grid."""
 
 import contextlib
+import itertools
 import json
 import random
 import signal
@@ -181,6 +182,9 @@ def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
         assert summary(plan).todo["points"] == {"new": 10**7}
-        first = next(plan.nodes())
+        charts, first = itertools.islice(plan.nodes(), 2)
     # Of each value of g the lines over R are a plane.
-    assert first.points == len(first.chunk.lines) == 5000 and plan.graph.grid.chunks == 2000
+    assert (
+        summary(plan).todo["charts"] == {"new": 2000} and charts.task == "charts" and first.needs == (charts.key.key,)
+    )
+    assert first.points == len(first.chunk.lines) == 4096 and plan.graph.grid.chunks == 4000

@@ -76,7 +76,7 @@ WRONG = {
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
         " r_s, c_s, R, eps_T, m_h, g, l, c, r, m, w (s.toml, axes).",
-        "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C; got 0.5 (s.toml, axes.detuning).",
+        "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, axes.detuning).",
         "slope = { start = 0.1, n = 2 }": "Unknown key `start`, known: from, to, n, spacing (s.toml, axes.slope).",
         "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
         'slope = { from = 0.01, to = 0.1, n = 9, spacing = "lgo" }': '`spacing` must be "linear" or "log"; got \'lgo\' (s.toml, axes.slope.spacing).',
@@ -136,7 +136,7 @@ WRONG_OPTIONS = [
     ),
     ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
     ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
-    ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
+    ("curve", "to = 0.5", "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, options.key)."),
     (
         "cascade",
         "families = [1]",

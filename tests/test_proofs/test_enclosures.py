@@ -14,7 +14,7 @@ from tasks.proofs import enclosure as flows
 from tasks.proofs.collisions import heelstrike, kneestrike
 from tasks.proofs.enclosed_step import Region, step
 from tasks.proofs.enclosure import Accuracy, enclose, enclose_derivative
-from tasks.proofs.keys import decimal, exact, written
+from tasks.proofs.keys import check_written, decimal, exact, in_doubles, written
 from tasks.proofs.krawczyk import contained, image
 from tasks.proofs.motion import Motion, Variation, acceleration, evaluate
 from tasks.proofs.stability import is_stable, step_derivative
@@ -259,6 +259,36 @@ def test_a_table_may_hold_derived_keys():
     changed = {"foot_mass_ratio": "0.02", "R": "0.2", "c_t": "0.1"}
     table, line = exact({"base": "E", **changed})[0], exact("E", changed)[0]
     assert all(written(table[k]) == written(line[k]) for k in line)
+
+
+@pytest.mark.parametrize("beside", [{}, {"foot_mass_ratio": "0.03"}, {"g": "2"}])
+@pytest.mark.parametrize(
+    "end", ["D", {"base": "E", "R": "0.3"}, {"base": "E", "foot_mass_ratio": "0.01", "c_t": "0.1"}]
+)
+def test_a_way_between_two_walkers_is_exact(end, beside):
+    """Each key on the way is the decimal that is meant; where feet have a share, no other mass may move."""
+    if "foot_mass_ratio" in beside and (end == "D" or "foot_mass_ratio" in end):
+        with pytest.raises(ValueError, match="and so does `detuning`"):
+            resolve({"base": "E", "toward": in_doubles(end) if isinstance(end, dict) else end, "detuning": 0.1},
+                    in_doubles(beside))  # fmt: skip
+        return
+    table = {"base": "E", "toward": end}
+    check_written(table)
+    with pytest.raises(ValueError, match="`R` must be 0 or a number that doubles resolve"):
+        check_written({"toward": {"R": "1e-400"}})
+    keys, _ = exact(table, {"detuning": "0.3", **beside})
+    solved = resolve(in_doubles(table), {"detuning": 0.3, **in_doubles(beside)}).table()
+    assert {k: float(arb(v)) for k, v in keys.items()} == pytest.approx({k: solved[k] for k in keys}, rel=1e-15)
+    if "R" in end:
+        assert written(keys["R"]) == "0.09"
+    tuned, _ = exact({**table, "tuned": ["w_t"]}, {"detuning": "0.3", **beside})
+    assert {k: float(arb(v)) for k, v in tuned.items()} == pytest.approx({k: solved[k] for k in tuned}, rel=1e-15)
+
+
+def test_a_way_from_a_tuned_walker_begins_at_its_exact_offsets():
+    named = exact({"base": "A", "toward": "physical-straight"}, {"detuning": "0.3"})[0]
+    without = exact("A", {"detuning": "0.3"})[0]
+    assert {key: written(value) for key, value in named.items()} == {key: written(without[key]) for key in named}
 
 
 @pytest.mark.parametrize("changes", [{"R": "0.2000001"}, {"g": "4", "m_h": "2"}])

@@ -483,7 +483,7 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
         places = [tuple(line.get_xydata()[0]) for line in axes.lines]
         assert sorted(places) == sorted([(0.0, 0.0), (1.0, 0.0)] * 2)
         assert axes.get_xlim()[0] < 0.005 and axes.texts
-    assert "Circles: the tuned walker (detuning 0) and the physical one (1)." in sketch.words("design")[1]
+    assert "Circles: the exactly tuned walker (detuning 0) and the physical one (1)." in sketch.words("design")[1]
     assert "surveyed" not in sketch.data and len(sketch.data) == 600
     drawing = draw(source, "design", "test")
     assert sum(len(target["rows"]) for target in drawing.targets) <= 260

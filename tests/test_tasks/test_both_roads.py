@@ -11,14 +11,13 @@ import pytest
 import extended
 from lines import FAILURES
 from soak.missed import neighbour
-from tasks.accuracy import always
 from tasks.continuation.atlas import from_arrays
-from tasks.costs import PANEL
-from tasks.families.box import Box
-from tasks.families.cell import Family, Refused, _Maker
-from tasks.families.division import Cells
+from tasks.families.box import Box, Refused
+from tasks.families.cell import Lines, _Maker
+from tasks.families.division import make_cells
+from tasks.families.family import Family
 from tasks.registry import ALWAYS, GAITS
-from tasks.solve_planes import Wanted, lines, solve
+from tasks.solve_planes import Wanted, charts, lines, solve
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.solve_points import points
 from tasks.walkers.resolve import resolve
@@ -27,17 +26,25 @@ from tasks.walkers.walker import KEYS, WalkerError
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 VALUES = ("stance_angle", *RATES, "period")
 WANT = (*VALUES, "kneestrike_time", "spectral_radius", "multiplier_error_bound", *ALWAYS)
-#: Walker, keys with their ranges, and a slope [rad] in each panel. In the last four families folds and ends of branches
-#: lie inside: for straight legs at zero step length and tangential heelstrike, for knees at kneestrike and the latter.
+#: Walker, keys with their ranges, and the window of slopes [rad]. Folds and ends of all kinds lie inside, in the last
+#: families tuned walkers too, and branches that touch.
 FAMILIES = {
-    "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01, 0.02)),
-    "E": ("E", {"foot_mass_ratio": (0.1, 0.2)}, (0.003, 0.01, 0.02)),
-    "E with offset": ("E", {"w_t": (0.01, 0.013), "m_s": (0.09, 0.11)}, (0.0045, 0.0055, 0.007, 0.02)),
-    "A": ("A", {"detuning": (0.75, 0.9), "m_h": (1.0, 1.5)}, (0.009, 0.012, 0.0145, 0.03)),
-    "C": ("C", {"detuning": (0.3, 0.4), "m_h": (0.0, 0.5)}, (0.005, 0.007, 0.012, 0.03)),
-    "physical": ("physical", {"w_s": (0.024, 0.026), "R": (0.195, 0.205)}, (0.02, 0.022, 0.035, 0.053)),
+    "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.003, 0.03)),
+    "E": ("E", {"foot_mass_ratio": (0.001, 0.2)}, (0.001, 0.08)),
+    "E with offset": ("E", {"w_t": (0.01, 0.013), "m_s": (0.09, 0.11)}, (0.0042, 0.02)),
+    "A": ("A", {"detuning": (0.75, 0.9), "m_h": (1.0, 1.5)}, (0.008, 0.03)),
+    "A detuned": ("A", {"detuning": (0.0, 0.5)}, (0.0005, 0.08)),
+    "A to both sides": ("A", {"detuning": (-0.3, 0.3)}, (0.002, 0.05)),
+    "C": ("C", {"detuning": (0.3, 0.4), "m_h": (0.0, 0.5)}, (0.0045, 0.03)),
+    "C detuned": ("C", {"detuning": (0.0, 0.5)}, (0.001, 0.08)),
+    "C with hip mass": ("C", {"m_h": (0.0, 6.0)}, (0.001, 0.2)),
+    "C where branches part": ("C", {"m_h": (0.0, 6.0)}, (0.004, 0.08)),
+    "physical": ("physical", {"w_s": (0.024, 0.026), "R": (0.195, 0.205)}, (0.018, 0.055)),
+    "straight": ("physical-straight", {"R": (0.05, 0.4)}, (0.001, 0.08)),
 }
-#: Slopes of a line, and how many of them lie near its folds and ends, at distances from 3e-4 to 1e-2 in ln slope.
+#: Keys of families that have another value than their walker's.
+FIXED = {"C where branches part": {"detuning": 5 / 6}}
+#: Slopes of a line, and how many of them lie near its folds and ends, at distances from 1e-9 to 1e-2 in ln slope.
 EACH, NEAR = 20, 3
 
 
@@ -62,18 +69,34 @@ class Outcome:
         )
 
 
-def slopes(random, branches, inside):
-    """Slopes of a line: in a panel, and near folds and ends of its branches that lie in it; the number of these."""
-    low = np.floor(np.log(inside) / PANEL) * PANEL
+def slopes(random, branches, window):
+    """Slopes of a line: in a window, and near folds and ends of its branches that lie in it; the number of these."""
+    low, high = np.log(window)
     places = [b.q[at] for b in branches for at in (f for f, _ in b.pieces()[1:])]
-    # Nearer than a hundredth of the way to an end at zero step length lines are surveyed.
-    places += [b.q[-k] for b in branches for k, why in zip((0, 1), b.why, strict=True) if why != "zero step length"]
-    places = [q for q in places if low < q < low + PANEL]
+    places += [b.q[-k] for b in branches for k in (0, 1)]
+    places = [q for q in places if low < q < high]
     near = [
-        random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-3.5, -2) for _ in places and range(NEAR)
+        random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-9, -2) for _ in places and range(NEAR)
     ]
-    near = np.clip(near, low, np.nextafter(low + PANEL, low))
-    return np.exp(np.sort([*near, *random.uniform(low, low + PANEL, EACH - len(near))])), len(near)
+    near = np.clip(near, low, high)
+    return np.exp(np.sort([*near, *random.uniform(low, high, EACH - len(near))])), len(near)
+
+
+def plane_of(keys, each=30):
+    """A plane of keys with their ranges, which has as many values of each."""
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    return {
+        "keys": list(keys),
+        "low": low,
+        "high": high,
+        "values": [np.linspace(*side, each) for side in keys.values()],
+    }
+
+
+def charted(line, keys, window, each=30, **params):
+    """Parameters of lines over a plane, and its charts for a window of slopes."""
+    asked = {"plane": plane_of(keys, each), "want": WANT, **params}
+    return asked, charts({**asked, "line": line, "slope": np.geomspace(*window, EACH)}, [])
 
 
 def off(one, other, bounded_by):
@@ -88,24 +111,22 @@ def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, e
     """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits.
 
     The plane has as many values of `each` key, and other keys are `fixed`. Every fourth line is a corner of the plane.
+    Charts are made for a window of slopes, whatever slopes the lines have.
     """
-    walker, keys, panels = family
+    walker, keys, window = family
     random = np.random.default_rng(seed)
     drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
     drawn[3::4] = [{key: float(random.choice(side)) for key, side in keys.items()} for _ in drawn[3::4]]
-    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    values = [np.linspace(*side, each) for side in keys.values()]
-    cell = {"keys": list(keys), "low": low, "high": high, "values": values}
     every = [{"walker": walker, "set": {**fixed, **one}} for one in drawn]
+    asked, made = charted(every[0], keys, window, each)
     surveyed = []
     for k in range(0, count, 24):
-        surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [panels[0]], "want": ALWAYS}, [])
+        surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [window[0]], "want": ALWAYS}, [])
     found = []
-    for i, (line, (atlas, _)) in enumerate(zip(every, surveyed, strict=True)):
-        slope, near = slopes(random, from_arrays(atlas), panels[i % len(panels)])
-        asked = {"slope": slope, "want": WANT}
-        other = points({"line": line, **asked}, [atlas])
-        ((_, one),) = lines({"lines": [line], "cell": cell, **asked}, [])
+    for line, (atlas, _) in zip(every, surveyed, strict=True):
+        slope, near = slopes(random, from_arrays(atlas), window)
+        other = points({"line": line, "slope": slope, "want": WANT}, [atlas])
+        ((_, one),) = lines({**asked, "lines": [line], "slope": slope}, [made])
         by_patch = int(one["reason"].max()) < 6
         outcome.points += EACH
         outcome.near += near * by_patch
@@ -141,10 +162,11 @@ def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, e
 
 def error_of(line, slope, gait):
     """Error of a gait, over its bound, against Lagrange's equations and impacts in 113 bits."""
-    table = resolve(line["walker"], line["set"]).table()
+    # Exactly these doubles: beside a fold, what their shortest decimals differ by moves gaits by more than bounds.
+    table = {k: mp.mpf(v) if type(v) is float else v for k, v in resolve(line["walker"], line["set"]).table().items()}
     names = VALUES[:4] if table["knees"] else VALUES[:3]
     times = ("kneestrike_time", "period") if table["knees"] else ("period",)
-    _, exact, _ = extended.solve(table, slope, [gait[name] for name in (*names, *times)])
+    _, exact, _ = extended.solve(table, mp.mpf(float(slope)), [gait[name] for name in (*names, *times)])
     fastest = max(abs(gait[name]) for name in RATES)
     errors = [
         abs(mp.mpf(gait[name]) - value) / (fastest if name in RATES else value)
@@ -158,12 +180,12 @@ def error_of(line, slope, gait):
 def test_both_roads_agree(count, tell):
     """The short test takes the families whose lines are cheap, the long one 10,080 points and 300 references."""
     outcome = Outcome()
-    for name in FAMILIES if count > 3 else ("B", "E", "E with offset"):
-        compare(outcome, FAMILIES[name], count, exact=50 if count > 3 else 1)
+    for name in FAMILIES if count > 3 else ("B", "E", "E with offset", "A detuned"):
+        compare(outcome, FAMILIES[name], count, 50 if count > 3 else 1, FIXED.get(name, {}), each=60)
     tell(str(outcome))
     assert not outcome.wrong
-    assert outcome.by_patch > 0.8 * outcome.points and outcome.near >= 5 * (count > 3)
-    assert outcome.worst_exact <= 1 and outcome.checked == (300 if count > 3 else 3)
+    assert outcome.by_patch > 0.6 * outcome.points and outcome.near >= 5 * (count > 3)
+    assert outcome.worst_exact <= 1 and outcome.checked == (600 if count > 3 else 4)
 
 
 def drawn_cell(seed):
@@ -180,7 +202,10 @@ def drawn_cell(seed):
         low = fixed.get(key, table.get(key))
         widest = WIDEST[key] if key in WIDEST else sizes[KEYS[key]] / 8
         keys[key] = (low, low + widest * float(random.uniform(0.05, 1.0)))
-    return (walker, keys, (slope,)), {key: value for key, value in fixed.items() if key not in keys}
+    window = slope * np.exp([-random.uniform(0, 2), random.uniform(0, 1)])
+    return (walker, keys, (float(window[0]), min(float(window[1]), 0.4))), {
+        key: value for key, value in fixed.items() if key not in keys
+    }
 
 
 #: Width of the widest cell of derived keys, and keys that no derived key owns where they are not masses.
@@ -190,46 +215,32 @@ CELLS = [range(k, k + 50) for k in range(0, 1000, 50)]
 
 def test_bounds_hold_where_steps_nearly_vanish():
     """Rounding grows over the size of the steps, by orders of magnitude between the nodes of a patch."""
-    walker, keys, _ = FAMILIES["A"]
-    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    walker, keys, window = FAMILIES["A"]
     line = {"walker": walker, "set": {"detuning": 0.8915702140413136, "m_h": 1.063408551130624}}
+    asked, made = charted(line, keys, window)
     slope = 0.01527403951198892
-    ((_, one),) = lines({"lines": [line], "cell": cell, "slope": np.array([slope]), "want": WANT}, [])
+    ((_, one),) = lines({**asked, "lines": [line], "slope": np.array([slope])}, [made])
     shortest = int(np.nanargmin(one["stance_angle"][0]))
     gait = {key: float(value[0, shortest]) for key, value in one.items() if key in WANT}
     assert int(one["reason"].max()) < 6 and gait["stance_angle"] < 3e-4
     assert error_of(line, slope, gait) < 0.5
-    # Polynomials describe gaits up to a hundredth of the way to the end, 0.0155325, no nearer.
-    slope, asked = np.array([0.0155275]), {"want": ("stance_angle", *always(1e-3)), "accuracy": 1e-3}
-    ((_, one),) = lines({"lines": [line], "cell": cell, "slope": slope, **asked}, [])
-    ((_, other),) = lines_side_by_side({"lines": [line], "slope": slope, **asked}, [])
-    assert 1e-6 < np.nanmin(other["stance_angle"]) < 2e-6
-    np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-3)
-
-
-def test_a_gait_beyond_the_cut_of_its_piece_is_not_missed():
-    """At a corner of the cell it begins so much lower than on the surveyed lines that the cut is in the panel."""
-    keys = {"w_t": (0.005, 0.0085), "w_s": (0.0, 0.015)}
-    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
-    asked = {"lines": [{"walker": "E", "set": dict(zip(keys, low, strict=True))}], "want": ("period", *ALWAYS)}
-    for below in (0.003, 0.02):
-        slope = np.exp([-4.375 - below])
-        ((_, one),) = lines({**asked, "cell": cell, "slope": slope}, [])
-        ((_, other),) = lines_side_by_side({**asked, "slope": slope}, [])
-        assert other["status"].tolist() == [[0, 0, 1, 1]]
+    # Where steps vanish for good, at 0.0155325, both roads end at the same gait.
+    for slope in (0.0155275, 0.01553, 0.015535):
+        own = {"lines": [line], "slope": np.array([slope])}
+        ((_, one),) = lines({**asked, **own}, [made])
+        ((_, other),) = lines_side_by_side({**own, "want": WANT}, [])
         assert one["status"].tolist() == other["status"].tolist()
-        np.testing.assert_allclose(one["period"], other["period"], rtol=1e-11)
-        assert (int(one["reason"].max()) < 6) == (below == 0.02)  # by patches where they predict
+        np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-9)
+    assert np.nanmin(one["stance_angle"]) > 0.1
 
 
 def test_gaits_of_the_first_value_of_an_axis_are_not_missed():
-    """The smallest slope of the lowest surveyed line, 0.0014, says little of that at the border, 0.00098."""
-    cell = {"keys": ["detuning"], "low": [0.1], "high": [0.5], "values": [np.linspace(0.1, 0.5, 30)]}
-    asked = {"lines": [{"walker": "A", "set": {"detuning": 0.1}}], "slope": np.array([1e-3]), "want": ALWAYS}
-    ((_, one),) = lines({**asked, "cell": cell}, [])
-    ((_, other),) = lines_side_by_side(asked, [])
+    """The smallest slope of the lowest surveyed line says little of that at the border, 0.00098."""
+    line = {"walker": "A", "set": {"detuning": 0.1}}
+    asked, made = charted(line, {"detuning": (0.1, 0.5)}, (1e-3, 1e-3))
+    own = {"lines": [line], "slope": np.array([1e-3])}
+    ((_, one),) = lines({**asked, **own}, [made])
+    ((_, other),) = lines_side_by_side({**own, "want": WANT}, [])
     assert one["status"].tolist() == other["status"].tolist() == [[0, 1, 0, 1]]
 
 
@@ -254,13 +265,13 @@ LONG = [pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name 
 
 @pytest.mark.parametrize("name", ["B", "E", *LONG])
 def test_wrong_patches_change_no_accepted_value(name):
-    walker, keys, panels = FAMILIES[name]
-    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
-    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)))
-    low = float(np.floor(np.log(panels[-1]) / PANEL) * PANEL)
-    (right,) = Cells(family, box, [np.linspace(*side, 30) for side in keys.values()]).make(low)
-    at = box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
-    slope = np.exp(low + PANEL * np.array([0.2, 0.7]))
+    walker, keys, window = FAMILIES[name]
+    family = Family.of({"walker": walker, "set": FIXED.get(name, {})}, tuple(keys))
+    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
+    cells = make_cells(family, box, tuple(np.log(window)), plane_of(keys, 60)["values"], EACH)
+    right = max(cells, key=lambda cell: len(cell.patches) * cell.box.count(plane_of(keys, 60)["values"]))
+    at = right.box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
+    slope = np.exp(np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7]))
 
     def solved(cell):
         return solve(family, cell, at, slope, Wanted(WANT, set(GAITS)))
@@ -269,16 +280,16 @@ def test_wrong_patches_change_no_accepted_value(name):
     assert accepted.mean() > 0.8
 
     def assert_unchanged(other, still):
-        """Every gait of an accepted line is one of the right gaits at its point."""
-        for line in np.flatnonzero(accepted & still):
-            for k, g in np.argwhere(other["status"][line] == 0):
+        """Every gait of an accepted point is one of the right gaits there."""
+        for line, k in np.argwhere(accepted & still):
+            for g in np.flatnonzero(other["status"][line, k] == 0):
                 period, bound = other["period"][line, k, g], other["error_bound"][line, k, g]
                 bounds = bound + np.nan_to_num(out["error_bound"][line, k])
                 assert (np.abs(out["period"][line, k] / period - 1) <= bounds).any()
 
     wrong = copy.deepcopy(right)
     wrong.patches = [
-        replace(p, gaits=replace(p.gaits, coefficients=p.gaits.coefficients * (1 + 1e-4))) for p in right.patches
+        replace(p, gaits=replace(p.gaits, coefficients=p.gaits.coefficients * (1 + 1e-3))) for p in right.patches
     ]
     other, still = solved(wrong)
     assert_unchanged(other, still)
@@ -286,12 +297,12 @@ def test_wrong_patches_change_no_accepted_value(name):
     wrong.patches = [replace(patch, gaits=replace(patch.gaits, error=1.0)) for patch in wrong.patches]
     other, still = solved(wrong)
     assert_unchanged(other, still)
-    assert still[accepted].mean() > 0.8
-    assert np.array_equal(other["status"][accepted & still], out["status"][accepted & still])
-    a, b = wrong.patches
-    wrong.patches = [replace(a, gaits=b.gaits, span=b.span), replace(b, gaits=a.gaits, span=a.span)]
+    assert still[accepted].mean() > 0.7
+    a, b, *others = wrong.patches
+    wrong.patches = [replace(a, gaits=b.gaits, span=b.span), replace(b, gaits=a.gaits, span=a.span), *others]
     assert_unchanged(*solved(wrong))
-    maker = _Maker(family, box, low, set())
+    maker = _Maker(family, right.box, tuple(np.log(window)), Lines(family), 10**4)
+    maker.begin()
     maker.checked(right.patches)
     for k in range(len(right.patches)):
         fewer = copy.deepcopy(right)

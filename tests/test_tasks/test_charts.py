@@ -12,7 +12,7 @@ from tasks.families.span import Span
 from tasks.interpolate import Sampled, Sheet, _margins, fit_panels, panels_over
 
 
-def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3)):
+def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3), total=10**9):
     """Sizes of the charts that `fit` tries, whose errors and last coefficients are functions of their sizes."""
     tried = []
 
@@ -24,7 +24,7 @@ def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3)
             coefficients[tuple(-1 if i == k else 0 for i in range(len(sizes)))] = tail
         return Chart(sizes, coefficients.reshape(-1, 1), error(sizes))
 
-    return fit(attempt(first, None), attempt, most, good, fair, keys), tried
+    return fit(attempt(first, None), attempt, most, total, good, fair, keys), tried
 
 
 def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():
@@ -34,9 +34,13 @@ def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error
     chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-10, 1e-9))
     assert tried == [(4, 3), (4, 5), (4, 7)]
     _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 0.0))
-    assert tried == [(4, 3), (6, 3), (8, 3), (9, 3)]
+    assert tried == [(4, 3), (7, 3), (9, 3)]
+    # By as many as the coefficients' falling lets expect, and at most 1.6 times as many, until there are enough in all.
     _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), most=(13, 33))
-    assert tried[-3:] == [(13, 21), (13, 27), (13, 33)]
+    assert tried[-1] == (13, 33)
+    _, tried = growing(lambda n: 1e-3, lambda n: (0.0, 10.0 ** -(n[1] / 2)), most=(4, 99), first=(4, 10))
+    assert tried[1] == (4, 15)
+    assert growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), total=35)[1][-1] == (7, 5)
     for tails in ((1e-3, 0.0), (0.0, 1e-3)):
         with pytest.raises(Refused, match="err by 0.001") as refused:
             growing(lambda n: 1.001e-3, lambda n, tails=tails: tails, fair=1e-3)
@@ -97,7 +101,7 @@ def test_nothing_is_known_nearer_to_a_fold_than_a_quarter_of_the_way_to_the_near
     assert known(replace(both, part=(0.5, 1.0))) == [True, True, True, False, False]
     assert known(Span.between(ends, 0)) == [True] * 5
     # Steps that vanish are described up to the end of the span.
-    assert known(Span(Chart((), ends[None]), vanishing=(False, True))) == [True, True, True, True, False]
+    assert known(Span(Chart((), ends[None]), vanishing=(0.0, 5.0))) == [True, True, True, True, False]
 
 
 def test_panels_begin_and_end_at_folds_where_their_pieces_do():

@@ -16,9 +16,9 @@ from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
 from tasks.families import manifold_maker as makers
 from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import Family
 from tasks.families.chart import Chart
 from tasks.families.division import divide
+from tasks.families.family import Family
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Region
 from tasks.families.manifold_maker import Maker, _Extension
@@ -50,7 +50,7 @@ def designs(name, n, seed=0):
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     lines = {"line": {"walker": walker, "set": values}, "slope": SLOPE}
     cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]}
-    return lines, {**lines, "cell": cell}
+    return lines, {**lines, "plane": cell}
 
 
 def computed(params):
@@ -264,7 +264,7 @@ def test_boxes_with_logarithms_have_inverse_coordinates():
     box = Box(("detuning", "m_h"), (0.005, 0.0), (1.0, 6.0), log=True)
     unit = np.random.default_rng(0).uniform(-1, 1, (9, 2))
     assert box.unit(box.at(unit)) == pytest.approx(unit, abs=1e-12)
-    low, high = box.halves(0)
+    low, high = box.parts(0)
     assert low.high[0] == high.low[0] == pytest.approx(np.sqrt(0.005))
     assert box.at(np.array([[-1.0, -1.0], [1.0, 1.0]])) == pytest.approx(np.array([[0.005, 0.0], [1.0, 6.0]]))
 
@@ -418,7 +418,7 @@ def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []
     _Surveyor(family, box, WINDOW, lines).begin()
-    for half in box.halves(0):
+    for half in box.parts(0):
         surveyor = _Surveyor(family, half, WINDOW, lines)
         surveyor.begin()
         assert len(surveyor.unit) >= 11 and len(set(surveyor.nodes.tolist())) == 9

@@ -1,5 +1,6 @@
 """Patches over planes of keys predict; what is reported comes from the gaits' own steps, and is what lines give."""
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,14 +10,14 @@ import pytest
 from tasks import interpolate, solve_planes
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.refine import COARSE
-from tasks.costs import PANEL
 from tasks.families import cell as cells
 from tasks.families import pieces
 from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import Family, _Maker
+from tasks.families.cell import Cell, Lines, _Maker
 from tasks.families.chart import Chart
-from tasks.families.division import Cells
-from tasks.families.patch import are_predicted, measured, similarity
+from tasks.families.division import make_cells
+from tasks.families.family import Family
+from tasks.families.patch import measured, near_predictions, similarity
 from tasks.families.pieces import Piece
 from tasks.families.span import along, coordinate
 from tasks.fixed_points.newton import curvature
@@ -27,28 +28,37 @@ from tasks.measures.smooth import Smooth
 from tasks.mechanics.contact import Chain
 from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS
-from tasks.solve_planes import lines
+from tasks.solve_planes import charts, lines
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve, resolve_many
 from tasks.walkers.walker import NUMBERS, WalkerError
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
-#: Walker, keys with their ranges, and slopes; the last has ends of branches inside.
+#: Walker, keys with their ranges, and slopes; in the last two folds and ends of branches lie inside.
 PLANES = {
     "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01)),
     "E": ("E", {"foot_mass_ratio": (0.1, 0.2)}, (0.01,)),
-    "A": ("A", {"detuning": (0.7, 0.9), "m_h": (1.0, 1.5)}, (0.03,)),
+    "A": ("A", {"detuning": (0.7, 0.9), "m_h": (1.0, 1.5)}, (0.009, 0.014, 0.03)),
 }
 
 
-def cell_of(name, slope):
-    walker, keys, _ = PLANES[name]
+@functools.cache
+def cell_of(name):
+    walker, keys, slope = PLANES[name]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
-    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)))
-    values = [np.linspace(*side, 30) for side in keys.values()]
-    (cell,) = Cells(family, box, values).make(float(np.floor(np.log(slope) / PANEL) * PANEL))
+    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
+    window = float(np.log(min(slope))), float(np.log(max(slope)))
+    (cell,) = make_cells(family, box, window, [np.linspace(*side, 30) for side in keys.values()], len(slope))
     return family, cell
+
+
+def maker_of(name):
+    """The maker of the cell, with its lines surveyed."""
+    (family, cell), slope = cell_of(name), PLANES[name][2]
+    maker = _Maker(family, cell.box, (float(np.log(min(slope))), float(np.log(max(slope)))), Lines(family), 10**4)
+    maker.begin()
+    return maker, cell
 
 
 def block(name, numbers):
@@ -61,12 +71,16 @@ def block(name, numbers):
         "lines": [{"walker": walker, "set": {k: float(v[i]) for k, v in values.items()}} for i in range(numbers)],
         "slope": np.array(slope),
         "want": WANT,
-        "cell": {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]},
+        "plane": {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]},
     }
 
 
-def by_line(params):
-    ((_, joined),) = lines(params, [])
+def charted(params):
+    return charts({**params, "line": params["lines"][0]}, [])
+
+
+def by_line(params, made=None):
+    ((_, joined),) = lines(params, [charted(params) if made is None else made])
     n = len(params["slope"])
     return [{k: v[i * n : (i + 1) * n] for k, v in joined.items()} for i in range(len(params["lines"]))]
 
@@ -139,7 +153,7 @@ def test_an_array_of_walkers_may_hold_some_that_stand_out():
 
 
 def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
-    """More than 16 bits can number, of lines that are surveyed by themselves."""
+    """More than 16 bits can number, of lines that are surveyed by themselves: without charts all are."""
     n = 12_000
 
     def surveyed(params, _):
@@ -148,28 +162,24 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
 
     monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
     R = np.linspace(0.1, 0.2, n)
-    structure = common_structure(resolve_many("B", {"R": R}))
-    monkeypatch.setattr(
-        solve_planes,
-        "_cells",
-        lambda family, box, lows, _: {low: [cells.Cell(box, structure, [], "refused")] for low in lows},
-    )
-    cell = {"keys": ["R"], "low": [0.1], "high": [0.2], "values": [R]}
+    plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "values": [R]}
     lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
-    ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "cell": cell}, [])
+    ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "plane": plane}, [])
     assert [str(s) for s in out["reasons"][out["reason"][-1]]] == [f"{n - 1} {k}" for k in (1, 5, 2, 2)]
 
 
 @pytest.mark.parametrize(
-    "ends", [((False, False), (False, True)), ((True, False), (False, True)), ((False, True), (True, False))]
+    "ends", [((False, False), (0.0, 4.0)), ((True, False), (0.0, 6.0)), ((False, True), (5.0, 0.0))]
 )
 def test_beside_an_end_at_zero_step_length_the_coordinate_is_a_logarithm(ends):
     x = np.linspace(0, 1, 11)
     share = along(x, *ends)
     assert coordinate(share, *ends) == pytest.approx(x, abs=1e-7)
-    from_end = share if ends[1][0] else 1 - share[::-1]
-    assert from_end[0] == pytest.approx(0.01) and from_end[-1] == pytest.approx(1.0)
-    assert (np.diff(np.log(from_end)) > 0).all()
+    assert share[[0, -1]] == pytest.approx([0.0, 1.0])
+    # Half as far from the end again and again: what is left, beside what is left at the end, falls evenly.
+    left = (1 - share if ends[1][1] else share[::-1]) + 1 / np.expm1(max(ends[1]))
+    steps = np.diff(np.log(left))
+    assert steps == pytest.approx(np.full(10, steps[0])) if not any(ends[0]) else (np.diff(steps) < 0).all()
 
 
 @pytest.mark.parametrize(
@@ -183,13 +193,13 @@ def test_beside_an_end_at_zero_step_length_the_coordinate_is_a_logarithm(ends):
 def test_planes_may_touch_a_change_of_structure_or_hold_no_gait(walker, keys, slope, at):
     """At no offset the section has a dimension less, without mass at the foot the leg no inertia."""
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    plane = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
     params = {"slope": np.array([slope]), "want": (*WANT, "loss_normal")}
     both = [{"walker": walker, "set": keys} for keys in (at, dict(zip(keys, high, strict=True)))]
-    one, _ = by_line({**params, "lines": both, "cell": cell})
+    one, _ = by_line({**params, "lines": both, "plane": plane})
     ((_, other),) = lines_side_by_side({**params, "lines": both[:1]}, [])
-    # Only a massless leg is surveyed by itself: its losses are no limit of those in the cell.
-    assert (int(one["reason"].max()) < 6) == ("foot_mass_ratio" not in keys)
+    # A massless leg is surveyed by itself: its losses are no limit of those of light ones.
+    assert int(one["reason"].max()) < 6 or "foot_mass_ratio" in keys
     np.testing.assert_array_equal(np.isnan(one["loss_normal"]), np.isnan(other["loss_normal"]))
     assert np.array_equal(one["status"], other["status"])
     gaits = other["status"] == 0
@@ -226,20 +236,59 @@ def test_a_plane_gives_what_its_lines_give(name):
 def test_a_line_of_a_plane_does_not_depend_on_its_company(name, accuracy):
     """Nor is there need of any: some lines of A alone have no slope on a piece that others have there."""
     params = {**block(name, 12), "accuracy": accuracy}
-    together = by_line(params)
+    made = charted(params)
+    together = by_line(params, made)
     for i in range(12):
-        (alone,) = by_line({**params, "lines": params["lines"][i : i + 1]})
+        (alone,) = by_line({**params, "lines": params["lines"][i : i + 1]}, made)
         assert all(np.array_equal(alone[k], together[i][k], equal_nan=True) for k in WANT)
+    # Nor on its other slopes.
+    few = by_line({**params, "slope": params["slope"][1:]}, made)
+    assert all(np.array_equal(a[k], b[k][1:], equal_nan=True) for a, b in zip(few, together, strict=True) for k in WANT)
 
 
 @pytest.fixture(scope="module")
 def cell():
-    return cell_of("B", 0.01)
+    return cell_of("B")
 
 
-def test_an_invented_branch_is_found(cell):
-    family, right = cell
-    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
+@pytest.mark.parametrize("name", PLANES)
+def test_cells_are_what_their_arrays_say(name):
+    family, right = cell_of(name)
+    (again,) = cells.from_arrays(family, cells.to_arrays([right]))
+    unit = np.random.default_rng(0).uniform(-1, 1, (5, len(family.keys)))
+    assert again.box == right.box and again.structure == right.structure and again.why == right.why
+    assert len(right.patches) >= 2
+    for one, other in zip(again.patches, right.patches, strict=True):
+        slope = np.exp(one.span.ends(unit).mean(axis=0))
+        for a, b in zip(
+            vars(one.guesses(unit, slope)).values(), vars(other.guesses(unit, slope)).values(), strict=True
+        ):
+            np.testing.assert_array_equal(a, b)
+        assert (one.kinds, one.side, one.numbers.tolist()) == (other.kinds, other.side, other.numbers.tolist())
+    empty = Cell(right.box, right.structure, [], "few walkers")
+    assert [each.why for each in cells.from_arrays(family, cells.to_arrays([empty, right]))] == ["few walkers", ""]
+
+
+def test_pieces_end_where_their_folds_and_steps_do():
+    """Of A the long gaits' fold, with both pieces beside it, and the tangential heelstrike of short ones."""
+    _, cell = cell_of("A")
+    ends = sorted(patch.kinds for patch in cell.patches)
+    assert ends == [("end", "cut"), ("fold", "cut"), ("fold", "end")]
+    of = {patch.kinds: patch for patch in cell.patches}
+    unit = np.random.default_rng(5).uniform(-1, 1, (4, 2))
+    lower, upper = of["fold", "cut"].span.ends(unit)[0], of["fold", "end"].span.ends(unit)
+    assert lower == pytest.approx(upper[0], abs=1e-9) and (upper[1] > upper[0]).all()
+    problem = Lanes(Family.of({"walker": "A", "set": {}}, cell.box.keys).walkers(cell.box.at(unit)), cell.structure)
+    for i, branches in enumerate(survey_lines(problem, COARSE)):
+        every = pieces.pieces_of(branches)
+        fold = next(piece for piece in every if piece.kinds == ("fold", "zero step length"))
+        short = next(piece for piece in every if piece.kinds[0] == "end_tangential_heelstrike")
+        assert fold.q == pytest.approx(upper[:, i].tolist(), abs=3e-8)
+        assert short.q[0] == pytest.approx(of["end", "cut"].span.ends(unit)[0, i], abs=3e-8)
+
+
+def test_an_invented_branch_is_found():
+    maker, right = maker_of("B")
     maker.checked(right.patches)
     first, *others = right.patches
     moved = first.gaits.coefficients.copy()
@@ -248,165 +297,141 @@ def test_an_invented_branch_is_found(cell):
         maker.checked([replace(first, gaits=replace(first.gaits, coefficients=moved)), *others])
 
 
-def test_ends_are_looked_for_up_to_the_edges_of_a_box(cell):
-    family, right = cell
-    maker = _Maker(family, right.box, -4.625, set())
-    unit = right.box.unit(right.box.nodes(3))
-    pieces = [Piece(None, 0, 0, 0, 1, ("fold", "fold"), (-9.0, -4.625 - 0.05 + 0.055 * x)) for x in unit[:, 0]]
-    assert max(piece.q[1] for piece in pieces) < -4.625
-    assert maker.reach(pieces, 3)[1] == pytest.approx([-4.625 - 0.105, -4.625 + 0.005], abs=1e-12)
-    assert maker.reach(pieces, 3)[0] == pytest.approx([-5.625, -5.625])  # as good as there
-    assert maker.reach(pieces[:5], 3)[1, 1] == max(piece.q[1] for piece in pieces[:5])
+def test_an_end_that_is_none_is_found(monkeypatch):
+    """A piece that walks on beyond its end, or has ended where it is cut."""
+    maker, right = maker_of("B")
+    for patch, why in (
+        (replace(right.patches[0], kinds=("beyond", "cut")), "goes on beyond its end"),
+        (right.patches[0], "ends before it is cut"),
+    ):
+        verified = cells.verify_steps
+
+        def one_ends(*args, verified=verified):
+            stride, check = verified(*args)
+            check.step[3] = False
+            return stride, check
+
+        if patch.kinds[0] == "cut":
+            monkeypatch.setattr(cells, "verify_steps", one_ends)
+        with pytest.raises(Refused, match=why):
+            maker.check_ends(patch)
 
 
-def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeypatch):
-    """Where branches of C touch, their ends jump: a parabola through three of them dips to the panel, no end does."""
-    keys = {"detuning": (0.5, 1.0), "m_h": (0.0, 0.75)}
-    family = Family.of({"walker": "C", "set": {}}, tuple(keys))
-    box = Box(tuple(keys), (0.5, 0.0), (1.0, 0.75))
-    surveyed = set()
-    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL), surveyed)
-    assert any(np.isnan(maker.cuts(group)).any() for group in maker.groups(3))
-    patches = maker.of_few_lines()
-    assert len(patches) == 2 and surveyed == {(box, 3)}
-    assert not any(any(patch.events) for patch in patches)
-    verified = cells.verify_steps
-
-    def one_ends(*args):
-        stride, check = verified(*args)
-        check.step[3] = False
-        return stride, check
-
-    monkeypatch.setattr(cells, "verify_steps", one_ends)
-    assert maker.of_few_lines() is None
-
-
-def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(cell, monkeypatch):
-    family, right = cell
-    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
-    (group, *_), usual = maker.groups(3), cells.newton_step
-    # Where nothing grows the first chart is the last.
-    monkeypatch.setattr(cells, "_MAX_NODES", 0)
-    for error in (0.0199, 0.0201):
+def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(monkeypatch):
+    maker, _ = maker_of("B")
+    (group, *_), usual = maker.groups(), cells.newton_step
+    maker.total = 0  # where nothing grows the first chart is the last
+    for error in (0.0199, 0.0201, np.nan):
         monkeypatch.setattr(cells, "newton_step", lambda stride, w, e=error: np.sign(usual(stride, w)) * e)
         if error < 0.02:
-            assert maker.regular(group, maker.cuts(group)).gaits.error == pytest.approx(error)
+            assert maker.patch(group).gaits.error == pytest.approx(error)
         else:
-            with pytest.raises(Refused, match="err by 0.02"):
-                maker.regular(group, maker.cuts(group))
+            with pytest.raises(Refused, match="err by"):
+                maker.patch(group)
 
 
-def test_predictions_that_are_not_numbers_are_refused(cell, monkeypatch):
-    family, right = cell
-    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
-    (group, *_), usual = maker.groups(3), cells.newton_step
+def test_a_piece_on_both_sides_of_a_fold_is_refused(monkeypatch):
+    maker, _ = maker_of("B")
+    (group, *_), usual = maker.groups(), cells.side_of_fold
 
-    def lost(stride, w):
-        step = usual(stride, w)
-        step[0, 7] = np.nan
-        return step
+    def other_side(stride):
+        sides = usual(stride)
+        return np.where(np.arange(len(sides)) == 5, -sides, sides) if len(sides) == cells._DRAWN else sides
 
-    monkeypatch.setattr(cells, "_MAX_NODES", 0)
-    monkeypatch.setattr(cells, "newton_step", lost)
-    with pytest.raises(Refused, match="err by inf"):
-        maker.regular(group, maker.cuts(group))
-
-
-def test_a_piece_on_both_sides_of_a_fold_is_refused(cell, monkeypatch):
-    family, right = cell
-    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
-    group, *_ = maker.groups(3)
-    monkeypatch.setattr(cells, "side_of_fold", lambda stride: np.where(np.arange(48) == 5, -1.0, 1.0))
+    monkeypatch.setattr(cells, "side_of_fold", other_side)
     with pytest.raises(Refused, match="a fold lies inside"):
-        maker.regular(group, maker.cuts(group))
+        maker.patch(group)
 
 
-def test_the_error_of_an_end_is_that_on_a_random_line_or_of_its_last_coefficients():
-    """A fold of long and short gaits of E with an offset."""
-    family, box = Family.of({"walker": "E", "set": {}}, ("w_t",)), Box(("w_t",), (0.01,), (0.013,))
-    maker = _Maker(family, box, float(np.floor(np.log(0.0055) / PANEL) * PANEL), set())
-    patch, other = maker.patches()
-    assert patch.events == other.events == (True, False)
-    assert patch.end_errors.tolist() == [patch.span.ends.tails()[0, 0], 0.0] and patch.end_errors[0] > 1e-6
-    off = patch.span.ends.coefficients + np.outer(np.eye(5)[0], [1e-4, 1e-4])
-    moved = replace(patch.span, ends=replace(patch.span.ends, coefficients=off))
-    checked, _ = maker.checked([replace(patch, span=moved), other])
-    assert checked.end_errors == pytest.approx([1e-4, 0.0], rel=0.05)
+def test_gaits_that_are_lost_on_their_way_are_refused(monkeypatch):
+    maker, _ = maker_of("B")
+    (group, *_), usual = maker.groups(), cells.newton
+
+    def lost(problem, w, q, **options):
+        found = usual(problem, w, q, **options)
+        return SimpleNamespace(w=found.w, converged=found.converged & (q < np.log(0.0099)))
+
+    monkeypatch.setattr(cells, "newton", lost)
+    with pytest.raises(Refused, match=r"a gait is lost on its way to \d+ nodes"):
+        maker.patch(group)
+    monkeypatch.setattr(cells, "newton", lambda problem, w, q, **_: SimpleNamespace(w=w + 0.31, converged=q < 0))
+    with pytest.raises(Refused, match="is lost on its way"):
+        maker.patch(group)
 
 
 def test_gaits_other_than_those_predicted_are_not_accepted(cell):
     family, right = cell
     patch, unit = right.patches[0], np.random.default_rng(0).uniform(-1, 1, (5, 2))
-    guesses = patch.guesses(unit, np.full(5, 0.01))
+    guesses = patch.guesses(unit, np.full(5, 0.008))
     at = settle(Lanes(family.walkers(right.box.at(unit)), right.structure), guesses, sampled=True)
     error, side = patch.gaits.error, patch.side
-    assert are_predicted(at, guesses, error, side).all()
-    assert not are_predicted(at, guesses, error, -side).any()
+    assert near_predictions(at, guesses.w, error, side).all()
+    assert not near_predictions(at, guesses.w, error, -side).any()
     third = np.arange(5) == 2
-    for wrong in (replace(at, step=~third), replace(at, converged=~third)):
-        assert are_predicted(wrong, guesses, error, side).tolist() == (~third).tolist()
+    assert near_predictions(replace(at, converged=~third), guesses.w, error, side).tolist() == (~third).tolist()
     moved = np.abs(similarity(at) - guesses.w).max()
-    assert not are_predicted(at, guesses, 0.9 * moved / 8, side).all()
-    assert are_predicted(at, guesses, 1.1 * moved / 8, side).all()
+    assert not near_predictions(at, guesses.w, 0.9 * moved / 8, side).all()
+    assert near_predictions(at, guesses.w, 1.1 * moved / 8, side).all()
+    # A gait that is no step is one only where walking may end.
+    q = np.full(5, np.log(0.008))
+    for reach, fine in ((0.0, ~third), (10.0, third | True)):
+        some = replace(patch, reach=np.array([reach, 0.0]))
+        judged = some.judge(replace(at, step=~third), guesses.w, q, unit)
+        assert judged[0].tolist() == fine.tolist() and judged[1].tolist() == (~third).tolist()
 
 
 def test_a_patch_knows_its_lines_and_what_is_measured_nearby(cell):
     _, right = cell
     patch, p = right.patches[0], len(right.patches[0].measured[0])
-    numbered = replace(patch, numbers=np.arange(18).reshape(9, 2))
+    assert len(patch.lines) == 5
+    numbered = replace(patch, numbers=np.arange(10).reshape(5, 2))
     assert numbered.numbers_at(0.9 * patch.lines + 0.05).tolist() == numbered.numbers.tolist()
     lipschitz, gradient, std = (values.copy() for values in patch.measured)
-    lipschitz[:], gradient[0, 0], std[0] = np.arange(p), np.arange(p), 10 - np.arange(p)
+    lipschitz[:], gradient[0, 0], std[0] = np.arange(p), np.arange(p), 20 - np.arange(p)
     changed, points = replace(patch, measured=(lipschitz, gradient, std)), np.column_stack([roots(p), np.zeros((p, 2))])
     guesses = changed.guesses(points[:, 1:], np.exp(patch.span.log_slope(points)))
-    assert guesses.lipschitz.tolist() == [4.0, 8.0, 12.0, 16.0, 20.0, 20.0]
-    assert guesses.gradient[0, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert guesses.rounding_std[0].tolist() == [10.0, 10.0, 9.0, 8.0, 7.0, 6.0]
+    last = p - 1
+    assert guesses.lipschitz.tolist() == [4.0 * min(k + 1, last) for k in range(p)]
+    assert guesses.gradient[0, 0].tolist() == list(range(p))
+    assert guesses.rounding_std[0].tolist() == [20.0 - max(k - 1, 0) for k in range(p)]
     np.testing.assert_allclose(guesses.w, patch.gaits(points), rtol=1e-12)
 
 
-def test_nodes_that_do_not_converge_are_refused(cell, monkeypatch):
-    family, right = cell
-    maker, patch, usual = _Maker(family, right.box, -4.625, set()), right.patches[0], cells.newton
-    points = np.random.default_rng(0).uniform(-1, 1, (6, 3))
-    assert maker.solved(patch.span, points, patch.gaits).shape == (len(patch.gaits.coefficients.T), 6)
-
-    def lost(*args):
-        found = usual(*args)
-        return SimpleNamespace(w=found.w, converged=found.converged & (np.arange(6) != 2))
-
-    monkeypatch.setattr(cells, "newton", lost)
-    with pytest.raises(Refused, match="1 of 6 nodes do not converge"):
-        maker.solved(patch.span, points, patch.gaits)
-    monkeypatch.setattr(cells, "newton", lambda problem, w, q: SimpleNamespace(w=w + 0.31, converged=np.ones(6, bool)))
-    with pytest.raises(Refused, match=r"move by 0\.31"):
-        maker.solved(patch.span, points, patch.gaits)
-
-
-def test_points_lie_on_a_patch_between_its_ends_and_predictions_end_where_it_is_cut(cell):
+def test_points_lie_on_a_patch_between_its_ends_and_not_where_these_are_not_known(cell):
     family, right = cell
     patch, unit = right.patches[0], np.zeros((2, 2))
     low, high = patch.span.ends(unit[:1])[:, 0]
     q = np.array([low - 1e-6, low + 1e-6, high - 1e-6, high + 1e-6])
     some = cells.Block(family, right, right.box.at(unit), np.exp(q))
     assert some.on(patch).tolist() == [1, 2, 5, 6]
-    for slopes, away in ((q[1:3], True), (q[:2], False), (q[2:], False)):
-        one = cells.Block(family, replace(right, patches=[patch]), right.box.at(unit), np.exp(slopes))
-        assert solve_planes._away_from_events(one).tolist() == [away] * 2
-    # An event is avoided on both of its sides, by eight times its error.
-    event = replace(right, patches=[replace(patch, events=(True, False), end_errors=np.array([1e-3, 0.0]))])
-    for off, away in ((-9e-3, True), (-7e-3, False), (7e-3, False), (9e-3, True)):
-        one = cells.Block(family, event, right.box.at(unit), np.exp([low + off]))
-        assert solve_planes._away_from_events(one).tolist() == [away] * 2
+    assert solve_planes._away_from_ends(some).all()
+    # An end is avoided on both of its sides, by eight times its error.
+    for kind in ("fold", "end"):
+        event = replace(right, patches=[replace(patch, kinds=(kind, "cut"), end_errors=np.array([1e-3, 0.0]))])
+        for off, away in ((-9e-3, True), (-7e-3, False), (7e-3, False), (9e-3, True)):
+            one = cells.Block(family, event, right.box.at(unit), np.exp([low + off, high - 0.1]))
+            assert solve_planes._away_from_ends(one).tolist() == [away, True] * 2
+
+
+def test_gaits_are_absent_beyond_an_end_alone_where_the_equations_solution_is_none(cell):
+    """The gaits of B go on beyond where its patches are cut: who says that they end there is not believed."""
+    family, right = cell
+    patch, unit = right.patches[0], np.zeros((2, 2))
+    low, _ = patch.span.ends(unit[:1])[:, 0]
+    wrong = replace(right, patches=[replace(patch, kinds=("beyond", "cut"))])
+    block = cells.Block(family, wrong, right.box.at(unit), np.exp([low - 0.1, low + 0.1]))
+    assert solve_planes._known_to_end(block).tolist() == [False, True] * 2
+    block = cells.Block(family, right, right.box.at(unit), np.exp([low - 0.1, low + 0.1]))
+    assert solve_planes._known_to_end(block).all()
 
 
 def test_pieces_with_the_same_gaits_are_not_accepted(cell):
     family, right = cell
     keys, wanted = right.box.at(np.zeros((2, 2))), solve_planes.Wanted(list(WANT), {"long", "short"})
     solve = solve_planes.solve
-    assert solve(family, right, keys, np.array([0.01]), wanted)[1].all()
+    assert solve(family, right, keys, np.array([0.008]), wanted)[1].all()
     twice = replace(right, patches=[*right.patches, right.patches[0]])
-    assert not solve(family, twice, keys, np.array([0.01]), wanted)[1].any()
+    assert not solve(family, twice, keys, np.array([0.008]), wanted)[1].any()
 
 
 def test_what_is_measured_of_groups_is_their_largest_or_mean():
@@ -428,81 +453,80 @@ def branch_guesses(problem, q):
 def test_a_box_of_few_lines_is_left_to_lines():
     walker, keys, _ = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
-    (cell,) = Cells(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), [[0.1], np.linspace(0.1, 0.11, 23)]).make(
-        -4.625
-    )
+    box = Box(tuple(keys), (0.1, 0.1), (0.11, 0.11), log=True)
+    (cell,) = make_cells(family, box, (-4.7, -4.6), [[0.1], np.linspace(0.1, 0.11, 11)], 2)
     assert cell.why == "few walkers" and not cell.patches
 
 
-class RefusingMaker:
-    """Refuses every box that reaches below 0.1 in the first key, after it has surveyed few and many lines."""
+@pytest.mark.parametrize(("each", "tried"), [(20, 17), (30, 37)])
+def test_a_box_is_not_divided_when_a_fifth_as_many_lines_are_surveyed(each, tried, monkeypatch):
+    """A box and each of its parts take five lines here."""
+    made = []
 
-    def __init__(self, family, box, low, surveyed):
-        self.box, self.low, self.structure, self.surveyed = box, low, None, surveyed
+    def refusing(family, box, window, lines, points, why=""):
+        if not why:
+            lines.pieces += [[]] * 5
+            made.append(box)
+            assert points == 7 * box.count(values)
+            raise Refused("it is made to", len(made) % 2)
+        return Cell(box, None, [], why)
 
-    def patches(self):
-        self.surveyed.add((self.box, 3))
-        MADE.append((self.low, self.box))
-        if self.box.low[0] < 0.1:
-            self.surveyed.add((self.box, 5))
-            raise Refused("it is made to", len(MADE) % 2)
-        return []
-
-
-#: Panels and boxes of which patches were wanted.
-MADE = []
-
-
-@pytest.mark.parametrize(("each", "tried"), [(30, 6), (39, 10), (40, 11), (12, 1)])
-def test_a_box_is_not_halved_when_a_quarter_as_many_lines_are_surveyed(each, tried, monkeypatch):
-    """A box and each of its parts take 39 lines: 9 + 25 at nodes, 4 at corners, and one."""
-    monkeypatch.setattr(cells, "_Maker", RefusingMaker)
-    MADE.clear()
+    monkeypatch.setattr("tasks.families.division.make_cell", refusing)
     values = [np.linspace(0.0, 0.09, each)] * 2
     family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
-    made = Cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)), values)
-    found = made.make(-4.5)
-    assert len(MADE) == tried and 39 * (tried - 1) <= each**2 / 4 < 39 * tried
-    assert {cell.why for cell in found} <= {"few walkers", "it is made to"} and not any(cell.patches for cell in found)
-    assert [cell.why for cell in made.make(-4.375)] == ["few walkers"] and len(MADE) == tried  # all lines are alone
+    found = make_cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)), (-4.5, -4.0), values, 7)
+    assert len(made) == tried and 5 * (tried - 1) <= each**2 / 5 < 5 * tried
+    assert {cell.why for cell in found} == {"few walkers"} and sum(cell.box.count(values) for cell in found) >= each**2
 
 
-def test_lines_that_are_surveyed_for_one_panel_are_predicted_for_no_other(monkeypatch):
-    monkeypatch.setattr(cells, "_Maker", RefusingMaker)
-    MADE.clear()
-    values = [np.linspace(0.0, 0.2, 40), np.linspace(0.0, 0.2, 40)]
-    family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
-    made = Cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.2, 0.2)), values)
-    first = made.make(-4.5)
-    alone = sum(cell.box.count(values) for cell in first if cell.why)
-    assert 0 < alone < 1600 and made._left(made.box) == 1600 - alone
-    tried = len(MADE)
-    made.make(-4.375)
-    again = [box for _, box in MADE[tried:]]
-    assert again and all(made._left(box) >= 24 for box in again)
-    assert not any(box in [cell.box for cell in first if cell.why] for box in again)
+def test_a_box_is_divided_where_its_walkers_are_tuned():
+    family = Family.of({"walker": "A", "set": {}}, ("detuning",))
+
+    def refused(low, high):
+        box = Box(family.keys, (low,), (high,), log=True)
+        with pytest.raises(Refused, match="tuned walkers") as why:
+            _Maker(family, box, (-5.0, -4.0), Lines(family), 100).check_tuning()
+        return str(why.value), why.value.at
+
+    assert refused(0.0, 0.5) == ("tuned walkers at a face", pytest.approx(0.5 / 64))
+    assert refused(-0.5, 0.0) == ("tuned walkers at a face", pytest.approx(-0.5 / 64))
+    assert refused(-0.5, 0.3) == ("tuned walkers inside", pytest.approx(0.0, abs=1e-12))
+    _Maker(family, Box(family.keys, (0.1,), (0.5,), log=True), (-5.0, -4.0), Lines(family), 100).check_tuning()
+    low, high = Box(("a", "b"), (1.0, 2.0), (3.0, 4.0)).parts(1, 2.5)
+    assert (low.high, high.low) == ((3.0, 2.5), (1.0, 2.5))
 
 
-def test_lines_of_a_part_refused_for_one_panel_are_followed_at_all_slopes(monkeypatch):
+def test_lines_without_charts_are_followed_by_themselves():
     params = block("B", 6)
-    low, high = (float(np.floor(np.log(s) / PANEL) * PANEL) for s in params["slope"])
-    right = solve_planes._cells
-
-    def refused_below(family, box, lows, values):
-        found = dict(right(family, box, lows, values))
-        assert sorted(found) == [low, high]
-        found[high] = [cells.Cell(each.box, each.structure, [], "refused") for each in found[high]]
-        return found
-
-    monkeypatch.setattr(solve_planes, "_cells", refused_below)
     ((_, found),) = lines(params, [])
-    alone = [points for _, points in lines_side_by_side({k: v for k, v in params.items() if k != "cell"}, [])]
+    alone = [points for _, points in lines_side_by_side({k: v for k, v in params.items() if k != "plane"}, [])]
     for name in set(WANT) - {"reason"}:
         assert np.array_equal(found[name], np.concatenate([each[name] for each in alone]), equal_nan=True)
 
 
+def test_a_point_whose_prediction_is_not_accepted_is_solved_alone(monkeypatch):
+    params, asked = block("B", 6), []
+    made, usual, judge = charted(params), lines_side_by_side, cells.Patch.judge
+    right = by_line(params, made)
+
+    def one_is_off(self, at, w, q, unit):
+        fine, is_step = judge(self, at, w, q, unit)
+        return fine & (q != q[3]) | (np.abs(unit - unit[3]).max(axis=1) > 1e-9), is_step
+
+    monkeypatch.setattr(cells.Patch, "judge", one_is_off)
+    monkeypatch.setattr(solve_planes, "lines_side_by_side", lambda p, _: asked.append(p) or usual(p, []))
+    found = by_line(params, made)
+    (request,) = asked
+    assert len(request["lines"]) == 1 and request["slope"].tolist() == [params["slope"][1]]
+    changed = params["lines"].index(request["lines"][0])
+    for i, (one, other) in enumerate(zip(found, right, strict=True)):
+        same = [np.array_equal(one[k][j], other[k][j], equal_nan=True) for j in (0, 1) for k in WANT]
+        assert all(same[: len(WANT)]) and all(same) == (i != changed)
+        np.testing.assert_allclose(one["period"], other["period"], rtol=1e-12)
+
+
 def test_polynomials_of_more_gaits_than_points_are_not_fitted():
-    family, cell = cell_of("B", 0.004)
+    family, cell = cell_of("B")
     sheet = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)[0]
     needed = int(np.prod(sheet.chart.sizes)) + 64
     cell = replace(cell, patches=cell.patches[:1])
@@ -515,26 +539,25 @@ SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal")
 
 
 def test_polynomials_are_not_fitted_to_gaits_that_are_not_those_predicted(monkeypatch):
-    family, cell = cell_of("B", 0.004)
+    family, cell = cell_of("B")
     assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
-    monkeypatch.setattr(interpolate, "are_predicted", lambda at, *_: np.arange(len(at.bound)) != 3)
+    monkeypatch.setattr("tasks.families.patch.near_predictions", lambda at, *_: np.arange(len(at.bound)) != 3)
     assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
 
 
 def test_polynomials_are_fitted_for_all_points_of_a_cell(monkeypatch):
-    """At its 30 by 30 lines, at one slope of the first panel and two of the second."""
+    """At its 30 by 30 lines, at three slopes."""
     fitted = []
-    monkeypatch.setattr(solve_planes, "_sheets", lambda *a: fitted.append(a[-1]) or [])
-    params = block("B", 2)
-    lines({**params, "slope": np.array([0.004, 0.01, 0.0101]), "want": SMOOTH, "accuracy": 1e-3}, [])
-    assert fitted == [900, 1800]
+    monkeypatch.setattr(solve_planes, "sheets", lambda *a: fitted.append(a[-1]) or [])
+    charted({**block("B", 2), "slope": np.array([0.004, 0.01, 0.0101]), "want": SMOOTH, "accuracy": 1e-3})
+    assert fitted == [2700]
 
 
 @pytest.mark.parametrize("name", PLANES)
 @pytest.mark.parametrize("accuracy", [1e-3, 1e-7])
 def test_a_plane_to_an_accuracy_gives_what_its_lines_give(name, accuracy):
     params = {**block(name, 24), "want": SMOOTH}
-    best = lines_side_by_side({k: v for k, v in params.items() if k != "cell"}, [])
+    best = lines_side_by_side({k: v for k, v in params.items() if k != "plane"}, [])
     for (_, exact), one in zip(best, by_line({**params, "accuracy": accuracy}), strict=True):
         assert one["status"].tolist() == exact["status"].tolist()
         there = exact["status"] == 0
@@ -550,15 +573,15 @@ def test_a_plane_to_an_accuracy_gives_what_its_lines_give(name, accuracy):
 
 def test_gaits_of_a_plane_to_an_accuracy_are_not_integrated(monkeypatch):
     params = {**block("B", 24), "want": ("stance_angle",), "accuracy": 1e-5}
-    usual = by_line(params)
-    integrated = []
+    made, integrated = charted(params), []
+    usual = by_line(params, made)
 
     def solve_block(*args):
         integrated.append(args[-1].sum())
-        return np.ones(24, bool)
+        return np.ones(48, bool)
 
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
-    again = by_line(params)
+    again = by_line(params, made)
     for one, other in zip(usual, again, strict=True):
         np.testing.assert_array_equal(one["stance_angle"], other["stance_angle"])
     assert set(integrated) == {0}
@@ -579,11 +602,11 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(mon
         solve_planes, "_solve_block", lambda *args: (integrated.append(args[-1].sum()), usual(*args))[1]
     )
     by_line(params)
-    assert 0 < sum(integrated) < 12
+    assert 0 < sum(integrated) < 24
 
 
 def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
-    family, cell = cell_of("B", 0.004)
+    family, cell = cell_of("B")
     made = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
     ratio = Smooth.of(resolve("B"), ("stance_angle",), 3).names.index("heelstrike_rate_ratio")
     coefficients = made[0].chart.coefficients.copy()
@@ -592,7 +615,7 @@ def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     coefficients[[0, np.prod(sizes[1:]) // sizes[1]], ratio] = 0.5, 0.1  # 1/2 in the middle of the first key
     made[0] = replace(made[0], chart=replace(made[0].chart, coefficients=coefficients, error=1e-3))
     unit = np.column_stack([[-0.9, -0.03, 0.03, 0.9], np.zeros(4)])
-    some = cells.Block(family, cell, cell.box.at(unit), np.array([0.004]))
+    some = cells.Block(family, cell, cell.box.at(unit), np.array([0.006]))
     parts, sure = interpolate.interpolate(some, made, ("stance_angle",), 1e-3)
     assert sure.tolist() == [True, False, False, True]
     # Nor are those where errors are not known.
@@ -622,13 +645,11 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         integrated.append(args[-1].sum())
         return usual(*args)
 
-    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
+    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled, from_arrays=Chart.from_arrays))
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
-    solve_planes._sheets.cache_clear()
     for one, other in zip(right, by_line(params), strict=True):
         np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-5)
-    assert set(integrated) == {12}
-    solve_planes._sheets.cache_clear()
+    assert set(integrated) == {24}
 
 
 def test_points_that_a_box_holds_out_fill_its_cube_and_depend_on_their_purpose():
@@ -641,18 +662,12 @@ def test_points_that_a_box_holds_out_fill_its_cube_and_depend_on_their_purpose()
         assert np.abs(np.corrcoef(points.T, other.T)[:3, 3:]).max() < 0.06
 
 
-def test_every_node_line_is_compared_with_the_next_towards_the_middle():
-    assert pieces.towards_middle(5, 1) == [1, 2, 2, 2, 3]
-    assert pieces.towards_middle(4, 1) == [1, 2, 2, 2]
-    assert pieces.towards_middle(3, 2) == [3, 4, 5, 4, 4, 4, 3, 4, 5]
-
-
 class _Straight(Piece):
-    """A piece whose angle and one event time are linear in ln slope, the columns of Z beside the slope itself."""
+    """A piece whose angle and one event time are linear in ln slope."""
 
-    def at(self, q):
+    def gaits(self, q):
         clipped = np.clip(q, *self.q)
-        return np.column_stack([self.number + 2 * clipped, clipped, 3 * clipped])
+        return np.vstack([self.number + 2 * clipped, 3 * clipped])
 
 
 def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_ends():
@@ -673,17 +688,30 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     # Beyond the range neither kinds nor, farther than 1, places count.
     long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("a fall", "fold"))
     assert distance(long, longer) == distance(longer, long) == 0.0
-    matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], [0, 0], -5.0, -3.0)
+    # Ends of walking of different kinds may be one's.
+    grazing, early = (
+        piece(1.0, -4.5, -3.5, ("fold", kind)) for kind in ("end_tangential_heelstrike", "end_earlier_strike")
+    )
+    assert distance(grazing, early) == 0.0 and distance(grazing, one) == pieces._FAR
+    matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], -5.0, -3.0)
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
     other = piece(1.0, -4.5, -3.5, ("fold", "a fall"))
-    assert pieces.match([[one], [other]], [0, 0], -5.0, -3.0) == [[one, None], [None, other]]
+    assert pieces.match([[one], [other]], -5.0, -3.0) == [[one, None], [None, other]]
 
 
-@pytest.mark.parametrize(("beyond", "off"), [(0.02, np.nan), (0.035, 0.0175), (1.0, 0.06)])
-def test_a_piece_is_cut_before_its_end(monkeypatch, beyond, off):
-    """Well beyond the panel, but not where the piece has ended; one that ends beside the panel is not cut."""
+@pytest.mark.parametrize(("beyond", "off"), [(0.035, 0.0175), (1.0, 0.06)])
+def test_a_piece_is_cut_before_its_end(beyond, off):
+    """Well beyond the window, but not where the piece has ended; one that ends beside it is not cut."""
     maker = object.__new__(_Maker)
-    maker.d, maker.low, maker.high = 1, -4.0, -3.0
-    ends = np.array([[-5.0, -4.0 - beyond], [-3.0 + beyond, -2.0]])
-    monkeypatch.setattr(_Maker, "reach", lambda *_: ends)
-    assert maker.cuts([None] * 4) == pytest.approx([-4.0 - off, -3.0 + off], nan_ok=True)
+    maker.d, maker.window = 1, (-4.0, -3.0)
+    group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("a fall", "a fall")) for k in (0, 1)]
+    group[1].q = (-4.0 - beyond, -2.0)
+    low, high = maker.ends(group)
+    assert (low.kind, high.kind) == ("cut", "cut")
+    assert low.at(np.zeros((1, 1))) == pytest.approx([-4.0 - off]) and high.at(np.zeros((1, 1))) == [-2.94]
+    group[1].q = (-4.02, -2.0)
+    group.append(group[0])
+    for piece in group:
+        piece.rate_beside = lambda k: 1.0
+    with pytest.raises(Refused, match="a piece ends at a fall"):
+        maker.ends(group)

@@ -1,7 +1,9 @@
 """Walkers check themselves; statics and tuning follow from their parameters."""
 
+import itertools
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from tasks.walkers.describe import describe, drawing
 from tasks.walkers.resolve import check, from_table, owned, resolve, resolve_many
 from tasks.walkers.statics import is_tuned, nearest, statics
 from tasks.walkers.tuning import tune, untuned
-from tasks.walkers.walker import WalkerError
+from tasks.walkers.walker import NUMBERS, WalkerError
 
 
 def test_the_physical_walker_has_the_leg_that_was_settled():
@@ -180,7 +182,7 @@ def test_keys_of_a_leg_of_one_link_mean_what_they_mean_in_its_table():
     assert [many[0], many[1]] == [resolve(ONE, own) for own in each]
     moved = check({"walker": ONE, "set": changes})["varied"]
     assert moved["c_s"] == ("l", "c") and moved["l_s"] == ("l",) and moved["m_t"] == ("m",)
-    assert check({"walker": ONE, "set": {"m": 2.0}})["widths"] == {"m": pytest.approx(9 / 8)}
+    assert check({"walker": ONE, "set": {"m": 2.0, "r": 0.1}})["smooth"] == ("m", "r")
 
 
 @pytest.mark.parametrize("key", ["l", "c", "r", "m", "w"])
@@ -203,6 +205,122 @@ def test_a_derived_key_moves_its_own_keys_only():
     for found in (resolve(heavy, {"detuning": 0.5}), resolve("C", {"detuning": 0.5, "m_h": 2.0})):
         assert found == replace(resolve("C", {"detuning": 0.5}), m_h=2.0)
     assert resolve("C", {"detuning": 0.1}).l_t == CATALOGUE["C"].l_t
+
+
+#: Walkers with others to which they lead, and keys of a line that combine with `detuning`.
+WAYS = {
+    "A": ("A", "physical-straight", {"m_h": 2.0, "R": 0.25}),
+    "round feet": ("E", {"base": "E", "R": 0.3}, {"foot_mass_ratio": 0.03, "c_t": 0.1}),
+    "a light foot": ("E", {"base": "E", "foot_mass_ratio": 0.01}, {"R": 0.2}),
+    "half of C": ({"base": "C", "m_h": 2.0}, {"base": "C", "detuning": 0.5, "eps_T": 0.09, "m_h": 1.5}, {"m_s": 1.2}),
+    "one link": (ONE, {**ONE, "c": 0.5, "R": 0.1, "l": 0.9}, {"m": 1.5, "m_h": 4.0}),
+}
+
+
+def leading(start, end):
+    return {**({"base": start} if isinstance(start, str) else start), "toward": end}
+
+
+@pytest.mark.parametrize(
+    ("name", "amount"),
+    [*itertools.product(WAYS, (0.0, 0.37, 1.0)), *itertools.product(("A", "half of C"), (-0.3, 1.2))],
+)
+def test_detuning_mixes_every_key_in_which_two_walkers_differ(name, amount):
+    start, end, beside = WAYS[name]
+    own, others = resolve(start), resolve(end)
+    found = resolve(leading(start, end), {"detuning": amount})
+    differ = [key for key in NUMBERS if getattr(own, key) != getattr(others, key)]
+    assert differ and owned("detuning", leading(start, end)) == tuple(differ)
+    for key in NUMBERS:
+        low, high = Fraction(getattr(own, key)), Fraction(getattr(others, key))
+        exactly = low + Fraction(amount) * (high - low)
+        # Two products and a sum, each rounded once.
+        assert abs(Fraction(getattr(found, key)) - exactly) <= 2**-51 * max(abs(low), abs(high)), key
+    if amount in (0.0, 1.0):
+        assert found == (own, others)[int(amount)]
+    both = resolve(leading(start, end), {"detuning": amount, **beside})
+    assert all(getattr(both, key) == getattr(found, key) for key in differ)
+    assert all(getattr(both, key) == getattr(resolve(start, beside), key) for key in NUMBERS if key not in differ)
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_many_detuned_walkers_are_those_made_one_by_one(name):
+    start, end, beside = WAYS[name]
+    walker, amounts = leading(start, end), np.array([0.0, 0.37, 1.0])
+    arrays = {key: np.array([0.9, 1.0, 1.1]) * value for key, value in beside.items()}
+    many = resolve_many(walker, {"detuning": amounts, **arrays})
+    each = [{"detuning": float(amounts[k])} | {key: float(own[k]) for key, own in arrays.items()} for k in range(3)]
+    assert [many[k] for k in range(3)] == [resolve(walker, own) for own in each]
+    # Beside a number, or an amount in the walker's own table.
+    one = resolve_many(walker, {"detuning": 0.37, **arrays})
+    assert one[1] == resolve_many({**walker, "detuning": 0.37}, arrays)[1] == many[1]
+
+
+@pytest.mark.parametrize(("name", "partner"), [("A", "physical-straight"), ("C", "physical")])
+def test_the_tuned_walkers_lead_to_the_physical_ones_bit_for_bit(name, partner):
+    amounts = np.linspace(-0.5, 1.5, 41)
+    named = resolve_many(leading(name, partner), {"detuning": amounts})
+    without = resolve_many(name, {"detuning": amounts})
+    assert [named[k] for k in range(41)] == [without[k] for k in range(41)]
+    assert named[7] == resolve(name, {"detuning": float(amounts[7])})
+
+
+def test_a_walker_is_itself_where_it_is_not_detuned():
+    walker = leading("E", {"base": "E", "R": 0.3})
+    assert resolve(walker) == CATALOGUE["E"] and resolve(walker, {"R": 0.1}) == resolve("E", {"R": 0.1})
+    assert resolve({**walker, "detuning": 0.5}) == resolve("E", {"R": 0.15})
+    found = check({"walker": walker, "set": {"detuning": 0.5, "foot_mass_ratio": 0.02}})
+    masses = dict.fromkeys(("m_t", "m_s", "m_h"), ("foot_mass_ratio",))
+    assert found["varied"] == {"R": ("detuning",), **masses} and found["smooth"] == ("detuning", "foot_mass_ratio")
+    tables = [CATALOGUE["E"].table(), resolve("E", {"R": 0.3}).table()]
+    assert found["way"] == {"start": "E", "end": "E with R = 0.3", "tables": tables}
+    assert "way" not in check({"walker": "A", "set": {"m_h": 1.0}})
+    assert check({"walker": "A", "set": {"detuning": 0.5}})["way"]["end"] == "the physical one"
+
+
+def test_the_feet_of_a_walker_without_a_base_keep_their_share_along_a_way():
+    """Feet that detuning makes round were refused."""
+    whole = CATALOGUE["E"].table()
+    walker = leading(whole, {**whole, "R": 0.3})
+    assert resolve(walker, {"detuning": 0.5, "foot_mass_ratio": 0.02}) == resolve(
+        "E", {"R": 0.15, "foot_mass_ratio": 0.02}
+    )
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "changes", "said"),
+    [
+        ("E", "C", {}, "`toward` must have straight legs, as the walker has; got C."),
+        ("C", "A", {}, "`toward` must have knees, as the walker has; got A."),
+        ("E", "A", {}, '`toward` must have `units` = "1", as the walker has; got A.'),
+        ("E", "E", {}, "`toward` must differ from the walker in a key; got E."),
+        ("E", {"base": "E", "R": 0.0}, {}, "`toward` must differ from the walker in a key; got E with R = 0.0."),
+        ("E", "Q", {}, "`toward` must be a walker, and its `base` is not a known walker; got Q."),
+        ("E", {"base": "E", "m_s": -1.0}, {}, "`toward` must be a walker, and its `m_s` must be >= 0; got -1.0."),
+        ("E", {"base": "E", "q": 1.0}, {}, "`toward` must be a walker, and its `q` is not a walker key; got 1.0."),
+        ("E", 3, {}, "`toward` must be the name or the table of a walker; got 3."),
+        (
+            *("E", {"base": "E", "toward": "D"}, {}),
+            "`toward` must be a walker that has no `toward` itself; got E.",
+        ),
+        ("E", "F", {"detuning": -9.0}, "`m_t` must be >= 0; got -0.049"),
+        ("E", {"base": "E", "R": 0.3}, {"detuning": 4.0}, "`R` must leave the hip above the foot's centre; got 1.2."),
+        ("E", {"base": "E", "R": 0.3}, {"R": 0.1}, "`R` is set by `detuning`, which owns R; got 0.1."),
+        ("E", "F", {"foot_mass_ratio": 0.1}, "`foot_mass_ratio` sets m_t, and so does `detuning`; got 0.1."),
+        (ONE, {**ONE, "c": 0.5}, {"l": 0.9}, "`l` is set by `detuning`, which owns c_t, c_s; got 0.9."),
+    ],
+)
+def test_ways_that_cannot_be_say_why_in_one_line(start, end, changes, said):
+    one = {"detuning": 0.5, **changes}
+    for made, overrides in ((resolve, one), (resolve_many, {key: np.array([value]) for key, value in one.items()})):
+        with pytest.raises(WalkerError) as refused:
+            made(leading(start, end), overrides)
+        assert str(refused.value).startswith(said) and "\n" not in str(refused.value)
+
+
+def test_a_way_is_checked_though_nothing_goes_it():
+    with pytest.raises(WalkerError, match="`toward` must have straight legs"):
+        resolve(leading("E", "C"), {"R": 0.1})
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ class Mapped(NamedTuple):
 MAPPED = {name: Mapped(**mapped) for name, mapped in WORDS["figures"]["design"]["maps"].items()}
 #: Columns of the figure's data, besides the keys.
 _DATA = (*MAPPED, "smallest_at", "stability_lost_by", "fastest_slope")
-#: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
+#: Values of derived keys at which walkers lie that have a name: of `detuning` those that it leads from and to.
 _NAMED = {"detuning": (0.0, 1.0)}
 #: Extent of contours that have a label, over that of the map.
 _LABELLED = 0.2
@@ -76,7 +76,7 @@ def design(source: Source) -> Sketch | None:
         table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
         down=down,
         along=along,
-        circles=_named(down, along) if is_marked else "",
+        circles=_named(source, down, along) if is_marked else "",
         blank=True,
         more=more,
         ranges="; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends),
@@ -118,10 +118,10 @@ def _add_bar(figure: Figure, picture: Any, column: list[Axes]) -> None:
     bar.ax.grid(False)
 
 
-def _named(down: str, along: str) -> str:
+def _named(source: Source, down: str, along: str) -> str:
     """What the circles of a map mark."""
-    is_named = {down, along} & set(_NAMED)
-    return "the tuned walker (detuning 0) and the physical one (1)" if is_named else "the walker itself"
+    start, end = source.detuning_ends
+    return f"{start} (detuning 0) and {end} (1)" if {down, along} & set(_NAMED) else "the walker itself"
 
 
 def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> bool:
