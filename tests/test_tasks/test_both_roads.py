@@ -202,10 +202,8 @@ def drawn_cell(seed):
         low = fixed.get(key, table.get(key))
         widest = WIDEST[key] if key in WIDEST else sizes[KEYS[key]] / 8
         keys[key] = (low, low + widest * float(random.uniform(0.05, 1.0)))
-    window = slope * np.exp([-random.uniform(0, 2), random.uniform(0, 1)])
-    return (walker, keys, (float(window[0]), min(float(window[1]), 0.4))), {
-        key: value for key, value in fixed.items() if key not in keys
-    }
+    window = np.minimum(slope * np.exp([-random.uniform(0, 2), random.uniform(0, 1)]), [0.2, 0.4])
+    return (walker, keys, tuple(window.tolist())), {key: value for key, value in fixed.items() if key not in keys}
 
 
 #: Width of the widest cell of derived keys, and keys that no derived key owns where they are not masses.
