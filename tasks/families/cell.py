@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -198,7 +198,7 @@ class _End:
     """
 
     kind: str
-    at: Any
+    at: Callable[[np.ndarray], np.ndarray]
     error: float = 0.0
     reach: float = 0.0
     vanishing: float = 0.0
@@ -215,6 +215,8 @@ class _Maker:
         self.structure = structure_of(family, box)
         self.known = lines
         self.special = Maker(family, box, self.structure)
+        #: Ends of pieces over the keys, by the point at the centre.
+        self.located: dict[bytes, Chart] = {}
 
     def problem(self, unit: np.ndarray) -> Lanes:
         return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
@@ -238,7 +240,8 @@ class _Maker:
         for axis in range(self.d):
             unit = np.zeros((_PLACES, self.d))
             unit[:, axis] = np.linspace(-1, 1, _PLACES)
-            walkers, values = self.family.walkers(self.box.at(unit)), self.box.at(unit)[:, axis]
+            keys = self.box.at(unit)
+            walkers, values = self.family.walkers(keys), keys[:, axis]
             moment = leg_moment(walkers)
             balanced = 2 * moment.real / (walkers.total_mass * walkers.leg + 2 * moment.imag)
             offset = np.broadcast_to(balanced, _PLACES)
@@ -299,23 +302,24 @@ class _Maker:
         rate = max(piece.rate_beside(k) for piece in group)
         vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
         (kind, *others) = sorted(kinds)
-        if others and kinds <= _EVENTS:
+        if kinds <= _EVENTS and (others or kind == "end_earlier_strike"):
             return self.event(q, sign, vanishing)
         if others or kind not in _EVENTS | {"fold", "zero step length"}:
             numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
             raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
-        if kind == "end_earlier_strike":
-            return self.event(q, sign, vanishing)
         scalar = "short_steps" if kind == "zero step length" else kind
-        points = self.special.ends(scalar, self.unit[0], group[0].end_point(k), self.total)
+        point = group[0].end_point(k)
+        # Two pieces meet at a fold.
+        points = self.located.get(point.tobytes()) or self.special.ends(scalar, self.unit[0], point, self.total)
+        self.located[point.tobytes()] = points
         m = self.structure.dimension
 
         def at(unit: np.ndarray) -> np.ndarray:
             return np.asarray(points(unit)[m])
 
-        is_fold = kind == "fold"
-        kind = "fold" if is_fold else "end"
-        return _End(kind, at, points.error, 0.0, 0.0 if is_fold else vanishing, points.sizes)
+        if kind == "fold":
+            return _End("fold", at, points.error, sizes=points.sizes)
+        return _End("end", at, points.error, vanishing=vanishing, sizes=points.sizes)
 
     def event(self, q: np.ndarray, sign: int, vanishing: float) -> _End:
         """An end beyond that of walking, from ln slopes at the centre and the corners."""
