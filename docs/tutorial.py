@@ -8,7 +8,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import gaits, load, run, simulate, solve, step_map
+from gaitsweep import gaits, load, run, simulate, solve, step_map
 
 # %% [markdown]
 # ## One point

@@ -3,8 +3,8 @@
 import importlib
 from typing import Any
 
-from pipeline.errors import StudyError
-from tasks.registry import CALLS
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.registry import CALLS
 
 
 def resolve(name: str) -> Any:

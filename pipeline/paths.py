@@ -6,7 +6,7 @@ import secrets
 import stat
 from pathlib import Path
 
-from pipeline.errors import ArchiveError
+from gaitsweep.pipeline.errors import ArchiveError
 
 #: Files that a run writes beside an archive, and how the content of each begins; a journal is looked at page by page.
 _BEGINNINGS = {

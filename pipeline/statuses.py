@@ -1,6 +1,6 @@
 """Every value of `status`: outcomes of a solve, and of a worker that did not finish."""
 
-from tasks.registry import STATUSES
+from gaitsweep.tasks.registry import STATUSES
 
 #: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.
 ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from tasks.registry import ALWAYS, COSTLY, VARIABLES
+from gaitsweep.tasks.registry import ALWAYS, COSTLY, VARIABLES
 
 #: Variables that only integrated steps have: a study with an accuracy names them if it wants them.
 OF_INTEGRATION = tuple(v.name for v in VARIABLES.values() if not v.is_smooth and v.group not in COSTLY)

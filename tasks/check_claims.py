@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from tasks.paper import published_tables, tuned_walkers
-from tasks.paper.certificates import backed
-from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
-from tasks.paper.lines import set_tables, use_atlases
-from tasks.paper.quotations import QUOTATIONS
-from tasks.registry import VARIABLES
+from gaitsweep.tasks.paper import published_tables, tuned_walkers
+from gaitsweep.tasks.paper.certificates import backed
+from gaitsweep.tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
+from gaitsweep.tasks.paper.lines import set_tables, use_atlases
+from gaitsweep.tasks.paper.quotations import QUOTATIONS
+from gaitsweep.tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
 #: Tables that go with a claim.

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.dynamics.initial_states import r_sequence
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import newton, newton_step
-from tasks.fixed_points.step_check import gait_ratio, verify_steps
-from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.dynamics.initial_states import r_sequence
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import newton, newton_step
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.dynamics.attractors import WALKS_ON, Neighbourhoods, attractors
-from tasks.dynamics.walk import Walk
-from tasks.step.problem import Lanes, sizes
-from tasks.step.simulate import STRUCK, step_onto
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.dynamics.attractors import WALKS_ON, Neighbourhoods, attractors
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.step.problem import Lanes, sizes
+from gaitsweep.tasks.step.simulate import STRUCK, step_onto
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Relative displacement of initial states from the gait, and steps after which the period of their orbits is told.
 _DISPLACED, _DROPPED = 1e-3, 2000

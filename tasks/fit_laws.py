@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tasks.fits import power_law
-from tasks.fits import transition as laws
-from tasks.registry import GAITS
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.fits import power_law
+from gaitsweep.tasks.fits import transition as laws
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.

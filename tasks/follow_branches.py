@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import locate_root
-from tasks.continuation.lockstep import run
-from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import RATES, special_points, state_at
-from tasks.continuation.tracking import correct
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.measures import violations
-from tasks.step.problem import EPS, Problem
-from tasks.step.several_steps import from_largest
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import locate_root
+from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.sampling import chosen, within
+from gaitsweep.tasks.continuation.special_points import RATES, special_points, state_at
+from gaitsweep.tasks.continuation.tracking import correct
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.several_steps import from_largest
+from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Columns of the tables `branches` and `special_points`.
 COLUMNS = (

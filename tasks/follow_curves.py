@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.codimension_one import DIFFERENCE, Curve, follow_both_directions, turning
-from tasks.continuation.defining import slope_error
-from tasks.continuation.special_points import special_points
-from tasks.step.problem import EPS, Problem
-from tasks.walkers.resolve import is_one_link, resolve
-from tasks.walkers.walker import ONE_LINK, Walker, WalkerError
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, follow_both_directions, turning
+from gaitsweep.tasks.continuation.defining import slope_error
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.walkers.resolve import is_one_link, resolve
+from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
 #: Columns of the tables.

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tasks.continuation.atlas import branches_along, is_known, ranked
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import scalar
-from tasks.continuation.flips import doubled
-from tasks.continuation.lockstep import run
-from tasks.continuation.refine import COARSE
-from tasks.continuation.special_points import corrected, flips
-from tasks.continuation.tracking import MAX_MULTIPLIER, Point, follow
-from tasks.locate_cascade import search_cycles
-from tasks.step.problem import Problem
+from gaitsweep.tasks.continuation.atlas import branches_along, is_known, ranked
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.flips import doubled
+from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.continuation.special_points import corrected, flips
+from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER, Point, follow
+from gaitsweep.tasks.locate_cascade import search_cycles
+from gaitsweep.tasks.step.problem import Problem
 
 #: Slopes of the search for gaits that no flip begins, over the slope of the first flip, and initial states at each.
 _SEARCHED, _STARTS = np.linspace(0.8, 1.4, 9), 300

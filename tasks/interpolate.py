@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tasks import status
-from tasks.accuracy import nodes_for
-from tasks.continuation.branch import Branch
-from tasks.families.box import Refused, tensor_nodes
-from tasks.families.cell import Block, Cell
-from tasks.families.chart import Chart, fit
-from tasks.families.family import Family
-from tasks.families.patch import Patch, measured
-from tasks.families.pieces import Piece, pieces_of
-from tasks.families.span import Span
-from tasks.fixed_points.polish import Guesses, Polished, join, settle
-from tasks.measures.gaits import Part, describe
-from tasks.measures.smooth import Smooth
-from tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks import status
+from gaitsweep.tasks.accuracy import nodes_for
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.families.box import Refused, tensor_nodes
+from gaitsweep.tasks.families.cell import Block, Cell
+from gaitsweep.tasks.families.chart import Chart, fit
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.patch import Patch, measured
+from gaitsweep.tasks.families.pieces import Piece, pieces_of
+from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, join, settle
+from gaitsweep.tasks.measures.gaits import Part, describe
+from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.step.problem import Lanes, Problem
 
 #: Share of the accuracy that polynomials may use; numbers are also rounded.
 _SHARE = 0.9

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.continuation import atlas as atlases
-from tasks.dynamics.initial_states import NO_START, gaits_at, r_sequence
-from tasks.dynamics.lyapunov import Exponents, estimate
-from tasks.dynamics.walk import Walk
-from tasks.fixed_points.polish import SAFETY_FACTOR
-from tasks.step.problem import EPS, Problem, scale_of, sizes
-from tasks.step.simulate import CAUSES, STRUCK
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.dynamics.initial_states import NO_START, gaits_at, r_sequence
+from gaitsweep.tasks.dynamics.lyapunov import Exponents, estimate
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.fixed_points.polish import SAFETY_FACTOR
+from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.

@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import scalar, slope_error
-from tasks.continuation.flips import doubled
-from tasks.continuation.lockstep import lanes_of
-from tasks.continuation.special_points import RATES, state_at
-from tasks.continuation.tracking import Path, Point, correct
-from tasks.dynamics.crisis import lost
-from tasks.dynamics.initial_states import gaits_at, r_sequence
-from tasks.dynamics.walk import Walk
-from tasks.fits import feigenbaum as scaling
-from tasks.fixed_points.newton import newton
-from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import Problem
-from tasks.step.several_steps import distance, distances_of_steps, joined, sections
-from tasks.step.simulate import STRUCK, stride
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import scalar, slope_error
+from gaitsweep.tasks.continuation.flips import doubled
+from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.continuation.special_points import RATES, state_at
+from gaitsweep.tasks.continuation.tracking import Path, Point, correct
+from gaitsweep.tasks.dynamics.crisis import lost
+from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.fits import feigenbaum as scaling
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
+from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Orbits that locate the loss of walking, their relative distance from the last gait (chaos separates them), and how

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from tasks.paper.kneed_chaos import corner_crises, crisis
-from tasks.paper.lines import line, set_tables, use_atlases
-from tasks.paper.published import HALF_UNITS
-from tasks.paper.rounding_intervals import LANDMARKS, interval
-from tasks.registry import LOSS_WINDOWS
+from gaitsweep.tasks.paper.kneed_chaos import corner_crises, crisis
+from gaitsweep.tasks.paper.lines import line, set_tables, use_atlases
+from gaitsweep.tasks.paper.published import HALF_UNITS
+from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.registry import LOSS_WINDOWS
 
 Arrays = dict[str, np.ndarray]
 _COLUMNS = ("landmark", "walker", "point", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle")

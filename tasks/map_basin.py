@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.continuation import atlas as atlases
-from tasks.dynamics.attractors import Neighbourhoods, attractors
-from tasks.dynamics.initial_states import NO_START, gaits_at
-from tasks.dynamics.stable_manifold import saddle_at, stable_manifold
-from tasks.dynamics.walk import Walk
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.dynamics.attractors import Neighbourhoods, attractors
+from gaitsweep.tasks.dynamics.initial_states import NO_START, gaits_at
+from gaitsweep.tasks.dynamics.stable_manifold import saddle_at, stable_manifold
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Default ranges, as multiples of the long gait's angle and rate.

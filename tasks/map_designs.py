@@ -9,25 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from tasks import registry
-from tasks.continuation.atlas import survey_lines, to_arrays
-from tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, best, find, in_window
-from tasks.continuation.refine import COARSE
-from tasks.disturb_designs import attractors_beside, largest_steps
-from tasks.families.box import Box
-from tasks.families.family import Family
-from tasks.families.landscape import Landscape, is_known, make, points_at
-from tasks.families.manifold_maker import Maker
-from tasks.mechanics.lumped import Structure, structures_of
-from tasks.registry import GAITS
-from tasks.solve_planes import charts
-from tasks.solve_planes import lines as lines_of_plane
-from tasks.solve_points import points
-from tasks.step.problem import Lanes
-from tasks.walkers.resolve import resolve_many
-from tasks.walkers.statics import is_tuned
-from tasks.walkers.walker import Walker, WalkerError
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.continuation.atlas import survey_lines, to_arrays
+from gaitsweep.tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, best, find, in_window
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.disturb_designs import attractors_beside, largest_steps
+from gaitsweep.tasks.families.box import Box
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points_at
+from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_planes import charts
+from gaitsweep.tasks.solve_planes import lines as lines_of_plane
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.resolve import resolve_many
+from gaitsweep.tasks.walkers.statics import is_tuned
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 Arrays = dict[str, np.ndarray]
 #: Entries in place of a reason where there is no number.

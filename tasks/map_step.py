@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.simulate_steps import check_state, section_problem, take_step
-from tasks.step.problem import Problem, scale_of
-from tasks.step.simulate import CAUSES, STRUCK
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import WalkerError
+from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from gaitsweep.tasks.simulate_steps import check_state, section_problem, take_step
+from gaitsweep.tasks.step.problem import Problem, scale_of
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import WalkerError
 
 
 def map_step(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tasks.proofs.gait import Setting, prove
-from tasks.proofs.keys import check_written, decimal, exact, in_doubles
-from tasks.proofs.records import guess, record
-from tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.proofs.gait import Setting, prove
+from gaitsweep.tasks.proofs.keys import check_written, decimal, exact, in_doubles
+from gaitsweep.tasks.proofs.records import guess, record
+from gaitsweep.tasks.solve_at_slope import solve_one
 
 
 def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,20 +8,20 @@ parameters) that makes a stored result stale.
 
 from dataclasses import dataclass
 
-from tasks.options import FOLLOWED as FOLLOWED
-from tasks.options import MAX_STEPS as MAX_STEPS
-from tasks.options import OPTIONS as OPTIONS
-from tasks.options import Option as Option
-from tasks.options import options as options
-from tasks.variables import ALWAYS as ALWAYS
-from tasks.variables import COSTLY as COSTLY
-from tasks.variables import GAITS as GAITS
-from tasks.variables import PROVED as PROVED
-from tasks.variables import SI_UNITS as SI_UNITS
-from tasks.variables import STATUSES as STATUSES
-from tasks.variables import VARIABLES as VARIABLES
-from tasks.variables import VIOLATIONS as VIOLATIONS
-from tasks.variables import Variable as Variable
+from gaitsweep.tasks.options import FOLLOWED as FOLLOWED
+from gaitsweep.tasks.options import MAX_STEPS as MAX_STEPS
+from gaitsweep.tasks.options import OPTIONS as OPTIONS
+from gaitsweep.tasks.options import Option as Option
+from gaitsweep.tasks.options import options as options
+from gaitsweep.tasks.variables import ALWAYS as ALWAYS
+from gaitsweep.tasks.variables import COSTLY as COSTLY
+from gaitsweep.tasks.variables import GAITS as GAITS
+from gaitsweep.tasks.variables import PROVED as PROVED
+from gaitsweep.tasks.variables import SI_UNITS as SI_UNITS
+from gaitsweep.tasks.variables import STATUSES as STATUSES
+from gaitsweep.tasks.variables import VARIABLES as VARIABLES
+from gaitsweep.tasks.variables import VIOLATIONS as VIOLATIONS
+from gaitsweep.tasks.variables import Variable as Variable
 
 #: Slopes that can be asked for [rad], the first included: branches are followed down to it.
 SLOPES = (1e-18, 0.5)
@@ -49,27 +49,27 @@ TASKS = {
     for t in (
         Task(
             "atlas",
-            "tasks.solve_points:atlas",
+            "gaitsweep.tasks.solve_points:atlas",
             28,
-            side_by_side="tasks.solve_points:lines",
-            over_plane="tasks.solve_planes:lines",
+            side_by_side="gaitsweep.tasks.solve_points:lines",
+            over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
-        Task("points", "tasks.solve_points:points", 20, needs=("atlas",)),
-        Task("charts", "tasks.solve_planes:charts", 1),
-        Task("trace", "tasks.trace_motion:trace", 6, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 17, needs=("atlas",)),
-        Task("orbit", "tasks.iterate_orbits:orbit", 9, needs=("atlas",)),
-        Task("cascade", "tasks.locate_cascade:cascade", 16, needs=("atlas",)),
-        Task("basin", "tasks.map_basin:basin", 11, needs=("atlas",)),
-        Task("curve", "tasks.follow_curves:curve", 12, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 18),
-        Task("census", "tasks.count_gaits:census", 13),
-        Task("scaling", "tasks.fit_laws:scaling", 6, needs=("points",)),
-        Task("transition", "tasks.fit_laws:transition", 6, needs=("points",)),
-        Task("landmarks", "tasks.locate_landmarks:landmarks", 5, needs=("atlas",)),
-        Task("corners", "tasks.locate_landmarks:corners", 4, needs=("atlas",)),
-        Task("crises", "tasks.locate_landmarks:crises", 6, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 17, needs=("points", "atlas")),
+        Task("points", "gaitsweep.tasks.solve_points:points", 20, needs=("atlas",)),
+        Task("charts", "gaitsweep.tasks.solve_planes:charts", 1),
+        Task("trace", "gaitsweep.tasks.trace_motion:trace", 6, needs=("atlas",)),
+        Task("branch", "gaitsweep.tasks.follow_branches:branch", 17, needs=("atlas",)),
+        Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 9, needs=("atlas",)),
+        Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 16, needs=("atlas",)),
+        Task("basin", "gaitsweep.tasks.map_basin:basin", 11, needs=("atlas",)),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 12, needs=("atlas",)),
+        Task("design", "gaitsweep.tasks.map_designs:design", 18),
+        Task("census", "gaitsweep.tasks.count_gaits:census", 13),
+        Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
+        Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
+        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 5, needs=("atlas",)),
+        Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 4, needs=("atlas",)),
+        Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 6, needs=("atlas", "cascade", "corners")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 17, needs=("points", "atlas")),
     )
 }
 
@@ -150,19 +150,19 @@ CLAIMS = tuple(
 
 #: Calls answered at once, without a graph: of the command line and of Python, and the check of a walker.
 CALLS = {
-    "solve": "tasks.solve_at_slope:solve_one",
-    "step_map": "tasks.map_step:map_step",
-    "simulate": "tasks.simulate_steps:simulate_steps",
-    "prove": "tasks.prove_gaits:prove_one",
-    "prove_stored": "tasks.proofs.records:prove_stored",
-    "certificates": "tasks.write_certificates:names",
-    "certify": "tasks.write_certificates:certify",
-    "claims": "tasks.check_claims:check",
-    "walkers": "tasks.walkers.describe:describe",
-    "tune": "tasks.walkers.tuning:tune",
-    "untuned": "tasks.walkers.tuning:untuned",
-    "check_walker": "tasks.walkers.resolve:check",
+    "solve": "gaitsweep.tasks.solve_at_slope:solve_one",
+    "step_map": "gaitsweep.tasks.map_step:map_step",
+    "simulate": "gaitsweep.tasks.simulate_steps:simulate_steps",
+    "prove": "gaitsweep.tasks.prove_gaits:prove_one",
+    "prove_stored": "gaitsweep.tasks.proofs.records:prove_stored",
+    "certificates": "gaitsweep.tasks.write_certificates:names",
+    "certify": "gaitsweep.tasks.write_certificates:certify",
+    "claims": "gaitsweep.tasks.check_claims:check",
+    "walkers": "gaitsweep.tasks.walkers.describe:describe",
+    "tune": "gaitsweep.tasks.walkers.tuning:tune",
+    "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
+    "check_walker": "gaitsweep.tasks.walkers.resolve:check",
 }
 
 #: Function that says how long a process has integrated, once its module is loaded.
-CLOCK = "tasks.mechanics.kernel:integrating_seconds"
+CLOCK = "gaitsweep.tasks.mechanics.kernel:integrating_seconds"

@@ -16,11 +16,11 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import system
-from tasks.mechanics.kernel import prepare_compiler
-from tasks.mechanics.lumped import Structure, general_structure
-from tasks.step.problem import Lanes, Problem, scale_of
-from tasks.step.simulate import (
+from gaitsweep.tasks.mechanics.equations import system
+from gaitsweep.tasks.mechanics.kernel import prepare_compiler
+from gaitsweep.tasks.mechanics.lumped import Structure, general_structure
+from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
+from gaitsweep.tasks.step.simulate import (
     BACKWARD,
     CAUSES,
     FORWARD,
@@ -32,8 +32,8 @@ from tasks.step.simulate import (
     STRUCK,
     scanner,
 )
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Intervals of each phase at whose ends the motion is sampled.
 SAMPLES = 48

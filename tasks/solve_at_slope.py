@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.continuation import atlas as atlases
-from tasks.continuation.refine import COARSE
-from tasks.fixed_points.labels import places
-from tasks.fixed_points.polish import unmeasured
-from tasks.fixed_points.search import search, starts
-from tasks.map_step import map_step
-from tasks.measures.losses import contact_mass
-from tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from tasks.solve_points import atlas, points, solve
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
-from tasks.walkers.tuning import untuned
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks import status
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.fixed_points.labels import places
+from gaitsweep.tasks.fixed_points.polish import unmeasured
+from gaitsweep.tasks.fixed_points.search import search, starts
+from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.measures.losses import contact_mass
+from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
+from gaitsweep.tasks.solve_points import atlas, points, solve
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.tuning import untuned
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Variables measured for one point: all but proofs.
 _WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")

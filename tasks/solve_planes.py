@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.accuracy import always, is_interpolated
-from tasks.continuation.lockstep import lanes_of
-from tasks.families.box import Box
-from tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
-from tasks.families.division import make_cells
-from tasks.families.family import Family
-from tasks.families.patch import PREDICTED_WITHIN, similarity
-from tasks.fixed_points.polish import Polished, join, settle
-from tasks.fixed_points.step_check import verify_steps
-from tasks.interpolate import Sheet, interpolate, sheets
-from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
-from tasks.registry import GAITS, VARIABLES
-from tasks.solve_points import lines as lines_side_by_side
-from tasks.step.problem import Lanes
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks import status
+from gaitsweep.tasks.accuracy import always, is_interpolated
+from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.families.box import Box
+from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
+from gaitsweep.tasks.families.division import make_cells
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.patch import PREDICTED_WITHIN, similarity
+from gaitsweep.tasks.fixed_points.polish import Polished, join, settle
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.interpolate import Sheet, interpolate, sheets
+from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
+from gaitsweep.tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.solve_points import lines as lines_side_by_side
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Smallest error assumed for the ends of pieces, in ln slope.
 _MIN_END_ERROR = 1e-9

@@ -9,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.accuracy import always
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import settle_on_branches
-from tasks.continuation.lockstep import lanes_of
-from tasks.continuation.refine import COARSE, FINE
-from tasks.continuation.tracking import MAX_MULTIPLIER
-from tasks.fixed_points.polish import Guesses, join, settle
-from tasks.follow_cycles import cycle_branches
-from tasks.interpolate import Interpolation
-from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
-from tasks.mechanics.lumped import Structure, structures_of
-from tasks.registry import GAITS, PROVED, VARIABLES
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks import status
+from gaitsweep.tasks.accuracy import always
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import settle_on_branches
+from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.continuation.refine import COARSE, FINE
+from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER
+from gaitsweep.tasks.fixed_points.polish import Guesses, join, settle
+from gaitsweep.tasks.follow_cycles import cycle_branches
+from gaitsweep.tasks.interpolate import Interpolation
+from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
+from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.registry import GAITS, PROVED, VARIABLES
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
 _BLOCK = 4096
@@ -220,7 +220,7 @@ def _outside(branches: list[Branch], n: int) -> str:
 
 def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
     """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or so."""
-    from tasks.proofs.records import prove_stored  # needs the extra `proof`
+    from gaitsweep.tasks.proofs.records import prove_stored  # needs the extra `proof`
 
     for i, g in np.argwhere(np.isin(out["status"], status.SOLVED)).tolist():
         request = {"walker": line["walker"], "set": line.get("set"), "slope": float(slope[i]), "gait": GAITS[g]}

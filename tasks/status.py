@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from tasks.registry import STATUSES
+from gaitsweep.tasks.registry import STATUSES
 
 CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
     STATUSES[k] for k in ("converged", "no_gait", "not_converged", "fell", "less_accurate")

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.continuation import atlas as atlases
-from tasks.continuation.locate import settle_on_branches
-from tasks.registry import GAITS
-from tasks.solve_points import points
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks import status
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.locate import settle_on_branches
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Intervals of each phase.
 SAMPLES = 48

@@ -8,13 +8,13 @@ from typing import Any
 
 from flint import arb, ctx
 
-from tasks.proofs import covers, crossings, tubes
-from tasks.proofs.body import body
-from tasks.proofs.enclosed_step import dimensions
-from tasks.proofs.keys import decimal, exact, written
-from tasks.proofs.records import STATE, guess, quoted
-from tasks.prove_gaits import prove_one
-from tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.proofs import covers, crossings, tubes
+from gaitsweep.tasks.proofs.body import body
+from gaitsweep.tasks.proofs.enclosed_step import dimensions
+from gaitsweep.tasks.proofs.keys import decimal, exact, written
+from gaitsweep.tasks.proofs.records import STATE, guess, quoted
+from gaitsweep.tasks.prove_gaits import prove_one
+from gaitsweep.tasks.solve_at_slope import solve_one
 
 #: Both gaits of the paper's walkers at one slope, and E's long step down to vanishing slopes.
 _GAITS = (

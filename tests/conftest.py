@@ -96,8 +96,8 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
 @pytest.fixture(autouse=True)
 def _compute_everything_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line computed twice in a test is to be compared with itself, not found again."""
-    if "tasks.solve_points" in sys.modules:
-        monkeypatch.setattr(sys.modules["tasks.solve_points"], "_MAX_SURVEYED", 0)
+    if "gaitsweep.tasks.solve_points" in sys.modules:
+        monkeypatch.setattr(sys.modules["gaitsweep.tasks.solve_points"], "_MAX_SURVEYED", 0)
 
 
 SHARE = 1200.0  # of the time of all, that one test of many cases takes at a time [s]

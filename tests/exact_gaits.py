@@ -5,12 +5,12 @@ from pathlib import Path
 
 from flint import arb, arb_mat, ctx
 
-from tasks.proofs.body import body
-from tasks.proofs.enclosed_step import Region, step
-from tasks.proofs.enclosure import Accuracy, flow
-from tasks.proofs.gait import Setting
-from tasks.proofs.keys import decimal, exact
-from tasks.proofs.motion import Motion, evaluate
+from gaitsweep.tasks.proofs.body import body
+from gaitsweep.tasks.proofs.enclosed_step import Region, step
+from gaitsweep.tasks.proofs.enclosure import Accuracy, flow
+from gaitsweep.tasks.proofs.gait import Setting
+from gaitsweep.tasks.proofs.keys import decimal, exact
+from gaitsweep.tasks.proofs.motion import Motion, evaluate
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 GAITS = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]

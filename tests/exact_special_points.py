@@ -11,11 +11,11 @@ import functools
 import heyoka as hy
 import numpy as np
 
+from gaitsweep.tasks.continuation import defining
+from gaitsweep.tasks.mechanics.lumped import Structure, lump
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import sections
 from soak.extended_reference import Precise
-from tasks.continuation import defining
-from tasks.mechanics.lumped import Structure, lump
-from tasks.step.problem import Problem
-from tasks.step.several_steps import sections
 
 _MAX_STEPS = 30
 

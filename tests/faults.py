@@ -29,7 +29,12 @@ _HEAD = struct.Struct(f"8Q{len(KINDS)}Q512s600s")
 #: What commands import when they first need it.
 _IMPORTED = (
     *("charset_normalizer", "joblib", "netCDF4", "dask.array", "scipy.sparse"),
-    *("pipeline.cli.run", "pipeline.engine.runner", "pipeline.report.pages", "pipeline.study.parse"),
+    *(
+        "gaitsweep.pipeline.cli.run",
+        "gaitsweep.pipeline.engine.runner",
+        "gaitsweep.pipeline.report.pages",
+        "gaitsweep.pipeline.study.parse",
+    ),
 )
 _SECONDS = 120  # a run that takes longer hangs
 _SUBREAPER = 36  # of prctl: orphans below become children of this process
@@ -150,14 +155,14 @@ def _left() -> bool:
 
 
 if __name__ == "__main__":
-    from tasks import registry
+    from gaitsweep.tasks import registry
 
     # Twelve slopes are a long line of whole chunks, which workers finish.
     registry.SHORT_LINE = 8
-    from pipeline.grid import grid
+    from gaitsweep.pipeline.grid import grid
 
     grid.MOST_POINTS = 6
-    from pipeline.cli import commands
+    from gaitsweep.pipeline.cli import commands
 
     for name in _IMPORTED:
         importlib.import_module(name)

@@ -4,10 +4,10 @@ import functools
 
 import numpy as np
 
+from gaitsweep.tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.walkers.resolve import resolve
 from oracle import Oracle
-from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
-from tasks.solve_points import atlas, points
-from tasks.walkers.resolve import resolve
 
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
@@ -34,8 +34,8 @@ def gait(walker, slope, label, **overrides):
 
 def branches(walker, **overrides):
     """The atlas's branches, and the walker's problem."""
-    from tasks.continuation.atlas import from_arrays
-    from tasks.step.problem import Problem
+    from gaitsweep.tasks.continuation.atlas import from_arrays
+    from gaitsweep.tasks.step.problem import Problem
 
     found = _atlas(walker, tuple(sorted(overrides.items())))
     return Problem(resolve(walker, overrides)), from_arrays(found)

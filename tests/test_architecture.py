@@ -20,24 +20,27 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-@pytest.mark.parametrize("name", ["tasks", "pipeline"])
-def test_each_import_name_has_one_owner_and_it_is_ours(name):
-    """Both names are taken elsewhere; a foreign package in site-packages would win silently."""
-    owners = set(importlib.metadata.packages_distributions().get(name, []))
-    assert owners <= {"gaitsweep"}
-    found = __import__(name)
-    assert Path(found.__file__).resolve().parent == ROOT / name
-    assert [Path(p).resolve() for p in found.__path__] == [ROOT / name]
+@pytest.mark.parametrize("name", ["gaitsweep.tasks", "gaitsweep.pipeline"])
+def test_the_code_is_imported_from_this_folder(name):
+    found = importlib.import_module(name)
+    assert Path(found.__file__).resolve().parent == ROOT / name.partition(".")[2]
+
+
+def test_no_module_imports_by_the_names_of_other_packages():
+    """`tasks` and `pipeline` are taken elsewhere; a foreign package, or a folder of the user, would win silently."""
+    found = [file for name in ("tasks", "pipeline", "gaitsweep") for file in (ROOT / name).rglob("*.py")]
+    own = re.compile(r"^\s*(from|import) (tasks|pipeline)\b", re.MULTILINE)
+    assert len(found) > 200 and not [file for file in found if own.search(file.read_text())]
 
 
 def test_the_package_list_is_whole():
     listed = set(PROJECT["tool"]["setuptools"]["packages"])
     there = {
-        ".".join(init.parent.relative_to(ROOT).parts)
+        ".".join(("gaitsweep", *init.parent.relative_to(ROOT).parts))
         for name in ("tasks", "pipeline")
         for init in (ROOT / name).rglob("__init__.py")
     }
-    assert there == listed
+    assert {"gaitsweep", *there} == listed
 
 
 def test_tests_are_no_packages():
@@ -47,24 +50,24 @@ def test_tests_are_no_packages():
 
 def test_the_registry_imports_nothing_and_the_plan_no_solver():
     program = (
-        "import sys; import tasks.registry; before = set(sys.modules); import pipeline.graph.plan;"
-        "print(*(m for m in sys.modules if m.startswith('tasks')))"
+        "import sys; import gaitsweep.tasks.registry; before = set(sys.modules); import gaitsweep.pipeline.graph.plan;"
+        "print(*(m for m in sys.modules if m.startswith('gaitsweep.tasks')))"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
     assert sorted(found.stdout.split()) == [
-        "tasks",
-        "tasks.accuracy",
-        "tasks.costs",
-        "tasks.options",
-        "tasks.registry",
-        "tasks.variables",
+        "gaitsweep.tasks",
+        "gaitsweep.tasks.accuracy",
+        "gaitsweep.tasks.costs",
+        "gaitsweep.tasks.options",
+        "gaitsweep.tasks.registry",
+        "gaitsweep.tasks.variables",
     ]
 
 
 def test_importing_any_module_only_defines(tmp_path):
     """No folder is made, no setting of a library touched, no module of ours left half imported."""
     modules = [
-        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        ".".join(("gaitsweep", *file.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
         for name in ("tasks", "pipeline")
         for file in sorted((ROOT / name).rglob("*.py"))
     ]

@@ -35,7 +35,17 @@ steps = 60
 def archived(folder, text, *options):
     folder.mkdir()
     (folder / "s.toml").write_text(text)
-    command = [sys.executable, "-W", "ignore", "-m", "pipeline.cli.commands", "run", "s.toml", "--quiet", *options]
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-m",
+        "gaitsweep",
+        "run",
+        "s.toml",
+        "--quiet",
+        *options,
+    ]
     done = subprocess.run(
         command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300
     )

@@ -10,7 +10,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import gaits
+from gaitsweep import gaits
 
 radius = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
 

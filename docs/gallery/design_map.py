@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 
-from pipeline import gaits
+from gaitsweep import gaits
 
 radius = xr.DataArray(np.linspace(0.0, 0.4, 5), dims="R")
 mass = xr.DataArray(np.linspace(0.0, 0.02, 3), dims="foot_mass_ratio")

@@ -9,7 +9,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import gaits, load, run
+from gaitsweep import gaits, load, run
 
 compass = {
     **{"units": "SI", "g": 9.81, "knees": False, "m_h": 10.0, "R": 0.0, "eps_T": 0.0},

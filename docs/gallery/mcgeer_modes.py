@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import brentq
 
-from pipeline import gaits, step_map
+from gaitsweep import gaits, step_map
 
 
 def bend(eps_t):

@@ -9,7 +9,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import simulate, step_map
+from gaitsweep import simulate, step_map
 
 walker = {
     **{"units": "SI", "g": 9.81, "knees": False, "R": 0.1, "eps_T": 0.0},

@@ -9,7 +9,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import gaits
+from gaitsweep import gaits
 
 mine = {
     **{"units": "SI", "g": 9.81, "knees": False, "R": 0.2, "eps_T": 0.097},

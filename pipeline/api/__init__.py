@@ -4,7 +4,7 @@
 step map and simulates.
 """
 
-from pipeline.api.steps import simulate, step_map
-from pipeline.api.studies import gaits, load, run, solve
+from gaitsweep.pipeline.api.steps import simulate, step_map
+from gaitsweep.pipeline.api.studies import gaits, load, run, solve
 
 __all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]

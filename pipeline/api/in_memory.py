@@ -8,22 +8,22 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pipeline import dispatch
-from pipeline.archive import attributes
-from pipeline.archive.citation import PAPER
-from pipeline.archive.written import Sentences
-from pipeline.errors import StudyError, described
-from pipeline.graph.graph import Graph, Node
-from pipeline.graph.results import points_of
-from pipeline.grid.method import Method, method_of
-from pipeline.statuses import of_atlas
-from pipeline.store.memory import Memory
-from pipeline.store.record import Points, has_multipliers, joined
-from pipeline.study import slopes
-from pipeline.study.broadcast import broadcast
-from pipeline.study.model import Axis, Study
-from tasks.accuracy import always
-from tasks.registry import GAITS, TASKS, VARIABLES
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.archive import attributes
+from gaitsweep.pipeline.archive.citation import PAPER
+from gaitsweep.pipeline.archive.written import Sentences
+from gaitsweep.pipeline.errors import StudyError, described
+from gaitsweep.pipeline.graph.graph import Graph, Node
+from gaitsweep.pipeline.graph.results import points_of
+from gaitsweep.pipeline.grid.method import Method, method_of
+from gaitsweep.pipeline.statuses import of_atlas
+from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.record import Points, has_multipliers, joined
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study.broadcast import broadcast
+from gaitsweep.pipeline.study.model import Axis, Study
+from gaitsweep.tasks.accuracy import always
+from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
 #: Atlases and points of short lines kept for later calls [byte]: points of long ones are cheaper to compute again.
 _REMEMBERED = Memory(512 << 20)
@@ -205,7 +205,7 @@ def _constants(
     line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, Any]
 ) -> dict[str, str | float]:
     """Keys that all walkers share, as attributes; for a single line, all that do not vary."""
-    table = dispatch.resolve("tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
+    table = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
     moved = {key for check in checks for key, axes in check["varied"].items() if any(a in varying for a in axes)}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
     return {key: value for key, value in constants.items() if key not in {*moved, *varying}}

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from pipeline import dispatch
-from pipeline.api.threads import in_turn
-from pipeline.archive import attributes
-from pipeline.errors import StudyError
-from pipeline.study import slopes
-from pipeline.study.broadcast import changes, definition, number
-from pipeline.study.location import Location
-from tasks.registry import SI_UNITS, VARIABLES
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.api.threads import in_turn
+from gaitsweep.pipeline.archive import attributes
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study.broadcast import changes, definition, number
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.tasks.registry import SI_UNITS, VARIABLES
 
 _MAX_STEPS = 100_000
 #: Variables of a simulation that archives do not have: kind of quantity and meaning.

@@ -11,16 +11,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.api import in_memory
-from pipeline.api.threads import in_turn
-from pipeline.archive import read
-from pipeline.archive.unfold import dataset, unfolded
-from pipeline.engine import runner
-from pipeline.engine.executors import MAX_JOBS
-from pipeline.errors import ArchiveError, StudyError
-from pipeline.study import broadcast, files, model, options, parse, single_point
-from pipeline.study.location import Location
-from tasks.registry import MAX_STEPS
+from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.api.threads import in_turn
+from gaitsweep.pipeline.archive import read
+from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.engine import runner
+from gaitsweep.pipeline.engine.executors import MAX_JOBS
+from gaitsweep.pipeline.errors import ArchiveError, StudyError
+from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.tasks.registry import MAX_STEPS
 
 
 @in_turn

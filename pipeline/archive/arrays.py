@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive.written import write_variable
-from pipeline.graph.plan import Plan
+from gaitsweep.pipeline.archive.written import write_variable
+from gaitsweep.pipeline.graph.plan import Plan
 
 Columns = Mapping[str, np.ndarray]
 #: Dimensions of each array after those of the lines, by the columns that hold their coordinates.

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.statuses import ALL_STATUSES
-from pipeline.study import units
-from pipeline.study.ways import ends
-from tasks.registry import PROVED, VIOLATIONS, Variable
+from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.ways import ends
+from gaitsweep.tasks.registry import PROVED, VIOLATIONS, Variable
 
 CONVENTIONS = "CF-1.11"
 SOURCE = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"

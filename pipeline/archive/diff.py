@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.archive.read import columns, open_archive
-from pipeline.archive.unfold import dataset
-from pipeline.errors import ArchiveError
-from pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.archive.read import columns, open_archive
+from gaitsweep.pipeline.archive.unfold import dataset
+from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.statuses import ALL_STATUSES
 
 #: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.grid.boxes import Box
+from gaitsweep.pipeline.grid.boxes import Box
 
 #: Dimensions of the characters of strings are called by this and their length.
 STRING = "string"

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import dispatch
-from pipeline.archive.attributes import put
-from pipeline.archive.written import write_variable
-from pipeline.study import units
-from pipeline.study.model import Study
-from tasks.registry import SI_UNITS
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.archive.attributes import put
+from gaitsweep.pipeline.archive.written import write_variable
+from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import SI_UNITS
 
 
 def write(file: Any, study: Study) -> None:
@@ -28,11 +28,11 @@ def write(file: Any, study: Study) -> None:
     move, or that is tuned anew along them, is one along these; so `ds.where(ds.R > 0.2)` selects by either. All others
     are global attributes under their own names.
     """
-    kinds = dispatch.resolve("tasks.walkers.walker:KEYS")
+    kinds = dispatch.resolve("gaitsweep.tasks.walkers.walker:KEYS")
     axes = {axis.name: axis.values for axis in study.line_axes}
     is_si = units.is_si(study)
     tables = [check["table"] for check in study.checks]
-    for key in dispatch.resolve("tasks.walkers.walker:NUMBERS"):
+    for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
         if key in axes:
             continue
         owners = {owner for check in study.checks for owner in check["varied"].get(key, ())}
@@ -56,7 +56,7 @@ def write(file: Any, study: Study) -> None:
 def _values(walker: str | dict[str, Any], key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:
     """A walker's parameter at every point of a grid of axes, flattened; NaN where it cannot be tuned."""
     grid = [values.ravel() for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")]
-    walkers = dispatch.resolve("tasks.walkers.resolve:resolve_many")(
+    walkers = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")(
         walker, {axis: values.astype(float) for axis, values in zip(axes, grid, strict=True)}
     )
     return np.broadcast_to(getattr(walkers, key), len(grid[0]))

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import attributes, chunks, layout
-from pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
-from pipeline.graph.plan import Plan
-from pipeline.grid.grid import Chunk
-from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
-from pipeline.store.packing import Packed, pack_values
-from pipeline.store.record import Head, count, has_multipliers, sentence_number, unpacked
-from pipeline.study import units
-from tasks.accuracy import MANTISSA, significant_bits
-from tasks.registry import GAITS, STATUSES, VARIABLES, Variable
+from gaitsweep.pipeline.archive import attributes, chunks, layout
+from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.grid.grid import Chunk
+from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from gaitsweep.pipeline.store.packing import Packed, pack_values
+from gaitsweep.pipeline.store.record import Head, count, has_multipliers, sentence_number, unpacked
+from gaitsweep.pipeline.study import units
+from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
+from gaitsweep.tasks.registry import GAITS, STATUSES, VARIABLES, Variable
 
 
 class PointWriter:

@@ -14,13 +14,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tasks
-from pipeline.archive import attributes
-from pipeline.errors import ArchiveError
+from gaitsweep.pipeline.archive import attributes
+from gaitsweep.pipeline.errors import ArchiveError
 
 if TYPE_CHECKING:
-    from pipeline.graph.plan import Plan
-    from pipeline.study.model import Study
+    from gaitsweep.pipeline.graph.plan import Plan
+    from gaitsweep.pipeline.study.model import Study
 
 _BEGINNING, _MAX_HEADER = '{"commit": ', 1 << 22  # of the provenance in an archive, and where it is [byte]
 _ROOT = Path(__file__).resolve().parents[2]
@@ -118,7 +117,7 @@ def version(package: str) -> str:
 def code_digest() -> str:
     """Digest of the code of `tasks` without docstrings, comments and layout."""
     digest = hashlib.sha256()
-    for file in sorted(Path(tasks.__file__).parent.rglob("*.py")):
+    for file in sorted((Path(__file__).parents[2] / "tasks").rglob("*.py")):
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
         digest.update(" ".join(text.split()).encode())
     return digest.hexdigest()

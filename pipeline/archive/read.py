@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.archive import layout
-from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
-from pipeline.grid import boxes as grid
-from pipeline.paths import kind_of
+from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
+from gaitsweep.pipeline.grid import boxes as grid
+from gaitsweep.pipeline.paths import kind_of
 
 SCHEMA = 2
 # Processor time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
@@ -158,7 +158,7 @@ def damage(path: Path) -> str:
     ArchiveError, WorkerError
         If the system does not open it.
     """
-    from pipeline.archive import structure  # only a fault needs its registry tables
+    from gaitsweep.pipeline.archive import structure  # only a fault needs its registry tables
 
     try:
         with open_netcdf(path) as file:
@@ -246,7 +246,7 @@ def _probe(paths: list[Path]) -> None:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     path, size = paths[0], sum(size_of(path) for path in paths)
     seconds = int(_TIMEOUT + size / _MIN_SPEED)
-    command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(seconds), *map(str, paths)]
+    command = [sys.executable, "-P", "-m", "gaitsweep.pipeline.archive.read", str(seconds), *map(str, paths)]
     try:
         null = subprocess.DEVNULL
         with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import serialize
-from pipeline.archive import arrays, layout
-from pipeline.archive.attributes import of_axis, over_steps
-from pipeline.archive.written import write_strings, write_variable
-from pipeline.dispatch import resolve
-from pipeline.graph.plan import Plan
-from pipeline.study import units
-from tasks import registry
-from tasks.columns import COLUMNS
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.archive import arrays, layout
+from gaitsweep.pipeline.archive.attributes import of_axis, over_steps
+from gaitsweep.pipeline.archive.written import write_strings, write_variable
+from gaitsweep.pipeline.dispatch import resolve
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.study import units
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.columns import COLUMNS
 
 Columns = dict[str, np.ndarray]
 
@@ -138,7 +138,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
     if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
         kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    elif name not in COLUMNS and name in (keys := resolve("tasks.walkers.walker:KEYS")):
+    elif name not in COLUMNS and name in (keys := resolve("gaitsweep.tasks.walkers.walker:KEYS")):
         kind, meaning = keys[name], f"walker's {name}"
     elif name in ("slope", "detuning"):
         kind, meaning = COLUMNS.get(name, ("angle", ""))[0], of_axis(name, is_si, study.checks)["long_name"]

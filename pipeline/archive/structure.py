@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import dispatch
-from pipeline.archive import layout
-from pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
-from pipeline.statuses import ALL_STATUSES
-from pipeline.study import slopes
-from tasks.accuracy import always
-from tasks.registry import GAITS, TASKS, VARIABLES
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
+from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.tasks.accuracy import always
+from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
@@ -68,7 +68,7 @@ def _origins(file: Any) -> Iterator[str]:
 
 def _not_numbers(parameters: Mapping[str, Any]) -> Iterator[str]:
     """Parameters of a walker that are no finite numbers."""
-    for key in set(parameters) & set(dispatch.resolve("tasks.walkers.walker:NUMBERS")):
+    for key in set(parameters) & set(dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS")):
         if not isinstance(parameters[key], int | float) or not math.isfinite(parameters[key]):
             yield f"{key} is not a finite number."
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import read, structure
-from pipeline.archive.read import open_archive
-from pipeline.statuses import FOUND
-from tasks.registry import VARIABLES, Variable
+from gaitsweep.pipeline.archive import read, structure
+from gaitsweep.pipeline.archive.read import open_archive
+from gaitsweep.pipeline.statuses import FOUND
+from gaitsweep.tasks.registry import VARIABLES, Variable
 
 #: What every gait has that an archive holds at all.
 _ALWAYS = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")

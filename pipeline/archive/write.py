@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import paths, serialize
-from pipeline.archive import attributes, layout, parameters, read, result_tables
-from pipeline.archive.citation import PAPER
-from pipeline.archive.points import PointWriter
-from pipeline.archive.provenance import provenance
-from pipeline.archive.read import SCHEMA
-from pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
-from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
-from pipeline.graph.plan import Plan
-from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
-from pipeline.store.record import sentence_number
-from pipeline.store.store import Key, Outcome
-from pipeline.study import corners, units
-from tasks.registry import VARIABLES
+from gaitsweep.pipeline import paths, serialize
+from gaitsweep.pipeline.archive import attributes, layout, parameters, read, result_tables
+from gaitsweep.pipeline.archive.citation import PAPER
+from gaitsweep.pipeline.archive.points import PointWriter
+from gaitsweep.pipeline.archive.provenance import provenance
+from gaitsweep.pipeline.archive.read import SCHEMA
+from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from gaitsweep.pipeline.store.record import sentence_number
+from gaitsweep.pipeline.store.store import Key, Outcome
+from gaitsweep.pipeline.study import corners, units
+from gaitsweep.tasks.registry import VARIABLES
 
 #: Reason of a line on which a curve has no starting point.
 _NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."

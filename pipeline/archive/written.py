@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import layout
-from pipeline.archive.attributes import put
-from pipeline.study.model import Study
+from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.archive.attributes import put
+from gaitsweep.pipeline.study.model import Study
 
 
 @dataclass

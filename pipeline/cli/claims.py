@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline import terminal
-from pipeline.archive import provenance, read
-from pipeline.dispatch import ask
-from pipeline.errors import ArchiveError, StudyError
-from tasks.registry import CLAIMS, TASKS
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.errors import ArchiveError, StudyError
+from gaitsweep.tasks.registry import CLAIMS, TASKS
 
 _FOLDER = Path("data", "archive")
 
@@ -62,7 +62,7 @@ def _claims_of(path: Path) -> list[str]:
 
 def _table(path: Path) -> dict[str, dict[str, Any]]:
     """The ledger of an archive by claim, NaN as None; empty if it cannot be read."""
-    from pipeline.api import load
+    from gaitsweep.pipeline.api import load
 
     try:
         read.probe([path])

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline import terminal
-from pipeline.cli import kinds
-from pipeline.cli.errors import report_errors
-from pipeline.dispatch import resolve
-from pipeline.errors import StudyError
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.cli.errors import report_errors
+from gaitsweep.pipeline.dispatch import resolve
+from gaitsweep.pipeline.errors import StudyError
 
 #: Purpose and arguments of each command.
 COMMANDS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
@@ -20,7 +20,7 @@ _SHARED = COMMANDS.pop("shared")
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        from pipeline.study.location import clip
+        from gaitsweep.pipeline.study.location import clip
 
         raise StudyError(f"{message[:1].upper()}{clip(message[1:], 500)} ({self.prog} --help).")
 
@@ -30,7 +30,7 @@ class _Parser(argparse.ArgumentParser):
 
 class _Version(argparse.Action):
     def __call__(self, *_: Any) -> NoReturn:
-        from pipeline.archive.provenance import version
+        from gaitsweep.pipeline.archive.provenance import version
 
         print(f"gaitsweep {version('gaitsweep')}")
         sys.exit(0)
@@ -52,7 +52,7 @@ def parser(wanted: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
             if "epilog" in about:
                 command.epilog = resolve(about["epilog"])()
                 command.formatter_class = argparse.RawDescriptionHelpFormatter
-            command.set_defaults(run=resolve(f"pipeline.cli.{name}:run"), top=parser)
+            command.set_defaults(run=resolve(f"gaitsweep.pipeline.cli.{name}:run"), top=parser)
     return top
 
 

@@ -4,8 +4,8 @@ import argparse
 import re
 from pathlib import Path
 
-from pipeline import dispatch
-from pipeline.study.parse import EXTRA_AXES
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.study.parse import EXTRA_AXES
 
 #: zsh runs the bash functions.
 _ZSH = """# zsh completion for gaitsweep; in ~/.zshrc, after compinit: eval "$(gaitsweep completion zsh)"
@@ -22,8 +22,8 @@ def run(options: argparse.Namespace) -> int:
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
-    keys, one_link = (dispatch.resolve(f"tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
+    walkers = list(dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE"))
+    keys, one_link = (dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
     words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers
     filled = {

@@ -2,7 +2,7 @@
 
 import argparse
 
-from pipeline.archive import diff, read
+from gaitsweep.pipeline.archive import diff, read
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,8 +5,8 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
-from pipeline import terminal
-from pipeline.errors import DiskFullError, GaitsweepError, described, is_disk_full, reached_limit, unwritten
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.errors import DiskFullError, GaitsweepError, described, is_disk_full, reached_limit, unwritten
 
 
 @contextlib.contextmanager

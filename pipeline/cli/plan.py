@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline import paths
-from pipeline.cli import kinds, studies
-from pipeline.engine.progress import duration
-from pipeline.graph.plan import Plan, Summary, summary
-from pipeline.grid import costs
-from pipeline.grid.method import seconds_over_plane
-from pipeline.store.store import Store
-from pipeline.study import corners
-from tasks.registry import FITS, TASKS, VARIABLES
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.cli import kinds, studies
+from gaitsweep.pipeline.engine.progress import duration
+from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.method import seconds_over_plane
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import corners
+from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import read
-from pipeline.dispatch import ask
-from pipeline.errors import ArchiveError, StudyError
-from pipeline.statuses import FOUND
-from pipeline.study import files, parse, slopes
-from pipeline.study.location import Location
-from pipeline.study.single_point import led
-from tasks.registry import GAITS
+from gaitsweep.pipeline.archive import read
+from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.errors import ArchiveError, StudyError
+from gaitsweep.pipeline.statuses import FOUND
+from gaitsweep.pipeline.study import files, parse, slopes
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.single_point import led
+from gaitsweep.tasks.registry import GAITS
 
 #: Relative radii that may be asked for.
 _LEAST, _MOST = 1e-30, 1e-6

@@ -6,9 +6,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
-from pipeline import terminal
-from pipeline.archive import read
-from pipeline.errors import unwritten
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.archive import read
+from gaitsweep.pipeline.errors import unwritten
 
 #: Time for which a report says nothing [s].
 _QUIET = 2.0
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
     no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
-        from pipeline.report import pages
+        from gaitsweep.pipeline.report import pages
 
         with _pages_counted(len(options.archives)) as tell:
             index = pages.write(options.archives, options.out, options.only, tell)

@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from pipeline import terminal
-from pipeline.cli import studies
-from pipeline.cli.errors import report_errors
-from pipeline.engine import runner
-from pipeline.engine.progress import duration
-from pipeline.paths import sidecar_path
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.cli import studies
+from gaitsweep.pipeline.cli.errors import report_errors
+from gaitsweep.pipeline.engine import runner
+from gaitsweep.pipeline.engine.progress import duration
+from gaitsweep.pipeline.paths import sidecar_path
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from pipeline import terminal
-from pipeline.study.single_point import solve
-from tasks.registry import VARIABLES
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.study.single_point import solve
+from gaitsweep.tasks.registry import VARIABLES
 
 #: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
 _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli import kinds, studies
-from pipeline.engine.progress import duration, last_state, sentence
-from pipeline.paths import sidecar_path
+from gaitsweep.pipeline.cli import kinds, studies
+from gaitsweep.pipeline.engine.progress import duration, last_state, sentence
+from gaitsweep.pipeline.paths import sidecar_path
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,10 +4,10 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from pipeline.cli.errors import report_errors
-from pipeline.errors import StudyError
-from pipeline.study import parse
-from pipeline.study.model import Study
+from gaitsweep.pipeline.cli.errors import report_errors
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import parse
+from gaitsweep.pipeline.study.model import Study
 
 
 def archives(options: argparse.Namespace, codes: list[int] | None = None) -> list[tuple[Study, Path]]:

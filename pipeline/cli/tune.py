@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli import kinds
-from pipeline.cli.walkers import table
-from pipeline.dispatch import ask
-from pipeline.study import files
+from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.cli.walkers import table
+from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.study import files
 
 
 def run(options: argparse.Namespace) -> int:

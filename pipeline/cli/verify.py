@@ -2,9 +2,9 @@
 
 import argparse
 
-from pipeline.archive import read, verify
-from pipeline.cli import kinds
-from pipeline.errors import ArchiveError
+from gaitsweep.pipeline.archive import read, verify
+from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.errors import ArchiveError
 
 
 def run(options: argparse.Namespace) -> int:

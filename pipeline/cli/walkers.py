@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline.cli import kinds
-from pipeline.dispatch import ask
-from pipeline.study import files
+from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.study import files
 
 
 def run(options: argparse.Namespace) -> int:

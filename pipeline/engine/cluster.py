@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, TypeVar
 
-from pipeline.errors import StudyError, WorkerError, reached_limit
+from gaitsweep.pipeline.errors import StudyError, WorkerError, reached_limit
 
 _Result = TypeVar("_Result")
 _RECOUNT = 5.0  # interval of counting the workers [s]

@@ -7,10 +7,10 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.archive.provenance import software
-from pipeline.engine import worker_process
-from pipeline.engine.request import Request
-from pipeline.errors import WorkerError
+from gaitsweep.pipeline.archive.provenance import software
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.errors import WorkerError
 
 MAX_JOBS = 1000  # worker processes on one computer
 _Jobs = Iterator[tuple[int, Request]]
@@ -42,7 +42,7 @@ class Engine:
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
                 yield lambda jobs: parallel(joblib.delayed(worker_process.run)(*job) for job in jobs)
         else:
-            from pipeline.engine import cluster
+            from gaitsweep.pipeline.engine import cluster
 
             with cluster.connect(self.address) as client:
 

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.engine.account import Account
-from pipeline.engine.executors import Engine
-from pipeline.engine.request import Request
-from pipeline.graph.graph import Copies, Node
-from pipeline.graph.plan import Plan
-from pipeline.graph.reads import study_inputs
-from pipeline.grid import costs
-from pipeline.grid.grid import Chunk, Shape
-from pipeline.store.record import Head, Packing, Points, count, joined, pack, rows_of, unpacked
-from pipeline.store.store import Key, Outcome
+from gaitsweep.pipeline.engine.account import Account
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.graph.graph import Copies, Node
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.graph.reads import study_inputs
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.grid import Chunk, Shape
+from gaitsweep.pipeline.store.record import Head, Packing, Points, count, joined, pack, rows_of, unpacked
+from gaitsweep.pipeline.store.store import Key, Outcome
 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
 _MAX_SHARED = 300  # lines of a study whose results others may want: planes hardly have any in common

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline import paths
-from pipeline.errors import ArchiveError, BusyError
-from pipeline.paths import sidecar_path
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.errors import ArchiveError, BusyError
+from gaitsweep.pipeline.paths import sidecar_path
 
 _TRIES, _PAUSE = 5, 0.05  # how often a lock is tried, and the time between [s]
 

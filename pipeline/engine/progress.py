@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import terminal
-from pipeline.engine import worker_process
-from pipeline.engine.executors import Engine
-from pipeline.errors import unread
-from pipeline.graph.plan import Plan, Summary
-from pipeline.grid import costs
-from pipeline.statuses import ANSWER_NAMES
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.errors import unread
+from gaitsweep.pipeline.graph.plan import Plan, Summary
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.statuses import ANSWER_NAMES
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.store.record import Packing
+from gaitsweep.pipeline.store.record import Packing
 
 _WHOLE_TASK_FACTOR = 60  # a task, or lines side by side, may take this many times the limit of a point
 

@@ -11,24 +11,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline import dispatch, paths, terminal
-from pipeline.archive import read, result_tables, write
-from pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
-from pipeline.engine import worker_process
-from pipeline.engine.account import Account
-from pipeline.engine.executors import Engine
-from pipeline.engine.jobs import Jobs
-from pipeline.engine.locks import lock_archive
-from pipeline.engine.progress import Display, Progress, duration
-from pipeline.engine.scheduler import Scheduler
-from pipeline.engine.signals import Signals
-from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
-from pipeline.graph.plan import Plan, summary
-from pipeline.grid.method import variables
-from pipeline.paths import sidecar_path
-from pipeline.store.file import CorruptStoreError, forget, repair
-from pipeline.store.store import Store
-from pipeline.study.model import Study
+from gaitsweep.pipeline import dispatch, paths, terminal
+from gaitsweep.pipeline.archive import read, result_tables, write
+from gaitsweep.pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.account import Account
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.locks import lock_archive
+from gaitsweep.pipeline.engine.progress import Display, Progress, duration
+from gaitsweep.pipeline.engine.scheduler import Scheduler
+from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.grid.method import variables
+from gaitsweep.pipeline.paths import sidecar_path
+from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
 _MAX_REPAIRS = 3  # damages of a journal in one run before it is given up
@@ -74,7 +74,7 @@ def run(
     GaitsweepError
         If a study cannot start or continue, and `report` is not given; finished results are kept.
     """
-    dispatch.resolve("tasks.mechanics.compile_cache:usable_folder")()  # here it can say why it is not used
+    dispatch.resolve("gaitsweep.tasks.mechanics.compile_cache:usable_folder")()  # here it can say why it is not used
     errors: list[Exception] = []
     studies = [StudyRun(study, path, options, report or errors.append) for study, path in targets]
     signals = Signals()

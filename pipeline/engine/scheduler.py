@@ -11,12 +11,12 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pipeline.engine.executors import Engine
-from pipeline.engine.jobs import Jobs
-from pipeline.engine.request import Request
-from pipeline.engine.signals import Signals
-from pipeline.errors import GaitsweepError, WorkerError, described
-from pipeline.graph.graph import Node
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.errors import GaitsweepError, WorkerError, described
+from gaitsweep.pipeline.graph.graph import Node
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-from pipeline.engine import worker_process
-from pipeline.errors import StoppedError
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.errors import StoppedError
 
 _ONE = 1.0  # signals within this time count once: `timeout` sends it to its command and again to the group [s]
 

@@ -16,12 +16,12 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from pipeline.dispatch import resolve
-from pipeline.errors import described
-from tasks.registry import CLOCK
+from gaitsweep.pipeline.dispatch import resolve
+from gaitsweep.pipeline.errors import described
+from gaitsweep.tasks.registry import CLOCK
 
 if TYPE_CHECKING:  # a worker imports what its first request needs
-    from pipeline.store.record import Packing
+    from gaitsweep.pipeline.store.record import Packing
 
 _PR_SET_PDEATHSIG = 1
 _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
@@ -36,7 +36,7 @@ def serve(parent: int, number: int) -> None:
         return
     os.set_inheritable(number, False)
     connection = Connection(number)
-    from pipeline import serialize
+    from gaitsweep.pipeline import serialize
 
     warm: set[str] = set()
     used, idle = (0.0, 0.0), None
@@ -95,12 +95,12 @@ def _packed(
     function: Callable[..., Any], packing: Packing | None, params: dict[str, Any], inputs: list[Any]
 ) -> list[bytes]:
     """Result of a task; of a chunk head and payload of the record of its points, and the atlases of its lines."""
-    from pipeline import serialize
+    from gaitsweep.pipeline import serialize
 
     if packing is None:
         return [serialize.dump(function(params, inputs))]
-    from pipeline.graph.results import points_of
-    from pipeline.store.record import pack
+    from gaitsweep.pipeline.graph.results import points_of
+    from gaitsweep.pipeline.store.record import pack
 
     points, atlases = points_of(function, params, inputs)
     return [*pack(points, packing), *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]

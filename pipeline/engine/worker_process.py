@@ -20,16 +20,17 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.engine.request import Request
-from pipeline.errors import WorkerError
-from pipeline.grid.grid import Shape
-from pipeline.statuses import of_atlas
-from pipeline.store.record import Packing, Points, joined, pack, unpacked
-from pipeline.store.store import MAX_PAYLOAD
+from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.errors import WorkerError
+from gaitsweep.pipeline.grid.grid import Shape
+from gaitsweep.pipeline.statuses import of_atlas
+from gaitsweep.pipeline.store.record import Packing, Points, joined, pack, unpacked
+from gaitsweep.pipeline.store.store import MAX_PAYLOAD
 
 _POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and largest time charged to it for one [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
+_PROGRAM = "gaitsweep.pipeline.engine.worker_main"
 _PIECES = 16  # parts of a chunk that failed
 _EXTERNAL = ("worker_died", "out_of_memory")  # what may have a cause outside; a second time it has none
 #: Place of a line in its chunk, and outcome, reason and data of its atlas.
@@ -48,7 +49,14 @@ class WorkerProcess:
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         self._connection, end = Pipe()
-        command = [sys.executable, "-P", "-m", "pipeline.engine.worker_main", str(os.getpid()), str(end.fileno())]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            _PROGRAM,
+            str(os.getpid()),
+            str(end.fileno()),
+        ]
         try:  # in its own process group, so that Ctrl-C reaches only the parent
             self.process = subprocess.Popen(
                 command,

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.graph import layers
-from pipeline.grid.method import Method
-from pipeline.study.model import Study
+from gaitsweep.pipeline.graph import layers
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.study.model import Study
 
 #: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.graph import layers
-from pipeline.graph.digests import Digests
-from pipeline.grid.grid import Chunk, Grid
-from pipeline.grid.method import Method, variables
-from pipeline.store.store import Key
-from pipeline.study.model import Study
+from gaitsweep.pipeline.graph import layers
+from gaitsweep.pipeline.graph.digests import Digests
+from gaitsweep.pipeline.grid.grid import Chunk, Grid
+from gaitsweep.pipeline.grid.method import Method, variables
+from gaitsweep.pipeline.store.store import Key
+from gaitsweep.pipeline.study.model import Study
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.grid.method import Method, method_of, variables
-from pipeline.store.store import Key
-from pipeline.study.model import Study
-from tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
+from gaitsweep.pipeline.grid.method import Method, method_of, variables
+from gaitsweep.pipeline.store.store import Key
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.graph.graph import Copies, Graph, Node
-from pipeline.grid import costs
-from pipeline.grid.grid import Chunk, golden_ratio_order
-from pipeline.statuses import ANSWERS
-from pipeline.store.record import Head, unpacked
-from pipeline.store.store import Key, Outcome, Store
-from pipeline.study.model import Study
-from tasks.registry import GAITS
+from gaitsweep.pipeline.graph.graph import Copies, Graph, Node
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
+from gaitsweep.pipeline.statuses import ANSWERS
+from gaitsweep.pipeline.store.record import Head, unpacked
+from gaitsweep.pipeline.store.store import Key, Outcome, Store
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import GAITS
 
 
 class Plan:

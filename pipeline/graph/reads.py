@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import serialize
-from pipeline.graph.plan import Plan
-from pipeline.statuses import ALL_STATUSES
-from pipeline.store.record import Head, dtype_of, has_multipliers
-from tasks.registry import GAITS, READS, VARIABLES
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.store.record import Head, dtype_of, has_multipliers
+from gaitsweep.tasks.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
 _MAX_CHUNKS = 64  # chunks in memory, where lines cross them

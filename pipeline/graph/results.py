@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pipeline.store.record import Points, joined
+from gaitsweep.pipeline.store.record import Points, joined
 
 
 def points_of(

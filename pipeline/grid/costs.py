@@ -5,12 +5,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pipeline.grid.method import Method, method_of, variables
-from pipeline.study.model import Study
-from tasks import registry
-from tasks.accuracy import nodes_for
-from tasks.costs import ALONE, COSTS, OTHERS, POINTS, STARTING, Cost
-from tasks.registry import OPTIONS, VARIABLES
+from gaitsweep.pipeline.grid.method import Method, method_of, variables
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.accuracy import nodes_for
+from gaitsweep.tasks.costs import ALONE, COSTS, OTHERS, POINTS, STARTING, Cost
+from gaitsweep.tasks.registry import OPTIONS, VARIABLES
 
 
 def starting(study: Study) -> float:

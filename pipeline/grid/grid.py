@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.grid import costs
-from pipeline.grid.boxes import MOST_POINTS, Box, box_shape
-from pipeline.grid.method import Method, method_of
-from pipeline.study.model import Study
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.boxes import MOST_POINTS, Box, box_shape
+from gaitsweep.pipeline.grid.method import Method, method_of
+from gaitsweep.pipeline.study.model import Study
 
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take

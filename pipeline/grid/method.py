@@ -3,10 +3,10 @@
 import math
 from enum import StrEnum
 
-from pipeline.study.model import Study
-from tasks import accuracy
-from tasks.costs import ALONE, COSTS, POINTS, Cost
-from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks import accuracy
+from gaitsweep.tasks.costs import ALONE, COSTS, POINTS, Cost
+from gaitsweep.tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
 
 
 class Method(StrEnum):

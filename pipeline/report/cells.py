@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.words import WORDS, plain, spaced
+from gaitsweep.pipeline.report.words import WORDS, plain, spaced
 
 
 @dataclass(frozen=True)

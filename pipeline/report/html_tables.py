@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.report.cells import Cell, cell, column_cells
-from pipeline.report.figures import landmarks as places
-from pipeline.report.figures import measured
-from pipeline.report.figures.starts import addresses
-from pipeline.report.source import ANSWERS, Source
-from pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
+from gaitsweep.pipeline.report.cells import Cell, cell, column_cells
+from gaitsweep.pipeline.report.figures import landmarks as places
+from gaitsweep.pipeline.report.figures import measured
+from gaitsweep.pipeline.report.figures.starts import addresses
+from gaitsweep.pipeline.report.source import ANSWERS, Source
+from gaitsweep.pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000

@@ -9,9 +9,9 @@ from typing import Any
 
 import pandas as pd
 
-from pipeline.report.cells import Cell, cell
-from pipeline.report.entry import Entry
-from pipeline.report.words import WORDS, plain, spaced, superscript
+from gaitsweep.pipeline.report.cells import Cell, cell
+from gaitsweep.pipeline.report.entry import Entry
+from gaitsweep.pipeline.report.words import WORDS, plain, spaced, superscript
 
 
 @dataclass(frozen=True)

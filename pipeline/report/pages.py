@@ -20,14 +20,14 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from pipeline import paths
-from pipeline.archive.citation import PAPER
-from pipeline.archive.read import blamed_if_damaged
-from pipeline.report import entry, html_tables, ledger, results
-from pipeline.report.figures import FIGURES, draw, starts
-from pipeline.report.figures.svg import Drawing
-from pipeline.report.source import Source, read
-from pipeline.report.words import grouped, plain
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.archive.citation import PAPER
+from gaitsweep.pipeline.archive.read import blamed_if_damaged
+from gaitsweep.pipeline.report import entry, html_tables, ledger, results
+from gaitsweep.pipeline.report.figures import FIGURES, draw, starts
+from gaitsweep.pipeline.report.figures.svg import Drawing
+from gaitsweep.pipeline.report.source import Source, read
+from gaitsweep.pipeline.report.words import grouped, plain
 
 _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).parent / "scripts"
 

@@ -4,10 +4,10 @@ import re
 
 import pandas as pd
 
-from pipeline.report.cells import Cell, cell
-from pipeline.report.html_tables import Table, head, named
-from pipeline.report.source import Source
-from pipeline.report.words import WORDS
+from gaitsweep.pipeline.report.cells import Cell, cell
+from gaitsweep.pipeline.report.html_tables import Table, head, named
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import WORDS
 
 
 def tables(source: Source) -> list[Table]:

@@ -17,11 +17,11 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.archive import read as archives
-from pipeline.archive.unfold import dataset, unfolded
-from pipeline.paths import sidecar_path
-from pipeline.report.words import axis_values, print_units
-from pipeline.study.ways import ends, inline
+from gaitsweep.pipeline.archive import read as archives
+from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.paths import sidecar_path
+from gaitsweep.pipeline.report.words import axis_values, print_units
+from gaitsweep.pipeline.study.ways import ends, inline
 
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import quote
 
-from pipeline import paths
-from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 
 _APPLICATION_ID = 0x67735734  # in the header of a store
 _PAGE = 8192  # size of its pages [byte]

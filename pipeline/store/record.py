@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import serialize
-from pipeline.grid.grid import Shape
-from pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS, FOUND
-from pipeline.store.packing import Packed, pack_values, unpack
-from tasks.registry import GAITS, VARIABLES
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.grid.grid import Shape
+from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS, FOUND
+from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
+from gaitsweep.tasks.registry import GAITS, VARIABLES
 
 _BASE = 1 + max(ALL_STATUSES.values())
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}

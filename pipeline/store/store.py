@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pipeline import serialize
-from pipeline.statuses import ENDINGS
-from pipeline.store import file
-from pipeline.store.file import CorruptStoreError
-from pipeline.store.record import Head
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.statuses import ENDINGS
+from gaitsweep.pipeline.store import file
+from gaitsweep.pipeline.store.file import CorruptStoreError
+from gaitsweep.pipeline.store.record import Head
 
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
 #: Largest payload [byte]; SQLite has rows of at most 10^9 byte.

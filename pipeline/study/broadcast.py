@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pipeline.errors import StudyError
-from pipeline.study import files
-from pipeline.study.location import Location, clip
-from tasks.registry import VARIABLES
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study.location import Location, clip
+from gaitsweep.tasks.registry import VARIABLES
 
 #: Dimensions and coordinates of results, which no argument may use.
 _RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)

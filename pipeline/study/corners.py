@@ -3,10 +3,10 @@
 import itertools
 from typing import Any
 
-from pipeline import dispatch
-from pipeline.study.location import Location
-from pipeline.study.model import Study
-from tasks import registry
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks import registry
 
 
 def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str, Any], ...]:

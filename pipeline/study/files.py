@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline import dispatch
-from pipeline.errors import StudyError
-from pipeline.study.location import Location, clip
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.location import Location, clip
 
 _MAX_BASES = 8
 
@@ -95,7 +95,7 @@ def walker(
             del overrides["base"]
             table = base
         if not table.endswith(".toml"):
-            catalogue = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
+            catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
             if table not in catalogue:
                 raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
             return table

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable
 from numbers import Integral
 
-from pipeline.errors import StudyError
+from gaitsweep.pipeline.errors import StudyError
 
 _LARGEST = 1e300
 

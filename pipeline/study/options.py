@@ -4,10 +4,10 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pipeline.study import slopes
-from pipeline.study.location import Location
-from tasks import registry
-from tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, VIOLATIONS
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, VIOLATIONS
 
 _MAX = 10**6
 

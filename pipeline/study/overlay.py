@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import StudyError
-from pipeline.study import files
-from pipeline.study.location import Location, clip
-from tasks.registry import GAITS, SI_UNITS, VARIABLES
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study.location import Location, clip
+from gaitsweep.tasks.registry import GAITS, SI_UNITS, VARIABLES
 
 Columns = dict[str, np.ndarray]
 _MAX_MIB, _MAX_ROWS = 4, 20_000

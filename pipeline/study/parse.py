@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import dispatch
-from pipeline.study import options, overlay, slopes, units
-from pipeline.study.corners import check_walkers
-from pipeline.study.files import detuned, other, read_toml, retuned, walker
-from pipeline.study.location import Location
-from pipeline.study.model import Axis, Limits, Study
-from tasks import accuracy as accuracies
-from tasks import registry
-from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, VARIABLES
+from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.study import options, overlay, slopes, units
+from gaitsweep.pipeline.study.corners import check_walkers
+from gaitsweep.pipeline.study.files import detuned, other, read_toml, retuned, walker
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.model import Axis, Limits, Study
+from gaitsweep.tasks import accuracy as accuracies
+from gaitsweep.tasks import registry
+from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
-_ONE_LINK = "tasks.walkers.walker:ONE_LINK"
+_ONE_LINK = "gaitsweep.tasks.walkers.walker:ONE_LINK"
 #: Largest axis and grid; anything above is taken for a mistake.
 _MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _MAX_DIGITS = 15  # decimals of a linear axis
@@ -215,7 +215,7 @@ def _toward(axes: object, path: Path, location: Location) -> tuple[object, str |
 
 def _axis_keys() -> tuple[str, ...]:
     """Names that an axis may have."""
-    return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"), *dispatch.resolve(_ONE_LINK))
+    return (*EXTRA_AXES, *dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"), *dispatch.resolve(_ONE_LINK))
 
 
 def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...], float]:

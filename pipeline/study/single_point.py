@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.dispatch import ask
-from pipeline.study import files, slopes
-from pipeline.study.location import Location
-from pipeline.study.options import violation_limits
-from pipeline.study.parse import accuracy
-from tasks.registry import MAX_STEPS
+from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.options import violation_limits
+from gaitsweep.pipeline.study.parse import accuracy
+from gaitsweep.tasks.registry import MAX_STEPS
 
 
 def solve(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from tasks.registry import SLOPES
+from gaitsweep.tasks.registry import SLOPES
 
 if TYPE_CHECKING:  # help needs no arrays
     import numpy as np

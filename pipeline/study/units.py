@@ -1,8 +1,8 @@
 """Units of a study: SI where every walker has them, else each walker's own consistent ones."""
 
-from pipeline.dispatch import resolve
-from pipeline.study.model import Study
-from tasks.registry import SI_UNITS
+from gaitsweep.pipeline.dispatch import resolve
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import SI_UNITS
 
 
 def is_si(study: Study) -> bool:
@@ -13,5 +13,10 @@ def is_si(study: Study) -> bool:
 def axis_units(name: str, is_si: bool) -> str:
     """CF units of an axis, for walkers in SI (`is_si`) or in consistent units."""
     kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
-    kind = kind or {**resolve("tasks.walkers.walker:KEYS"), **resolve("tasks.walkers.walker:ONE_LINK")}[name]
+    kind = (
+        kind
+        or {**resolve("gaitsweep.tasks.walkers.walker:KEYS"), **resolve("gaitsweep.tasks.walkers.walker:ONE_LINK")}[
+            name
+        ]
+    )
     return SI_UNITS.get(kind, "1") if kind == "angle" or is_si else "1"

@@ -15,11 +15,11 @@ from functools import partial
 
 import numpy as np
 
-from tasks.continuation.branch import MIN_NODES, Branch
-from tasks.continuation.checks import checked
-from tasks.continuation.ends import BranchEnd, locate_end
-from tasks.continuation.flips import begun_at_flips
-from tasks.continuation.locate import (
+from gaitsweep.tasks.continuation.branch import MIN_NODES, Branch
+from gaitsweep.tasks.continuation.checks import checked
+from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
+from gaitsweep.tasks.continuation.flips import begun_at_flips
+from gaitsweep.tasks.continuation.locate import (
     check_steps,
     correct_at,
     is_step,
@@ -30,9 +30,9 @@ from tasks.continuation.locate import (
     row_tangent,
     sharpened_fold,
 )
-from tasks.continuation.lockstep import Call, Procedure, side_by_side
-from tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
-from tasks.continuation.tracking import (
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
+from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
+from gaitsweep.tasks.continuation.tracking import (
     CLOSED,
     MIN_SLOPE,
     MOST_RATE,
@@ -42,11 +42,11 @@ from tasks.continuation.tracking import (
     follow,
     rate_of_steps,
 )
-from tasks.fixed_points.search import search_lines, starts
-from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import Lanes, Problem
-from tasks.step.several_steps import distance
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.fixed_points.search import search_lines, starts
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.several_steps import distance
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
 #: samples the range evenly; of the lattice of guesses each takes one in `_SHARES`, its neighbours the others.

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
-from tasks.fixed_points.polish import UNKNOWN, Guesses
-from tasks.step.several_steps import from_largest
+from gaitsweep.tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, Guesses
+from gaitsweep.tasks.step.several_steps import from_largest
 
 #: Nodes of the shortest branch.
 MIN_NODES = 3

@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import SCALARS, scalar
-from tasks.continuation.lockstep import Call, Procedure
-from tasks.continuation.tracking import correct, correct_and_evaluate, fall_margin
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import SCALARS, scalar
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure
+from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate, fall_margin
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8

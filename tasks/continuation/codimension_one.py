@@ -11,15 +11,15 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from tasks.continuation import pseudo_arclength as engine
-from tasks.continuation.defining import joint_derivative
-from tasks.continuation.root import passes
-from tasks.continuation.tracking import CLOSED, Track
-from tasks.mechanics.lumped import structure_of
-from tasks.step.problem import Lanes, Problem
-from tasks.step.simulate import STRUCK
-from tasks.step.simulate import stride as simulate_step
-from tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.continuation import pseudo_arclength as engine
+from gaitsweep.tasks.continuation.defining import joint_derivative
+from gaitsweep.tasks.continuation.root import passes
+from gaitsweep.tasks.continuation.tracking import CLOSED, Track
+from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.simulate import STRUCK
+from gaitsweep.tasks.step.simulate import stride as simulate_step
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Step of the central differences by Z and by the key over its range.
 DIFFERENCE = 1e-5

@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
-from tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
-from tasks.continuation.tracking import MOST_RATE, Point, rate_of_steps
-from tasks.fixed_points.rounding import UNITS, by_fifteen
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.step.problem import EPS, Lanes, Problem
-from tasks.step.several_steps import AnyStride
-from tasks.step.step_map import matvec
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
+from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
+from gaitsweep.tasks.continuation.tracking import MOST_RATE, Point, rate_of_steps
+from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.step_map import matvec
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5

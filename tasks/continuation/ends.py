@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import scalar
-from tasks.continuation.locate import (
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.locate import (
     check_steps,
     correct_at,
     is_step,
@@ -21,11 +21,11 @@ from tasks.continuation.locate import (
     strike_distances,
     test_function,
 )
-from tasks.continuation.lockstep import Call, Procedure
-from tasks.continuation.root import root_search
-from tasks.continuation.tracking import Point, correct
-from tasks.fixed_points.step_check import verified
-from tasks.step.step_map import SAMPLES
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure
+from gaitsweep.tasks.continuation.root import root_search
+from gaitsweep.tasks.continuation.tracking import Point, correct
+from gaitsweep.tasks.fixed_points.step_check import verified
+from gaitsweep.tasks.step.step_map import SAMPLES
 
 #: Shares of the way to an end at which gaits must still be steps.
 _SHARES = 1 - 0.1 ** np.arange(1, 7)

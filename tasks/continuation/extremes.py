@@ -12,12 +12,20 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import SCALARS, Evaluation, evaluate, log_froude, log_froude_by_Z, scalar, solve
-from tasks.continuation.special_points import END_NAMES
-from tasks.fixed_points.multipliers import multipliers, other_multipliers
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.step.problem import EPS, Lanes
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import (
+    SCALARS,
+    Evaluation,
+    evaluate,
+    log_froude,
+    log_froude_by_Z,
+    scalar,
+    solve,
+)
+from gaitsweep.tasks.continuation.special_points import END_NAMES
+from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.problem import EPS, Lanes
 
 #: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
 _PARTS = 8

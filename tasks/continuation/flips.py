@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import slope_error
-from tasks.continuation.tracking import HALVED, Path, Point, correct
-from tasks.fixed_points.newton import similarity
-from tasks.step.problem import Problem
-from tasks.step.several_steps import begun_at, joined, sections
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import slope_error
+from gaitsweep.tasks.continuation.tracking import HALVED, Path, Point, correct
+from gaitsweep.tasks.fixed_points.newton import similarity
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
+from gaitsweep.tasks.step.step_map import matvec
 
 #: Newton steps to the first gait beside a flip, where the derivative is nearly singular.
 _MAX_ITERATIONS = 15

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.step.problem import EPS
-from tasks.step.several_steps import AnyStride
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.step_map import matvec
 
 
 def joint(stride: AnyStride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

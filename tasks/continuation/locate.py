@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import scalar
-from tasks.continuation.lockstep import Call, Procedure, lanes_of, run
-from tasks.continuation.root import root_search
-from tasks.continuation.tracking import Point, correct_and_evaluate
-from tasks.fixed_points.polish import Guesses, Polished, settle
-from tasks.fixed_points.step_check import verify_steps
-from tasks.step import extended_precision
-from tasks.step.problem import EPS, Problem
-from tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
-from tasks.step.verify_step import StepCheck, strike_distance
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure, lanes_of, run
+from gaitsweep.tasks.continuation.root import root_search
+from gaitsweep.tasks.continuation.tracking import Point, correct_and_evaluate
+from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
+from gaitsweep.tasks.step.verify_step import StepCheck, strike_distance
 
 TestFunction = Callable[[Point, np.ndarray], float | bool]
 

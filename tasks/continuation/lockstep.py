@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from tasks.step.problem import Problem
+from gaitsweep.tasks.step.problem import Problem
 
 Result = TypeVar("Result")
 

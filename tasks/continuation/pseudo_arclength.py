@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tasks.continuation.root import bracketed_root, hermite
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.continuation.root import bracketed_root, hermite
+from gaitsweep.tasks.step.step_map import matvec
 
 Point = TypeVar("Point", bound=Any)
 

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import check_steps, sampled_steps, strike_distances
-from tasks.continuation.lockstep import Call, Procedure
-from tasks.continuation.tracking import MAX_CROSSING_STEP, branch_point_determinant, correct
-from tasks.fixed_points.newton import curvature
-from tasks.fixed_points.polish import not_measured
-from tasks.fixed_points.rounding import rounding, rounding_std
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import StepCheck, verify
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import check_steps, sampled_steps, strike_distances
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure
+from gaitsweep.tasks.continuation.tracking import MAX_CROSSING_STEP, branch_point_determinant, correct
+from gaitsweep.tasks.fixed_points.newton import curvature
+from gaitsweep.tasks.fixed_points.polish import not_measured
+from gaitsweep.tasks.fixed_points.rounding import rounding, rounding_std
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.step_map import SAMPLES
+from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
 #: Largest change Newton may still make at a segment's middle before the segment is split: in a fine atlas points take
 #: one step each, and what their bounds need is measured at the nodes; in a coarse one, for few points, at each of them.

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.fixed_points.multipliers import multipliers
-from tasks.step.problem import Problem
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.step.problem import Problem
 
 #: Rounds in which points are added where the spectral radius bends or stability changes.
 _MAX_ROUNDS = 16

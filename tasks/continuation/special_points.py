@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.branch import LOST, Branch
-from tasks.continuation.defining import SCALARS, scalar, slope_error
-from tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
-from tasks.continuation.lockstep import Procedure, side_by_side
-from tasks.continuation.tracking import Point, branch_point_determinant, correct
-from tasks.fixed_points.rounding import rounding
-from tasks.step.problem import EPS, Problem
-from tasks.step.several_steps import from_largest
+from gaitsweep.tasks.continuation.branch import LOST, Branch
+from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
+from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
+from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
+from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
+from gaitsweep.tasks.fixed_points.rounding import rounding
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.several_steps import from_largest
 
 #: Rates at the start of a step.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tasks.continuation.joint import joint, joint_by_X, rounding_step
-from tasks.continuation.pseudo_arclength import (
+from gaitsweep.tasks.continuation.joint import joint, joint_by_X, rounding_step
+from gaitsweep.tasks.continuation.pseudo_arclength import (
     Linearisation,
     Newton,
     StepControl,
@@ -24,14 +24,14 @@ from tasks.continuation.pseudo_arclength import (
     bordered_newton,
     root_between,
 )
-from tasks.continuation.root import passes
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import LONGEST_PERIOD
-from tasks.fixed_points.step_check import verify_steps
-from tasks.registry import SLOPES
-from tasks.step.problem import Problem
-from tasks.step.several_steps import AnyStride, sections
-from tasks.step.simulate import MAX_LOG_ANGLE
+from gaitsweep.tasks.continuation.root import passes
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.registry import SLOPES
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import AnyStride, sections
+from gaitsweep.tasks.step.simulate import MAX_LOG_ANGLE
 
 #: Slopes over which branches are followed [rad]: at the least, rounding changes tangents by parts in a thousand.
 MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tasks.dynamics.walk import Walk, change
-from tasks.step.problem import Problem
-from tasks.step.simulate import CAUSES, STRUCK, stride
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.dynamics.walk import Walk, change
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
+from gaitsweep.tasks.step.step_map import matvec
 
 #: Longest period identified, and the name of an orbit with none up to it.
 LONGEST_PERIOD, WALKS_ON = 32, "walks on"

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.dynamics.walk import Walk, change
-from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK
+from gaitsweep.tasks.dynamics.walk import Walk, change
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import STRUCK
 
 #: An orbit whose last step changes it by less than this, relative, has converged to a gait of period one.
 _SETTLED = 1e-8

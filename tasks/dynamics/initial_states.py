@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import settle_on_branches
-from tasks.fixed_points.labels import places
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.registry import GAITS
-from tasks.step.problem import Problem
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import settle_on_branches
+from gaitsweep.tasks.fixed_points.labels import places
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.step.problem import Problem
 
 #: What is said of a slope without a gait that was found and verified.
 NO_START = "no gait to start from"

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tasks.dynamics.walk import Walk
-from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import STRUCK, stride
 
 #: Distance from the saddle along its unstable direction, over its norm, at which an orbit has left it; steps within
 #: which the orbits of a bracket come near the saddle, before which leaving does not count; and the longest stay.

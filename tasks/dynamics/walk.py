@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import STRUCK, stride
 
 
 class Walk:

@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.atlas import survey_lines
-from tasks.continuation.refine import COARSE
-from tasks.families.box import Box, Refused, tensor_nodes
-from tasks.families.chart import Chart, fit
-from tasks.families.family import Family
-from tasks.families.manifold_maker import Maker
-from tasks.families.patch import Patch, measured, side_of_fold
-from tasks.families.pieces import Piece, match, pieces_of
-from tasks.families.span import Span
-from tasks.fixed_points.newton import newton, newton_step
-from tasks.fixed_points.step_check import verify_steps
-from tasks.mechanics.lumped import Structure, common_structure
-from tasks.step.problem import Lanes
-from tasks.walkers.statics import leg_moment
+from gaitsweep.tasks.continuation.atlas import survey_lines
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
+from gaitsweep.tasks.families.chart import Chart, fit
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.families.patch import Patch, measured, side_of_fold
+from gaitsweep.tasks.families.pieces import Piece, match, pieces_of
+from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.fixed_points.newton import newton, newton_step
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.statics import leg_moment
 
 #: Coordinates of lines at the centre of a box, where no constant of a walker vanishes that does not vanish everywhere,
 #: and at its corners; a known line this near to one wanted serves as well.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from tasks.families.box import Refused, roots
+from gaitsweep.tasks.families.box import Refused, roots
 
 #: Points at which polynomials are evaluated at a time.
 _ROWS = 64

@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from tasks.families.box import Box, Refused
-from tasks.families.cell import Cell, Lines, make_cell
-from tasks.families.family import Family
+from gaitsweep.tasks.families.box import Box, Refused
+from gaitsweep.tasks.families.cell import Cell, Lines, make_cell
+from gaitsweep.tasks.families.family import Family
 
 #: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
 #: along one key never leaves.

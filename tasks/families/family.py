@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tasks.walkers.resolve import resolve_many
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.walkers.resolve import resolve_many
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.atlas import survey_lines
-from tasks.continuation.defining import SCALARS, foot_radius, log_froude
-from tasks.continuation.extremes import (
+from gaitsweep.tasks.continuation.atlas import survey_lines
+from gaitsweep.tasks.continuation.defining import SCALARS, foot_radius, log_froude
+from gaitsweep.tasks.continuation.extremes import (
     ANY_SLOPE,
     COSTS,
     QUANTITIES,
@@ -24,13 +24,13 @@ from tasks.continuation.extremes import (
     roles,
     values,
 )
-from tasks.continuation.refine import COARSE
-from tasks.families.box import Box, Refused
-from tasks.families.division import divide
-from tasks.families.family import Family
-from tasks.families.manifold import Manifold
-from tasks.families.manifold_maker import Maker
-from tasks.mechanics.lumped import Structure, common_structure
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families.box import Box, Refused
+from gaitsweep.tasks.families.division import divide
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.manifold import Manifold
+from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.defining import Polish, newton_step
-from tasks.continuation.extremes import Points, classify
-from tasks.families.chart import Chart
-from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import Lanes
-from tasks.step.step_map import SAMPLES
+from gaitsweep.tasks.continuation.defining import Polish, newton_step
+from gaitsweep.tasks.continuation.extremes import Points, classify
+from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.step.step_map import SAMPLES
 
 #: Factor by which a point may lie farther from its prediction, and err more, than those drawn.
 _SAFETY = 8.0

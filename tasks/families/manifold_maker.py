@@ -7,16 +7,16 @@ from functools import partial
 
 import numpy as np
 
-from tasks.continuation.defining import Solved, defining_system, evaluate, gradient, newton_step, solve
-from tasks.families.box import Box, Refused, tensor_nodes
-from tasks.families.chart import Chart, fit
-from tasks.families.family import Family
-from tasks.families.manifold import LEAST, Manifold, Region
-from tasks.fixed_points.multipliers import other_multipliers
-from tasks.mechanics.lumped import Structure
-from tasks.step.problem import Lanes
-from tasks.walkers.statics import leg_moment
-from tasks.walkers.walker import WalkerError
+from gaitsweep.tasks.continuation.defining import Solved, defining_system, evaluate, gradient, newton_step, solve
+from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
+from gaitsweep.tasks.families.chart import Chart, fit
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.manifold import LEAST, Manifold, Region
+from gaitsweep.tasks.fixed_points.multipliers import other_multipliers
+from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.statics import leg_moment
+from gaitsweep.tasks.walkers.walker import WalkerError
 
 #: First and most nodes along each key, and the error of predictions below which no more are taken.
 _FIRST, _MAX_NODES, _GOOD = 5, 33, 1e-6

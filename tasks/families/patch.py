@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tasks.families.box import roots
-from tasks.families.chart import Chart
-from tasks.families.span import Span
-from tasks.fixed_points.newton import curvature
-from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished
-from tasks.fixed_points.rounding import rounding_std
-from tasks.step.problem import Problem
-from tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.families.box import roots
+from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.fixed_points.newton import curvature
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, Guesses, Polished
+from gaitsweep.tasks.fixed_points.rounding import rounding_std
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import AnyStride
 
 #: How far Newton's method may move a prediction, in units of the largest error that was measured.
 PREDICTED_WITHIN = 8.0

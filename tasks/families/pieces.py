@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.tracking import rate_of_steps
-from tasks.fixed_points.polish import Guesses
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.tracking import rate_of_steps
+from gaitsweep.tasks.fixed_points.polish import Guesses
 
 #: How far beyond a panel pieces are compared, in ln slope.
 _REACH = 1.0

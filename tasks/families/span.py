@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tasks.families.box import roots
-from tasks.families.chart import Chart
+from gaitsweep.tasks.families.box import roots
+from gaitsweep.tasks.families.chart import Chart
 
 #: Least distance from a fold that counts, as a share of the piece.
 _NEAREST = 1e-9

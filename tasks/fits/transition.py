@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.fits.power_law import fit
+from gaitsweep.tasks.fits.power_law import fit
 
 #: Above the transition all walkers with light feet follow walker D: angle = B slope^(1/3) as slope -> 0
 #: (M. Garcia et al., J. Biomech. Eng. 120, 1998).

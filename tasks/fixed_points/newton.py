@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.fixed_points.multipliers import characteristic
-from tasks.fixed_points.rounding import characteristic_scale, rounding
-from tasks.step.problem import Problem, joint_sizes
-from tasks.step.several_steps import AnyStride
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.fixed_points.multipliers import characteristic
+from gaitsweep.tasks.fixed_points.rounding import characteristic_scale, rounding
+from gaitsweep.tasks.step.problem import Problem, joint_sizes
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.step_map import matvec
 
 #: Mean durations of steps beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0

@@ -7,15 +7,15 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tasks.fixed_points.multipliers import characteristic
-from tasks.fixed_points.newton import curvature, newton_step, relative_sizes
-from tasks.fixed_points.rounding import apply_newton_step, characteristic_scale, rounding, rounding_std
-from tasks.fixed_points.step_check import verify_steps
-from tasks.step import extended_precision
-from tasks.step.problem import EPS, Problem, joint_sizes
-from tasks.step.several_steps import AnyStride
-from tasks.step.step_map import SAMPLES, matvec
-from tasks.step.verify_step import strikes_fall_in_order
+from gaitsweep.tasks.fixed_points.multipliers import characteristic
+from gaitsweep.tasks.fixed_points.newton import curvature, newton_step, relative_sizes
+from gaitsweep.tasks.fixed_points.rounding import apply_newton_step, characteristic_scale, rounding, rounding_std
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.step_map import SAMPLES, matvec
+from gaitsweep.tasks.step.verify_step import strikes_fall_in_order
 
 #: Leg passes where the atlas has not shown that a point's step happens.
 UNKNOWN = -1

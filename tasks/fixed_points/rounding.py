@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.fixed_points.multipliers import characteristic
-from tasks.step.problem import EPS, Problem, residual_sizes, sizes
-from tasks.step.several_steps import AnyStride
-from tasks.step.step_map import matvec
+from gaitsweep.tasks.fixed_points.multipliers import characteristic
+from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, sizes
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.step_map import matvec
 
 
 @dataclass

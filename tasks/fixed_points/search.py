@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from tasks.fixed_points.newton import newton
-from tasks.fixed_points.step_check import verify_steps
-from tasks.mechanics.small_angles import exchange_periods, exchange_rates
-from tasks.step.problem import Lanes, Problem
-from tasks.step.several_steps import AnyStride
-from tasks.step.verify_step import StepCheck
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.small_angles import exchange_periods, exchange_rates
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.verify_step import StepCheck
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Coarse Newton steps of a guess: what is not near a gait by then hardly ever converges.
 _MAX_ITERATIONS = 15

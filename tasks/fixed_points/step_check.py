@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.step.problem import Problem
-from tasks.step.several_steps import AnyStride, Strides
-from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import StepCheck, verify
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import AnyStride, Strides
+from gaitsweep.tasks.step.step_map import SAMPLES
+from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
 
 def verified(stride: AnyStride) -> StepCheck:

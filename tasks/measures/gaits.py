@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.accuracy import MANTISSA, significant_bits
-from tasks.fixed_points.labels import places
-from tasks.fixed_points.multipliers import multiplier_bounds, multiplier_changes, multipliers
-from tasks.fixed_points.polish import Polished
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.measures import violations
-from tasks.measures.kinematics import step_length, travel
-from tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
-from tasks.registry import GAITS, VARIABLES
-from tasks.step.problem import Problem, residual_sizes
-from tasks.step.several_steps import side_by_side
-from tasks.step.step_map import Stride
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks import status
+from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
+from gaitsweep.tasks.fixed_points.labels import places
+from gaitsweep.tasks.fixed_points.multipliers import multiplier_bounds, multiplier_changes, multipliers
+from gaitsweep.tasks.fixed_points.polish import Polished
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.kinematics import step_length, travel
+from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
+from gaitsweep.tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.step.problem import Problem, residual_sizes
+from gaitsweep.tasks.step.several_steps import side_by_side
+from gaitsweep.tasks.step.step_map import Stride
+from gaitsweep.tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 #: Significant bits in which bounds are kept that need not be exact.

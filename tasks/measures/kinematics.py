@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker
 
 
 def step_length(walker: Walker, angle: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.mechanics.contact import Chain
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.mechanics.contact import Chain
+from gaitsweep.tasks.walkers.walker import Walker
 
 
 def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) -> np.ndarray:

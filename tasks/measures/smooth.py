@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks import status
-from tasks.fixed_points.multipliers import characteristic_errors
-from tasks.measures.gaits import Arrays, measured_multipliers, without_knees
-from tasks.measures.kinematics import TRAVEL, step_length, travel
-from tasks.measures.losses import velocity_ratio
-from tasks.variables import VARIABLES
-from tasks.walkers.walker import Walker
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks import status
+from gaitsweep.tasks.fixed_points.multipliers import characteristic_errors
+from gaitsweep.tasks.measures.gaits import Arrays, measured_multipliers, without_knees
+from gaitsweep.tasks.measures.kinematics import TRAVEL, step_length, travel
+from gaitsweep.tasks.measures.losses import velocity_ratio
+from gaitsweep.tasks.variables import VARIABLES
+from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Rates at the start of a step, and energies lost in it.
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.polynomial import polyfromroots
 
-from tasks.mechanics.contact import THIGH, Chain, total
-from tasks.registry import VARIABLES, VIOLATIONS
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.mechanics.contact import THIGH, Chain, total
+from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
+from gaitsweep.tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 #: Intervals of each phase.

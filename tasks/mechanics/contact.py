@@ -16,7 +16,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Row of the stance thigh among the links.
 THIGH = 1

@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 
 import heyoka as hy
 
-from tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics.lumped import Structure
 
 #: A symbolic expression; heyoka's are compiled types without annotations.
 Sym: TypeAlias = Any

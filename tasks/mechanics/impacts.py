@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heyoka as hy
 
-from tasks.mechanics.equations import ZERO, Complex, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.equations import ZERO, Complex, Solver, Sym, Symbols, rows
 
 
 def _dot(u: Complex, v: Complex) -> Sym:

@@ -10,9 +10,9 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics import compile_cache
-from tasks.mechanics.equations import system
-from tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics import compile_cache
+from gaitsweep.tasks.mechanics.equations import system
+from gaitsweep.tasks.mechanics.lumped import Structure
 
 #: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
 _MAX_STEPS = 120

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from heyoka import real128
 
-from tasks.walkers.walker import NUMBERS, Walker
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Lumped constants of every walker, and the further ones of those with knees, in the order of `lump`.
 _CONSTANTS = ("R", "l", "eps", "S_a_re", "S_a_im", "C_aa", "S_b_re", "S_b_im", "C_bb")

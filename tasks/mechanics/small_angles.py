@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.mechanics.lumped import lump
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
 _PERIODS = np.linspace(1.0, 6.0, 51)

@@ -3,7 +3,7 @@
 Importing this package fills `CLAIMS`; a new claim is one such function in any module imported here.
 """
 
-from tasks.paper import (
+from gaitsweep.tasks.paper import (
     appendix_a,
     energy,
     kneed_chaos,
@@ -14,7 +14,7 @@ from tasks.paper import (
     tuned_walkers,
     zero_slope,
 )
-from tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
+from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 
 __all__ = [
     "CLAIMS",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.paper.claim import ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, Arrays, line
-from tasks.registry import VARIABLES, VIOLATIONS
+from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, line
+from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
 
 _WANT = ("stance_angle", *(v for v in VARIABLES if VARIABLES[v].group == "violations"))
 #: Walkers and slopes of the paper's figures, whose gaits are examined.

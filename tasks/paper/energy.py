@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tasks.fixed_points.search import search
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.measures.losses import contact_mass
-from tasks.paper.claim import ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, TUNED, line, numbers
-from tasks.paper.zero_slope import VANISHING
-from tasks.step.problem import Problem
-from tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.measures.losses import contact_mass
+from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, line, numbers
+from gaitsweep.tasks.paper.zero_slope import VANISHING
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 
 @claim(

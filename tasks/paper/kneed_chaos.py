@@ -10,15 +10,15 @@ from dataclasses import asdict
 
 import numpy as np
 
-from tasks.count_gaits import census
-from tasks.follow_curves import curve
-from tasks.iterate_orbits import orbit
-from tasks.locate_cascade import cascade
-from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdict
-from tasks.paper.lines import Arrays, line, memoize, numbers, table
-from tasks.paper.published import HALF_UNITS
-from tasks.paper.rounding_intervals import changed, interval
-from tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.count_gaits import census
+from gaitsweep.tasks.follow_curves import curve
+from gaitsweep.tasks.iterate_orbits import orbit
+from gaitsweep.tasks.locate_cascade import cascade
+from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdict
+from gaitsweep.tasks.paper.lines import Arrays, line, memoize, numbers, table
+from gaitsweep.tasks.paper.published import HALF_UNITS
+from gaitsweep.tasks.paper.rounding_intervals import changed, interval
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Where each walker's period doublings are sought: window of slopes [rad], number of slopes searched, first periods.
 WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {

@@ -9,20 +9,20 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.root import bracketed_root
-from tasks.continuation.special_points import special_points
-from tasks.continuation.tracking import correct
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.measures.kinematics import step_length
-from tasks.measures.losses import velocity_ratio
-from tasks.registry import COSTLY, GAITS, VARIABLES
-from tasks.solve_points import atlas, points
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.root import bracketed_root
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.continuation.tracking import correct
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.measures.kinematics import step_length
+from gaitsweep.tasks.measures.losses import velocity_ratio
+from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")

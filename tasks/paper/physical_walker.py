@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from tasks.measures.kinematics import step_length
-from tasks.paper.claim import VERDICTS, ClaimResult, claim, compare, verdict
-from tasks.paper.lines import Arrays, line
-from tasks.paper.rounding_intervals import LANDMARKS, Interval, interval, place
+from gaitsweep.tasks.measures.kinematics import step_length
+from gaitsweep.tasks.paper.claim import VERDICTS, ClaimResult, claim, compare, verdict
+from gaitsweep.tasks.paper.lines import Arrays, line
+from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, Interval, interval, place
 
 
 def _format(mark: Interval) -> str:

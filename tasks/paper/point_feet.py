@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.fit_laws import transition
-from tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
-from tasks.simulate_steps import section_problem
-from tasks.solve_points import lines
+from gaitsweep.tasks.fit_laws import transition
+from gaitsweep.tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
+from gaitsweep.tasks.simulate_steps import section_problem
+from gaitsweep.tasks.solve_points import lines
 
 #: Foot mass ratios at which the transition is located, down to where the 3/2 power is exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)

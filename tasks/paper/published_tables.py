@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
-from tasks.paper.kneed_chaos import chaos
-from tasks.paper.lines import LONG, SHORT, line, memoize
-from tasks.paper.point_feet import speed_crossing
-from tasks.paper.rounding_intervals import LANDMARKS, interval
-from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
-from tasks.walkers.statics import statics
-from tasks.walkers.walker import NUMBERS
+from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.kneed_chaos import chaos
+from gaitsweep.tasks.paper.lines import LONG, SHORT, line, memoize
+from gaitsweep.tasks.paper.point_feet import speed_crossing
+from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
+from gaitsweep.tasks.walkers.statics import statics
+from gaitsweep.tasks.walkers.walker import NUMBERS
 
 Columns = dict[str, np.ndarray]
 #: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.

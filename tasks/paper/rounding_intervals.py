@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import evaluate, joint_derivative, scalar, solve
-from tasks.paper.lines import Line, line, memoize
-from tasks.paper.published import HALF_UNITS
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.catalogue import tune_exactly
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import evaluate, joint_derivative, scalar, solve
+from gaitsweep.tasks.paper.lines import Line, line, memoize
+from gaitsweep.tasks.paper.published import HALF_UNITS
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.catalogue import tune_exactly
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Step of the central differences by parameters, relative to their size and the gait's angle: what counts is an offset
 #: of a mass relative to the angle.

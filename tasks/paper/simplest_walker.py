@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from tasks.continuation.tracking import MAX_SLOPE
-from tasks.paper.claim import ClaimResult, claim, rounded, verdict
-from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers
-from tasks.trace_motion import trace
+from gaitsweep.tasks.continuation.tracking import MAX_SLOPE
+from gaitsweep.tasks.paper.claim import ClaimResult, claim, rounded, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers
+from gaitsweep.tasks.trace_motion import trace
 
 #: Periods as the slope vanishes, long and short step: the root of tan(t/2) = -3 tanh(t/2), and pi [sqrt(l/g)].
 PERIODS = (3.8120917950, math.pi)

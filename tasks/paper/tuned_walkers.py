@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import special_points
-from tasks.paper.claim import ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
-from tasks.solve_points import lines
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.statics import is_tuned, statics
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
+from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.statics import is_tuned, statics
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: The compass walker of Goswami et al. 1996 [SI]: m = 5, m_h = 10, a = b = 0.5, point masses.
 GOSWAMI = Walker(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.root import bracketed_root
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import newton
-from tasks.paper.claim import ClaimResult, claim, compare, verdict
-from tasks.paper.lines import LONG, SHORT, Arrays, line, memoize, numbers, root
-from tasks.paper.rounding_intervals import interval
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.continuation.root import bracketed_root
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.paper.claim import ClaimResult, claim, compare, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, line, memoize, numbers, root
+from gaitsweep.tasks.paper.rounding_intervals import interval
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Walkers of figure 11.
 WALKERS = ("A", "B", "C", "D", "E")

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from flint import arb, arb_mat, arb_series, ctx
 
-from tasks.proofs.body import Body, Vector
+from gaitsweep.tasks.proofs.body import Body, Vector
 
 
 def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from flint import arb, ctx, fmpq
 
-from tasks.proofs.body import Body
-from tasks.proofs.enclosure import NotProvedError
-from tasks.proofs.stability import is_stable
-from tasks.proofs.tubes import BY_SLOPE, Family, Tube, is_proved, point, sizes, tangent_of, tube_image
+from gaitsweep.tasks.proofs.body import Body
+from gaitsweep.tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.stability import is_stable
+from gaitsweep.tasks.proofs.tubes import BY_SLOPE, Family, Tube, is_proved, point, sizes, tangent_of, tube_image
 
 #: Precision, remainders, half the first tube's length and the least [rad], and how far tubes overlap.
 BITS, TOLERANCE, FIRST_HALF, MIN_HALF, OVERLAP = 64, 1e-13, 5e-7, 1e-10, 1e-3

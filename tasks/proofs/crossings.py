@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from flint import arb, ctx
 
-from tasks.proofs.enclosure import NotProvedError
-from tasks.proofs.stability import flip_function
-from tasks.proofs.tubes import REMAINDER, Family, Tube, point, tangent_of, tube
+from gaitsweep.tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.stability import flip_function
+from gaitsweep.tasks.proofs.tubes import REMAINDER, Family, Tube, point, tangent_of, tube
 
 #: Radius of the box of an interval's end over the interval's; steps of the secant method.
 SHARPER, MAX_SECANTS = 1e-6, 30

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 from flint import arb, arb_mat
 
-from tasks.proofs.body import Body
-from tasks.proofs.collisions import heelstrike, kneestrike
-from tasks.proofs.enclosure import Accuracy, Flow, State, flow, narrower
-from tasks.proofs.motion import acceleration
+from gaitsweep.tasks.proofs.body import Body
+from gaitsweep.tasks.proofs.collisions import heelstrike, kneestrike
+from gaitsweep.tasks.proofs.enclosure import Accuracy, Flow, State, flow, narrower
+from gaitsweep.tasks.proofs.motion import acceleration
 
 
 @dataclass(frozen=True)

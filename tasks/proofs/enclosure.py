@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from flint import arb, arb_mat
 
-from tasks.proofs.body import Body
-from tasks.proofs.motion import Motion, Series, Variation, evaluate
+from gaitsweep.tasks.proofs.body import Body
+from gaitsweep.tasks.proofs.motion import Motion, Series, Variation, evaluate
 
 #: Attempts at a box before a step is halved, halvings before a phase is given up, and steps of one phase.
 MAX_INFLATIONS, MAX_HALVINGS, MAX_STEPS = 12, 20, 400

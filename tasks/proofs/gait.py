@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 from flint import arb, arb_mat, ctx
 
-from tasks.proofs import krawczyk
-from tasks.proofs.body import Body, Number, body
-from tasks.proofs.enclosed_step import Region, Step, dimensions, start, step
-from tasks.proofs.enclosure import Accuracy, NotProvedError
-from tasks.proofs.sequence import Events, events
-from tasks.proofs.stability import is_stable, step_derivative
+from gaitsweep.tasks.proofs import krawczyk
+from gaitsweep.tasks.proofs.body import Body, Number, body
+from gaitsweep.tasks.proofs.enclosed_step import Region, Step, dimensions, start, step
+from gaitsweep.tasks.proofs.enclosure import Accuracy, NotProvedError
+from gaitsweep.tasks.proofs.sequence import Events, events
+from gaitsweep.tasks.proofs.stability import is_stable, step_derivative
 
 #: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused, unless
 #: its own bound is larger.

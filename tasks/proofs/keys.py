@@ -9,10 +9,10 @@ from typing import Any
 
 from flint import arb, ctx, fmpq
 
-from tasks.proofs.body import Number
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve, split, straight
-from tasks.walkers.walker import NUMBERS, WalkerError
+from gaitsweep.tasks.proofs.body import Number
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve, split, straight
+from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 
 #: Bits of derived keys: more than any proof's.
 KEY_BITS = 1024

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from flint import arb, arb_mat
 
-from tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.enclosure import NotProvedError
 
 
 def approximate_inverse(matrix: arb_mat) -> arb_mat:

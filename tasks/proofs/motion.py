@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from flint import arb, arb_mat
 
-from tasks.proofs.body import Body, Vector
+from gaitsweep.tasks.proofs.body import Body, Vector
 
 Series = list[arb]
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from flint import arb, ctx
 
-from tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
-from tasks.proofs.keys import KEY_BITS, double, doubles, written
-from tasks.registry import GAITS
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
+from gaitsweep.tasks.proofs.keys import KEY_BITS, double, doubles, written
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Variables that a proof starts from.
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "kneestrike_time", "period")

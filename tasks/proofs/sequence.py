@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from flint import arb
 
-from tasks.proofs.enclosed_step import Step
-from tasks.proofs.enclosure import NotProvedError
-from tasks.proofs.signs import Zero, zeros
+from gaitsweep.tasks.proofs.enclosed_step import Step
+from gaitsweep.tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.signs import Zero, zeros
 
 HEEL, KNEE, LEGS = (1, 1), (0, 1, -1), (1, -1)
 

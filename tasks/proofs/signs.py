@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from flint import arb
 
-from tasks.proofs.enclosure import NotProvedError, Piece, between
-from tasks.proofs.motion import Series, evaluate
+from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece, between
+from gaitsweep.tasks.proofs.motion import Series, evaluate
 
 #: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as grazing.
 ZERO_DEPTH, MAX_DEPTH = 10, 24

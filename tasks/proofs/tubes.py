@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 from flint import arb, arb_mat
 
-from tasks.proofs import krawczyk
-from tasks.proofs.body import Body, Number, body
-from tasks.proofs.enclosed_step import Region, Step, dimensions, step
-from tasks.proofs.enclosure import Accuracy, NotProvedError
-from tasks.proofs.gait import defect_derivative, order
-from tasks.proofs.sequence import Events, events
-from tasks.proofs.stability import step_derivative
+from gaitsweep.tasks.proofs import krawczyk
+from gaitsweep.tasks.proofs.body import Body, Number, body
+from gaitsweep.tasks.proofs.enclosed_step import Region, Step, dimensions, step
+from gaitsweep.tasks.proofs.enclosure import Accuracy, NotProvedError
+from gaitsweep.tasks.proofs.gait import defect_derivative, order
+from gaitsweep.tasks.proofs.sequence import Events, events
+from gaitsweep.tasks.proofs.stability import step_derivative
 
 #: Which coordinate of (section state, event times, slope) is the parameter.
 BY_ANGLE, BY_SLOPE = 0, -1

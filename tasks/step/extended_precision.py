@@ -13,13 +13,13 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import Symbols, system
-from tasks.mechanics.kernel import prepare_compiler
-from tasks.mechanics.lumped import Structure, lump
-from tasks.step.problem import EPS, Problem, joint_sizes
-from tasks.step.several_steps import AnyStride
-from tasks.step.symbols import end_of_step, lock_knee, start_of_step
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.mechanics.equations import Symbols, system
+from gaitsweep.tasks.mechanics.kernel import prepare_compiler
+from gaitsweep.tasks.mechanics.lumped import Structure, lump
+from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.symbols import end_of_step, lock_knee, start_of_step
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9

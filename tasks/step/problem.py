@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tasks.mechanics.lumped import Structure, constants_of, structure_of
-from tasks.step.several_steps import AnyStride, StepSequence
-from tasks.step.step_map import StrideMap, stride_map
-from tasks.walkers.walker import Walker
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.mechanics.lumped import Structure, constants_of, structure_of
+from gaitsweep.tasks.step.several_steps import AnyStride, StepSequence
+from gaitsweep.tasks.step.step_map import StrideMap, stride_map
+from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 EPS = np.finfo(float).eps
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.step.step_map import Stride, StrideMap, matvec
+from gaitsweep.tasks.step.step_map import Stride, StrideMap, matvec
 
 
 @dataclass

@@ -15,13 +15,13 @@ from dataclasses import dataclass, fields
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
-from tasks.mechanics.impacts import heelstrike
-from tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
-from tasks.mechanics.lumped import Structure
-from tasks.step.crossing import crossing, guard
-from tasks.step.problem import Problem, scale_of
-from tasks.step.symbols import end_of_step, lock_knee
+from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Symbols, rows
+from gaitsweep.tasks.mechanics.impacts import heelstrike
+from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
+from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.step.crossing import crossing, guard
+from gaitsweep.tasks.step.problem import Problem, scale_of
+from gaitsweep.tasks.step.symbols import end_of_step, lock_knee
 
 #: Outcomes of a step. All but STRUCK are falls.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)

@@ -21,10 +21,10 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
-from tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
-from tasks.mechanics.lumped import Structure, general_structure, locked
-from tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
+from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
+from gaitsweep.tasks.mechanics.lumped import Structure, general_structure, locked
+from gaitsweep.tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
 #: Intervals at whose ends the motion is sampled to verify a step.
 SAMPLES = 16

@@ -6,9 +6,9 @@ import functools
 
 import heyoka as hy
 
-from tasks.mechanics.equations import ZERO, Sym, Symbols
-from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics.equations import ZERO, Sym, Symbols
+from gaitsweep.tasks.mechanics.impacts import heelstrike, kneestrike
+from gaitsweep.tasks.mechanics.lumped import Structure
 
 
 def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:

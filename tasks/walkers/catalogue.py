@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker
 
 _PHYSICAL = Walker(
     l_t=0.35,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
-from tasks.walkers.resolve import from_catalogue, resolve
-from tasks.walkers.statics import statics
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
+from gaitsweep.tasks.walkers.resolve import from_catalogue, resolve
+from gaitsweep.tasks.walkers.statics import statics
+from gaitsweep.tasks.walkers.walker import Walker
 
 
 def describe(params: Mapping[str, Any]) -> dict[str, Any]:

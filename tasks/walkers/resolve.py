@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.statics import CONDITIONED, nearest
-from tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
-from tasks.walkers.walker_array import WalkerArray
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
+from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
 _DERIVED = ("detuning", "foot_mass_ratio")

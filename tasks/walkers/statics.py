@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Keys on which the conditions depend.
 CONDITIONED = ("l_t", "w_t", "m_t", "c_t", "l_s", "w_s", "m_s", "c_s", "R", "eps_T")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
-from tasks.walkers.statics import is_tuned, nearest, statics
-from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.statics import is_tuned, nearest, statics
+from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
 
 
 def untuned(params: Mapping[str, Any]) -> str:

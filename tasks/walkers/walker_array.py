@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.walkers.walker import KEYS, Walker
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
 
 class WalkerArray(Walker):

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks import accuracies, counted, grids, lines, machine, page, planes, problems, record
 from benchmarks.harness import Measurements, time_in_turns
+from gaitsweep.tasks.walkers.resolve import resolve
 from soak import bounds, missed, stress
-from tasks.walkers.resolve import resolve
 
 #: Slope of each walker's timed gait [rad]; the grid runs from 1e-3 to three times it.
 FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "A": 0.01, "C": 0.01}

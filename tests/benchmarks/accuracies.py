@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.harness import Case, what_more_take
 from benchmarks.planes import PLANES
-from pipeline import api
+from gaitsweep.pipeline import api
 
 #: Walkers and the slopes of their lines.
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}

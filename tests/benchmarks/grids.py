@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks import planes
 from benchmarks.harness import solve_study
-from tasks.walkers.resolve import label
+from gaitsweep.tasks.walkers.resolve import label
 
 
 class Grid(NamedTuple):

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import dop853_coefficients as dop853
 
-from tasks.mechanics.equations import Symbols, system
-from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.lumped import lump
-from tasks.step.problem import Problem
+from gaitsweep.tasks.mechanics.equations import Symbols, system
+from gaitsweep.tasks.mechanics.impacts import heelstrike, kneestrike
+from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.step.problem import Problem
 
 #: Time after the start of a phase from which its guard counts [sqrt(leg/g)].
 EARLY = 0.1

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import what_more_take
-from pipeline.dispatch import resolve
-from pipeline.graph.graph import Graph
-from pipeline.grid.method import Method
-from pipeline.study.parse import parse
-from tasks.families.cell import parts
+from gaitsweep.pipeline.dispatch import resolve
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.study.parse import parse
+from gaitsweep.tasks.families.cell import parts
 
 #: Walkers, a slope, and the two keys with their ranges.
 PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {

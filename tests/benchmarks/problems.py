@@ -8,16 +8,16 @@ import numpy as np
 
 from benchmarks import peers
 from benchmarks.harness import Case, largest_error
+from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.mechanics.equations import system
+from gaitsweep.tasks.mechanics.kernel import FLOWS
+from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 from soak.extended_reference import Precise, best_kind
-from tasks import solve_points
-from tasks.continuation import atlas as atlases
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import newton
-from tasks.mechanics.equations import system
-from tasks.mechanics.kernel import FLOWS
-from tasks.registry import COSTLY, GAITS, VARIABLES
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
 
 #: Lanes that gaitsweep's methods carry at a time; times are for one lane.
 LANES = 64

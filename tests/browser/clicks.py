@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.design_maps import MAPPED
-from pipeline.report.source import Source, read
+from gaitsweep.pipeline.report.figures.design_maps import MAPPED
+from gaitsweep.pipeline.report.source import Source, read
 
 #: What a page says of a step of no length, which cannot walk.
 STILL = "Here the steps have no length: nothing walks."

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import run
-from pipeline.report import pages
+from gaitsweep import run
+from gaitsweep.pipeline.report import pages
 from test_report import synthetic
 
 #: Studies whose pages have gaits that walk: curves, branches through folds, maps, orbits and a basin.

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from browser import clicks
-from pipeline import run
-from pipeline.report import pages
-from pipeline.report.source import read
+from gaitsweep import run
+from gaitsweep.pipeline.report import pages
+from gaitsweep.pipeline.report.source import read
 
 PAPER = Path(__file__).parents[2] / "data" / "studies" / "paper"
 

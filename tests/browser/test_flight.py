@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import dispatch, gaits
-from pipeline.report import pages
-from tasks.registry import VIOLATIONS
+from gaitsweep.pipeline import dispatch, gaits
+from gaitsweep.pipeline.report import pages
+from gaitsweep.tasks.registry import VIOLATIONS
 
 pytestmark = pytest.mark.thorough
 

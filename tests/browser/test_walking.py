@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import gaits
+from gaitsweep import gaits
 
 pytestmark = pytest.mark.thorough
 

@@ -57,7 +57,7 @@ def environment(tree: Path) -> dict[str, str]:
 def lend_cache() -> None:
     """Copy the compiled flows, so those of mutants do not fill the user's."""
     # Not above: a process that tries a mutant imports this file, but `tasks` from its copy.
-    from tasks.mechanics.compile_cache import cache_folder
+    from gaitsweep.tasks.mechanics.compile_cache import cache_folder
 
     lent = STATE / "cache"
     shutil.rmtree(lent, ignore_errors=True)
@@ -88,7 +88,7 @@ def record() -> list[dict[str, Any]]:
     name = f"recorded{len(recordings)}"
     tree, settings, took = copy_project(name), STATE / "coveragerc", STATE / f"{name}.took"
     settings.write_text(
-        f"[run]\nsource = pipeline,tasks\ndata_file = {STATE / name}.lines\nparallel = true\nsigterm = true\n"
+        f"[run]\nsource = gaitsweep\ndata_file = {STATE / name}.lines\nparallel = true\nsigterm = true\n"
         "context = ${PYTEST_CURRENT_TEST-}\nplugins = gently\n"
     )
     shutil.copy(HERE / "gently.py", tree)
@@ -128,7 +128,7 @@ class Reach:
                 continue
             data = CoverageData(f"{STATE / name}.lines")
             data.read()
-            contexts = data.contexts_by_lineno(str(before))
+            contexts = data.contexts_by_lineno(str(STATE / name / "gaitsweep" / path))
             matcher = difflib.SequenceMatcher(
                 None, before.read_text().splitlines(), (ROOT / path).read_text().splitlines(), autojunk=False
             )
@@ -172,7 +172,7 @@ class Reach:
 def forgetting() -> None:
     """No file of tests leans on what another left in memory."""
     for kept in gc.get_objects():
-        if isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith(("tasks", "lines")):
+        if isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith(("gaitsweep.tasks", "lines")):
             kept.cache_clear()
 
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.fixed_points.polish import Guesses, settle
+from gaitsweep.tasks.fixed_points.rounding import apply_newton_step
+from gaitsweep.tasks.measures.gaits import describe
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.walker import Walker
 from soak.extended_reference import convert
 from soak.stress import random_walker
-from tasks.continuation import atlas as atlases
-from tasks.fixed_points.polish import Guesses, settle
-from tasks.fixed_points.rounding import apply_newton_step
-from tasks.measures.gaits import describe
-from tasks.step import extended_precision
-from tasks.step.problem import Problem
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.walker import Walker
 
 #: Slope below which most gaits need residuals in extended precision, and references are expensive [rad].
 SMALL = 1e-7

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from pipeline.dispatch import ask
+from gaitsweep.pipeline.dispatch import ask
 
 
 def write(folder, only=(), jobs=2):

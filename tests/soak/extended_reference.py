@@ -5,9 +5,9 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import system
-from tasks.mechanics.lumped import Structure
-from tasks.step.step_map import StrideMap, finish_sizes
+from gaitsweep.tasks.mechanics.equations import system
+from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.step.step_map import StrideMap, finish_sizes
 
 
 class _Algebra(StrideMap):

@@ -9,19 +9,19 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.optimize import differential_evolution, minimize
 
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import settle_on_branches
+from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import newton_step
+from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, join
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 from soak.bounds import compared
 from soak.missed import DERIVED, KEYS, SPREAD, WALKERS, survey_walkers
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import settle_on_branches
-from tasks.continuation.lockstep import lanes_of
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import newton_step
-from tasks.fixed_points.polish import Guesses, Polished, join
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.step.problem import Problem
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
 
 #: Range of the slopes [rad], and of their relative distances from the ends and folds of branches.
 MIN_SLOPE, MAX_SLOPE = 1e-7, 0.3

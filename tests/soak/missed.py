@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.refine import COARSE
-from tasks.fixed_points.newton import newton
-from tasks.fixed_points.search import starts
-from tasks.fixed_points.step_check import verify_steps
-from tasks.mechanics.lumped import structures_of
-from tasks.step.problem import Lanes
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.search import starts
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.lumped import structures_of
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Walkers whose neighbours are drawn, the key of half of them and its range, and the keys of the others.
 WALKERS = ("A", "C", "E", "physical", "physical-straight")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from gaitsweep.tasks import solve_points, status
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.walker import Walker
 from soak.stress import random_walker
-from tasks import solve_points, status
-from tasks.registry import GAITS
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.walker import Walker
 
 STRAIGHT, KNEED = ("point feet", "round feet", "straight, any", "straight, tuned"), ("kneed, near",)
 LEAST, MOST = 1e-7, 0.3
@@ -94,7 +94,7 @@ def _drawn(gaits: int, kneed: bool, seed: int) -> Iterator[dict[str, Any]]:
 
 def _compared(params: dict[str, Any]) -> tuple[str, float, float]:
     """Why a gait is not proved, or the least and greatest of its distance over its bound."""
-    from tasks.proofs.records import distance, proof_of
+    from gaitsweep.tasks.proofs.records import distance, proof_of
 
     _, proof = proof_of(params)
     if not proof.proved:

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from tasks import solve_points
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import settle, unmeasured
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.mechanics.kernel import flow
-from tasks.mechanics.lumped import structures_of
-from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
-from tasks.step.problem import Lanes
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.mechanics.kernel import flow
+from gaitsweep.tasks.mechanics.lumped import structures_of
+from gaitsweep.tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Lanes solved together.
 BLOCK = 4096

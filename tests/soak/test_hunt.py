@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
-from pipeline.cli.commands import main
+from gaitsweep.pipeline.cli.commands import main
 from soak import hunt
 
 

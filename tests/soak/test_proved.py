@@ -2,8 +2,8 @@
 
 import pytest
 
+from gaitsweep.tasks import solve_points
 from soak.proved import _NAMES, Proved, _compared, proved
-from tasks import solve_points
 
 
 def check(gaits, kneed, share, tell, jobs=1):

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import oracle
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import from_table
+from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 from soak import stress
 from soak.bounds import bounds
 from soak.stress import random_walker
-from tasks.solve_points import atlas, points
-from tasks.step import extended_precision
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import from_table
-from tasks.walkers.walker import NUMBERS, WalkerError
 
 
 def off(gait):
@@ -107,7 +107,7 @@ def test_no_bound_is_shown_to_hold_by_a_reference_that_did_not_converge(monkeypa
 
 @pytest.mark.parametrize("name", ["D", "E", "B", "C"])
 def test_a_degenerate_walker_is_refused_in_one_line_or_has_finite_constants(name):
-    from tasks.mechanics.lumped import lump
+    from gaitsweep.tasks.mechanics.lumped import lump
 
     odd = (
         0.0,

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from gaitsweep.tasks.continuation import defining
 from soak import whole_lines as module
 from soak.whole_lines import whole_lines
-from tasks.continuation import defining
 
 #: Seeds of a walker with straight legs, and of one whose special points are solved in other units too.
 STRAIGHT, IN_OTHER_UNITS = 5, 49

@@ -5,17 +5,17 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from gaitsweep.tasks.continuation import defining
+from gaitsweep.tasks.continuation.atlas import to_arrays
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.registry import STATUSES
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
+from gaitsweep.tasks.walkers.walker import KEYS, Walker, WalkerError
 from soak.hunt import Input, hardest
 from soak.missed import MAX_SLOPE, MIN_SLOPE, neighbour, survey_walkers
-from tasks.continuation import defining
-from tasks.continuation.atlas import to_arrays
-from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import special_points
-from tasks.registry import STATUSES
-from tasks.solve_points import atlas, points
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.walker import KEYS, Walker, WalkerError
 
 #: Slopes of a line, and the most of them beside folds and ends; the others lie anywhere.
 _SLOPES, _BESIDE = 40, 26

@@ -3,13 +3,13 @@
 import os
 import sys
 
-from tasks import registry
+from gaitsweep.tasks import registry
 
 # Lines of 200 points are long ones, whose chunks workers finish. Read when modules are imported, so set before.
 registry.SHORT_LINE = 100
 
-from pipeline.cli import commands  # noqa: E402
-from pipeline.grid import grid  # noqa: E402
+from gaitsweep.pipeline.cli import commands  # noqa: E402
+from gaitsweep.pipeline.grid import grid  # noqa: E402
 
 grid.MOST_POINTS = int(os.environ.get("TOY_CHUNK", "20"))
 

@@ -7,12 +7,12 @@ import netCDF4
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.cli.commands import main
-from pipeline.errors import StudyError
-from pipeline.grid.method import Method, method_of, variables
-from pipeline.study.parse import parse, read
-from tasks.registry import ALWAYS, TASKS
+import gaitsweep
+from gaitsweep.pipeline.cli.commands import main
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.grid.method import Method, method_of, variables
+from gaitsweep.pipeline.study.parse import parse, read
+from gaitsweep.tasks.registry import ALWAYS, TASKS
 
 STUDY = """
 name = "coarse"
@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def archive(folder):
-    pipeline.run(written(folder), jobs=1, archive=folder / "coarse.nc", quiet=True)
+    gaitsweep.run(written(folder), jobs=1, archive=folder / "coarse.nc", quiet=True)
     return folder / "coarse.nc"
 
 
@@ -100,8 +100,8 @@ def test_an_archive_says_its_accuracy_and_keeps_no_more_digits(archive):
         assert np.nanmax(file["error_bound"][:]) <= 1e-6
         assert "residual" not in file.variables
     assert main(["verify", str(archive)]) == 0
-    best = pipeline.gaits("D", pipeline.load(archive).slope.values)
-    own = pipeline.load(archive)
+    best = gaitsweep.gaits("D", gaitsweep.load(archive).slope.values)
+    own = gaitsweep.load(archive)
     labels = own.gait.values
     for name in ("stance_angle", "period"):
         exact = best[name].sel(gait=labels).values
@@ -117,7 +117,7 @@ def test_bytes_do_not_depend_on_how_it_is_run(archive, tmp_path, options):
 
 def test_gaits_of_polynomials_are_not_probed(tmp_path):
     """Their jobs are large from the first: a few points cost as much time as thousands."""
-    pipeline.run(written(tmp_path, n=60_000), jobs=1, archive=tmp_path / "coarse.nc", quiet=True)
+    gaitsweep.run(written(tmp_path, n=60_000), jobs=1, archive=tmp_path / "coarse.nc", quiet=True)
     events = [json.loads(line) for line in (tmp_path / "coarse.events.jsonl").read_text().splitlines()]
     sizes = [event["points"] for event in events if event["event"] == "chunk"]
     assert sum(sizes) == 60_000
@@ -142,8 +142,8 @@ def test_another_accuracy_solves_again_and_says_so(folder, archive, capsys):
 FEWER_DIGITS = """
 from dataclasses import replace
 
-from tasks.solve_points import points
-from tasks.step import extended_precision
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.step import extended_precision
 
 refine = extended_precision.refine
 extended_precision.refine = lambda *args: replace(refine(*args), bound=2e-15)
@@ -156,7 +156,7 @@ def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys, monk
     monkeypatch.setitem(TASKS, "points", replace(TASKS["points"], function="fewer_digits:points"))
     study = written(tmp_path, "1e-15", n=2, options="options.steps = 2", low=0.0165)
     assert main(["run", str(study), "--archive", str(tmp_path / "a.nc"), "--quiet"]) == 1
-    out = pipeline.load(tmp_path / "a.nc")
+    out = gaitsweep.load(tmp_path / "a.nc")
     less = out.status == "less_accurate"
     assert less.any()
     assert np.isfinite(out.stance_angle.values[less.values]).all()
@@ -177,7 +177,7 @@ def test_one_point_to_an_accuracy(capsys):
 def test_arrays_to_an_accuracy():
     slope = np.geomspace(1e-3, 0.1, 1000)
     for n in (1000, 20):
-        coarse, best = (pipeline.gaits("B", slope[:n], accuracy=a, variables=["period"]) for a in (1e-5, None))
+        coarse, best = (gaitsweep.gaits("B", slope[:n], accuracy=a, variables=["period"]) for a in (1e-5, None))
         assert (coarse.status == best.status).all()
         error = np.abs(coarse.period / best.period - 1)
         assert np.nanmax(error) < 1e-5
@@ -185,15 +185,15 @@ def test_arrays_to_an_accuracy():
         assert "residual" not in coarse
         assert coarse.attrs["accuracy"] == 1e-5 and "accuracy" not in best.attrs
     with pytest.raises(StudyError, match="`accuracy` must lie in"):
-        pipeline.gaits("B", slope, accuracy=0.5)
+        gaitsweep.gaits("B", slope, accuracy=0.5)
 
 
 def test_short_lines_and_planes_keep_their_accuracy(tmp_path):
     table = {"name": "p", "walker": "B", "axes": {"slope": [0.008], "R": np.linspace(0.0, 0.2, 70).tolist()}}
-    best = pipeline.run({**table, "want": {"variables": ["stance_angle"]}}, archive=tmp_path / "best.nc", quiet=True)
+    best = gaitsweep.run({**table, "want": {"variables": ["stance_angle"]}}, archive=tmp_path / "best.nc", quiet=True)
     for axes in (table["axes"], {**table["axes"], "R": [0.0, 0.1, 0.2]}):
         asked = {**table, "accuracy": 1e-4, "axes": axes, "want": {"variables": ["stance_angle"]}}
-        own = pipeline.run(asked, archive=tmp_path / "own.nc", quiet=True)
+        own = gaitsweep.run(asked, archive=tmp_path / "own.nc", quiet=True)
         assert (own.status == "converged").all()
         if len(axes["R"]) == 70:
             assert np.nanmax(np.abs(own.stance_angle / best.stance_angle - 1)) < 1e-4

@@ -24,23 +24,23 @@ import pytest
 import xarray as xr
 
 from conftest import ROOT, STUDY, Toy
-from pipeline.api.studies import load
-from pipeline.archive import attributes, diff, layout, read, structure, verify, write
-from pipeline.archive.points import PointWriter
-from pipeline.archive.provenance import commit, stored
-from pipeline.archive.unfold import dataset
-from pipeline.archive.written import write_strings
-from pipeline.cli import commands
-from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.graph.plan import Plan
-from pipeline.grid.boxes import boxes
-from pipeline.report import pages
-from pipeline.statuses import ALL_STATUSES as STATUS
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline.api.studies import load
+from gaitsweep.pipeline.archive import attributes, diff, layout, read, structure, verify, write
+from gaitsweep.pipeline.archive.points import PointWriter
+from gaitsweep.pipeline.archive.provenance import commit, stored
+from gaitsweep.pipeline.archive.unfold import dataset
+from gaitsweep.pipeline.archive.written import write_strings
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.grid.boxes import boxes
+from gaitsweep.pipeline.report import pages
+from gaitsweep.pipeline.statuses import ALL_STATUSES as STATUS
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks.accuracy import OF_INTEGRATION
+from gaitsweep.tasks.registry import ALWAYS
 from processes import descendants, ended, suspend
-from tasks.accuracy import OF_INTEGRATION
-from tasks.registry import ALWAYS
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -62,7 +62,7 @@ def copy(made, tmp_path):
 def test_it_can_be_loaded_while_it_is_open(made):
     """In a process of its own, which the netCDF library ends where strings are read of a file opened three times."""
     script = (
-        "import sys, xarray as xr; from pipeline.api.studies import load; path = sys.argv[1];"
+        "import sys, xarray as xr; from gaitsweep.pipeline.api.studies import load; path = sys.argv[1];"
         "held = xr.open_dataset(path), xr.open_datatree(path);"
         "one, other, _ = [load(path) for _ in range(3)]; tables = [load(path, 'fits/scaling') for _ in range(2)];"
         "print(one.identical(other), tables[0].equals(tables[1]), held[0].stance_angle.equals(one.stance_angle))"
@@ -570,7 +570,7 @@ def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     def slip(*_):
         return {}["x"]
 
-    monkeypatch.setattr("pipeline.archive.diff._matching_rows", slip)
+    monkeypatch.setattr("gaitsweep.pipeline.archive.diff._matching_rows", slip)
     assert commands.main(["diff", str(made), str(made)]) == 2
     said = capsys.readouterr().err
     assert said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said
@@ -690,7 +690,7 @@ def reader(tmp_path):
 def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
     """It and the process that reads the archive, which wakes last, stopped for longer than that may take."""
     program = (
-        "import sys; from pathlib import Path; from pipeline.archive import read\n"
+        "import sys; from pathlib import Path; from gaitsweep.pipeline.archive import read\n"
         f"sys.executable, read._TIMEOUT = {reader('exec sleep 1')!r}, 3.0; read.probe([Path('any.nc')])"
     )
     (tmp_path / "any.nc").touch()

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pipeline import load
-from pipeline.archive import diff, verify
-from pipeline.cli import commands
-from pipeline.report.source import read
+from gaitsweep import load
+from gaitsweep.pipeline.archive import diff, verify
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.report.source import read
 
 BASIN = """name = "b"
 kind = "basin"

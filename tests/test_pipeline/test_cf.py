@@ -9,9 +9,9 @@ import netCDF4
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.api import studies
-from pipeline.archive import diff, result_tables
+import gaitsweep
+from gaitsweep.pipeline.api import studies
+from gaitsweep.pipeline.archive import diff, result_tables
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
@@ -71,7 +71,7 @@ def archives(tmp_path_factory):
     """An archive of each study, each by worker processes of its own."""
     folder = tmp_path_factory.mktemp("cf")
     for name in STUDIES:
-        pipeline.run(mapping(name), jobs=1, archive=folder / f"{name}.nc", quiet=True)
+        gaitsweep.run(mapping(name), jobs=1, archive=folder / f"{name}.nc", quiet=True)
     return {name: folder / f"{name}.nc" for name in STUDIES}
 
 
@@ -87,7 +87,7 @@ def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, t
         "-W",
         "ignore",
         "-m",
-        "pipeline.cli.commands",
+        "gaitsweep",
         "run",
         *map(str, files),
         "--quiet",

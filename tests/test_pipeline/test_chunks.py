@@ -6,9 +6,9 @@ import netCDF4
 import numpy as np
 import pytest
 
-from pipeline.archive import chunks, layout
-from pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
-from pipeline.store import packing
+from gaitsweep.pipeline.archive import chunks, layout
+from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
+from gaitsweep.pipeline.store import packing
 
 SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}

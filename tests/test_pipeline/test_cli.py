@@ -24,26 +24,34 @@ from unittest.mock import Mock
 import netCDF4
 import pytest
 
-import pipeline
+import gaitsweep
 from conftest import ROOT, STUDY, TOYS, Toy
-from pipeline import load
-from pipeline.archive import read, write
-from pipeline.cli import commands
-from pipeline.engine import jobs as engine_jobs
-from pipeline.engine import locks
-from pipeline.engine.progress import duration, last_state
-from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
+from gaitsweep import load
+from gaitsweep.pipeline.archive import read, write
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.engine import jobs as engine_jobs
+from gaitsweep.pipeline.engine import locks
+from gaitsweep.pipeline.engine.progress import duration, last_state
+from gaitsweep.pipeline.errors import (
+    ArchiveError,
+    BusyError,
+    DiskFullError,
+    StoppedError,
+    StudyError,
+    WorkerError,
+    unwritten,
+)
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.statics import is_tuned
 from processes import ended, sidecar_path
-from tasks.walkers.resolve import resolve
-from tasks.walkers.statics import is_tuned
 
 #: For a shell, in folders with spaces too.
 TOY_COMMAND = shlex.join([sys.executable, str(TOYS / "gaitsweep_toy.py")])
 
 
-def gaitsweep(*arguments, cwd=None):
+def command(*arguments, cwd=None):
     return subprocess.run(
-        [sys.executable, "-m", "pipeline.cli.commands", *map(str, arguments)],
+        [sys.executable, "-m", "gaitsweep", *map(str, arguments)],
         cwd=cwd,
         text=True,
         timeout=60,
@@ -70,7 +78,7 @@ def quickest(*arguments, cwd=None, tries=3):
             times.append(used.ru_utime + used.ru_stime)
         return min(times)
 
-    return least("-m", "pipeline.cli.commands", *arguments) / max(1.0, least("-c", "import numpy") / 0.15)
+    return least("-m", "gaitsweep", *arguments) / max(1.0, least("-c", "import numpy") / 0.15)
 
 
 def test_help_is_quick():
@@ -81,7 +89,7 @@ def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     assert quickest("plan", "s.toml", cwd=tmp_path) < 0.4
     program = (
-        "import sys; from pipeline.cli import commands; commands.main(['plan', 's.toml']);"
+        "import sys; from gaitsweep.pipeline.cli import commands; commands.main(['plan', 's.toml']);"
         "print(*{m.split('.')[0] for m in sys.modules})"
     )
     found = (
@@ -111,7 +119,7 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     assert quickest("plan", "s.toml", cwd=tmp_path) < 1.0
     # The kernel's own high-water mark of this program: getrusage would count what the parent held before it.
     program = (
-        "from pathlib import Path; from pipeline.cli import commands; commands.main(['plan', 's.toml']);"
+        "from pathlib import Path; from gaitsweep.pipeline.cli import commands; commands.main(['plan', 's.toml']);"
         "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
     )
     found = subprocess.run(
@@ -448,7 +456,7 @@ def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, ca
             raise error
         return written(plan, path, *check)
 
-    monkeypatch.setattr("pipeline.archive.write.write", fail_once)
+    monkeypatch.setattr("gaitsweep.pipeline.archive.write.write", fail_once)
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--snapshot", "0"]) == 0
     said = "The archive is not published before the end: The disk is full: toy.nc is unchanged.\n"
@@ -475,7 +483,9 @@ def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, cap
 
 def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
     monkeypatch.chdir(toy.folder)
-    monkeypatch.setattr("pipeline.engine.runner._write_record", Mock(side_effect=OSError(errno.ENOSPC, "No room")))
+    monkeypatch.setattr(
+        "gaitsweep.pipeline.engine.runner._write_record", Mock(side_effect=OSError(errno.ENOSPC, "No room"))
+    )
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"]) == 0
     assert "toy.run.json cannot be written: No room." in capsys.readouterr().err
@@ -578,7 +588,7 @@ def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, end
                 report(end)
         return [end if isinstance(end, int) else getattr(end, "exit_code", 2) for end in ends]
 
-    monkeypatch.setattr("pipeline.engine.runner.run", run)
+    monkeypatch.setattr("gaitsweep.pipeline.engine.runner.run", run)
     assert commands.main(["run", *(f"{name}.toml" for name in names)]) == code
     said, left = capsys.readouterr().err, [f"{n}.toml" for n, end in zip(names, ends, strict=True) if end not in (0, 1)]
     assert (f"not run to the end: {', '.join(left)}\n" in said) == bool(left)
@@ -597,7 +607,7 @@ def test_one_study_that_fails_on_the_way_does_not_end_the_others(toy, monkeypatc
             raise DiskFullError("The disk is full.")
         return written(plan, path, threads)
 
-    monkeypatch.setattr("pipeline.archive.write.write", fail)
+    monkeypatch.setattr("gaitsweep.pipeline.archive.write.write", fail)
     assert commands.main(["run", "a.toml", "b.toml", "c.toml", "--jobs", "1"]) == 4
     assert "2 of 3 studies in" in capsys.readouterr().err
     folder = Path("data", "archive")
@@ -772,7 +782,7 @@ def test_debug_shows_where_and_changes_no_exit_code(capsys):
 
 def test_a_walker_loses_its_knees_by_a_key(tmp_path):
     found = [
-        gaitsweep("solve", "--walker", "physical", "--slope", "0.03", "--json", *more, cwd=tmp_path)
+        command("solve", "--walker", "physical", "--slope", "0.03", "--json", *more, cwd=tmp_path)
         for more in (("--set", "knees=false"), ())
     ]
     straight, kneed = (json.loads(f.stdout) for f in found)
@@ -813,8 +823,8 @@ def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
 
     monkeypatch.chdir(toy.folder)
     toy("run", "toy.toml")
-    monkeypatch.setattr("pipeline.engine.runner.lock_archive", full)
-    monkeypatch.setattr("pipeline.report.pages.write", full)
+    monkeypatch.setattr("gaitsweep.pipeline.engine.runner.lock_archive", full)
+    monkeypatch.setattr("gaitsweep.pipeline.report.pages.write", full)
     for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
         assert commands.main(arguments) == 4
         assert capsys.readouterr().err.endswith("cannot be written: No space left on device.\n")
@@ -822,7 +832,7 @@ def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
 
 def test_a_run_that_broke_off_is_not_finished(toy, monkeypatch, capsys):
     monkeypatch.chdir(toy.folder)
-    monkeypatch.setattr("pipeline.archive.write.write", Mock(side_effect=StudyError("No.")))
+    monkeypatch.setattr("gaitsweep.pipeline.archive.write.write", Mock(side_effect=StudyError("No.")))
     assert commands.main(["run", "toy.toml", "--jobs", "1"]) == 2
     commands.main(["status", "toy.toml"])
     assert "toy.nc: stopped; " in capsys.readouterr().out
@@ -921,9 +931,9 @@ def test_keys_are_tuned_at_every_line_and_archived_along_the_axes_that_move_them
         assert commands.main([*words, *(w for k, v in at.items() for w in ("--set", f"{k}={v}"))]) == 0
         solved = json.loads(capsys.readouterr().out)[0]
         assert (solved["gait"], solved["stance_angle"]) == ("long", pytest.approx(angle, rel=1e-12))
-        same = pipeline.gaits("A", 1e-6, tuned=["w_t"], **at).stance_angle.sel(gait="long")
+        same = gaitsweep.gaits("A", 1e-6, tuned=["w_t"], **at).stance_angle.sel(gait="long")
         assert float(same) == pytest.approx(angle, rel=1e-12)
-    assert pipeline.solve("A", 1e-6, R=0.3).empty
+    assert gaitsweep.solve("A", 1e-6, R=0.3).empty
 
 
 def test_keys_of_a_leg_of_one_link_are_axes_and_arguments(tmp_path, capsys):
@@ -932,8 +942,8 @@ def test_keys_of_a_leg_of_one_link_are_axes_and_arguments(tmp_path, capsys):
     assert found.c_s.dims == ("c", "l") and found.l_s.dims == ("l",) and found.l.units == "1"
     table = {"knees": False, "l": 1.0, "m": 1.0, "c": 0.4, "m_h": 5.0}
     angle = found.stance_angle.sel(c=0.3, l=0.8, m_h=2.0, gait="long").values
-    own = pipeline.gaits({**table, "c": 0.3, "l": 0.8, "m_h": 2.0}, 0.01).stance_angle.sel(gait="long").values
-    set_ = pipeline.gaits(table, 0.01, c=0.3, l=0.8, m_h=2.0).stance_angle.sel(gait="long").values
+    own = gaitsweep.gaits({**table, "c": 0.3, "l": 0.8, "m_h": 2.0}, 0.01).stance_angle.sel(gait="long").values
+    set_ = gaitsweep.gaits(table, 0.01, c=0.3, l=0.8, m_h=2.0).stance_angle.sel(gait="long").values
     assert angle == own == set_
     assert commands.main(["solve", "--walker", "A", "--slope", "0.01", "--set", "l=1"]) == 2
     assert "`l` is a key of a leg of one link" in capsys.readouterr().err

@@ -13,9 +13,9 @@ import time
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
-from pipeline.engine import cluster as cluster_executor
-from pipeline.engine.cluster import connect
-from pipeline.errors import StudyError
+from gaitsweep.pipeline.engine import cluster as cluster_executor
+from gaitsweep.pipeline.engine.cluster import connect
+from gaitsweep.pipeline.errors import StudyError
 from processes import alive, descendants, ignored, wait_for_points
 
 pytest.importorskip("distributed")
@@ -136,13 +136,13 @@ def test_a_script_that_dask_cannot_import_is_told_so_at_once(tmp_path):
     """Each of its processes imports the script, and would run the study too."""
     study = '{"name": "s", "walker": "D", "axes": {"slope": [0.01]}}'
     script = tmp_path / "script.py"
-    script.write_text(f"from pipeline import run\nrun({study}, cluster='local:1')\n")
+    script.write_text(f"from gaitsweep import run\nrun({study}, cluster='local:1')\n")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
         [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
     )
     assert ended.stderr.splitlines()[-1] == (
-        "pipeline.errors.WorkerError: The processes of local:1 cannot be started; "
+        "gaitsweep.pipeline.errors.WorkerError: The processes of local:1 cannot be started; "
         'a script must be a file that calls `run` under `if __name__ == "__main__":`.'
     )
 
@@ -159,9 +159,8 @@ def test_certificates_of_clients_are_looked_for(monkeypatch):
 
 def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
     """Its numbers would be archived as those of the code of the run."""
-    for name in ("pipeline", "tasks"):
-        shutil.copytree(ROOT / name, tmp_path / "other" / name, ignore=shutil.ignore_patterns("__pycache__"))
-    with (tmp_path / "other/tasks/measures/gaits.py").open("a") as file:
+    shutil.copytree(ROOT / "gaitsweep", tmp_path / "other/gaitsweep", ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "other/gaitsweep/tasks/measures/gaits.py").open("a") as file:
         file.write("_FURTHER = 1\n")
     cluster.add_worker(PYTHONPATH=f"{tmp_path / 'other'}{os.pathsep}{TOYS}")
     said = toy("run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3).stderr

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.counted import STUDIES, work
-from pipeline.engine import worker_process
-from pipeline.engine.runner import Options, run
-from pipeline.graph.layers import layers
-from pipeline.grid.method import variables
-from pipeline.study.parse import read
-from tasks.registry import ALWAYS
-from tasks.solve_points import atlas
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.runner import Options, run
+from gaitsweep.pipeline.graph.layers import layers
+from gaitsweep.pipeline.grid.method import variables
+from gaitsweep.pipeline.study.parse import read
+from gaitsweep.tasks.registry import ALWAYS
+from gaitsweep.tasks.solve_points import atlas
 
 
 @pytest.fixture(scope="module", params=["D", "B"])

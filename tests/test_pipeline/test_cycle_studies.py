@@ -8,18 +8,18 @@ import netCDF4
 import numpy as np
 import pytest
 
-import pipeline
+import gaitsweep
+from gaitsweep import load
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study.parse import read
+from gaitsweep.tasks.continuation.atlas import to_arrays
+from gaitsweep.tasks.follow_branches import branch
+from gaitsweep.tasks.follow_cycles import cycle_branches
 from lines import branches as atlas_of
-from pipeline import load
-from pipeline.cli import commands
-from pipeline.errors import StudyError
-from pipeline.graph.graph import Graph
-from pipeline.graph.plan import Plan, summary
-from pipeline.store.store import Store
-from pipeline.study.parse import read
-from tasks.continuation.atlas import to_arrays
-from tasks.follow_branches import branch
-from tasks.follow_cycles import cycle_branches
 
 GRID = """name = "two"
 walker = "D"
@@ -59,7 +59,7 @@ def archives(tmp_path_factory):
 
 def test_a_grid_holds_what_python_solves(archives):
     grid = load(archives["grid"] / "s.nc")
-    gaits = pipeline.gaits("D", grid.slope.values, steps=2)
+    gaits = gaitsweep.gaits("D", grid.slope.values, steps=2)
     solved = gaits.sel(gait=grid.gait.values)
     np.testing.assert_array_equal(grid.status == "converged", solved.status == 0)
     assert (grid.status == "converged").sum() == 5
@@ -123,7 +123,7 @@ def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them
     assert (np.diff(branch["slope"])[:turn] < 0).all() and (np.diff(branch["slope"])[turn:] > 0).all()
     stable = branch["stable"] == 1
     assert branch["slope"][stable].between(points["slope"][0], points["slope"][1]).all() and stable.any()
-    one = pipeline.gaits("D", 0.016, steps=3)
+    one = gaitsweep.gaits("D", 0.016, steps=3)
     np.testing.assert_allclose(sorted(branch["stance_angle"].iloc[[0, -1]]), sorted(one.stance_angle[[0, 2]]))
     assert branch.attrs["units"]["period"] == "1"
     with netCDF4.Dataset(archives["branch"] / "s.nc") as file:
@@ -137,7 +137,7 @@ def returns(walker, table, steps=1, rtol=1e-6):
         start = [row[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         state = start
         for _ in range(steps):
-            state = pipeline.step_map(walker, row["slope"], state).state
+            state = gaitsweep.step_map(walker, row["slope"], state).state
         np.testing.assert_allclose(state, start, rtol=rtol)
 
 
@@ -163,7 +163,7 @@ def test_a_branch_that_a_flip_begins_starts_there(tmp_path, walker, low, high, f
     points, branch = (load(tmp_path / "s.nc", name) for name in ("special_points", "branches"))
     assert points["kind"].tolist() == ["branch_point"] and branch["slope"][0] == points["slope"][0]
     assert points["slope"][0] == pytest.approx(flip, abs=1e-7) and points["error_bound"][0] < 1e-12
-    one, two = (pipeline.gaits(walker, [flip, high], steps=n).isel(gait=0) for n in (1, 2))
+    one, two = (gaitsweep.gaits(walker, [flip, high], steps=n).isel(gait=0) for n in (1, 2))
     assert points["period"][0] == pytest.approx(2 * one.period[0].item(), rel=1e-6)
     for name in ("stance_angle", "period", "kneestrike_time", "spectral_radius"):
         assert branch[name].iloc[-1] == pytest.approx(two[name][1].item(), rel=1e-9, nan_ok=True), name
@@ -251,7 +251,7 @@ def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_
     # Rows hold the whole state: two steps from it lead back to it.
     state = [table[f"branches/{name}"][10] for name in ("stance_angle", "stance_rate", "thigh_rate")]
     assert table["branches/shank_rate"][10] == state[2]
-    walk = pipeline.simulate("D", slope[10], state, 2)
+    walk = gaitsweep.simulate("D", slope[10], state, 2)
     assert [walk[name].values[2] for name in ("stance_angle", "stance_rate", "thigh_rate")] == pytest.approx(state)
 
 

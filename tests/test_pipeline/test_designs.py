@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline.cli import plan
-from pipeline.errors import StudyError
-from pipeline.graph import layers
-from pipeline.graph.plan import Plan, summary
-from pipeline.grid.costs import seconds
-from pipeline.grid.method import Method
-from pipeline.store.store import Store
-from pipeline.study.parse import read
+import gaitsweep
+from gaitsweep.pipeline.cli import plan
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.graph import layers
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.grid.costs import seconds
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study.parse import read
 
 STUDY = """
 name = "designs"
@@ -39,7 +39,7 @@ def written(folder, walker, axes):
 
 def run(folder, walker, axes, **options):
     archive = folder / "designs.nc"
-    pipeline.run(written(folder, walker, axes), archive=archive, quiet=True, **options)
+    gaitsweep.run(written(folder, walker, axes), archive=archive, quiet=True, **options)
     return archive
 
 

@@ -19,8 +19,8 @@ import pytest
 
 from conftest import ROOT
 from faults import Faults, compiled, started
+from gaitsweep.tasks.mechanics import compile_cache
 from processes import damaged
-from tasks.mechanics import compile_cache
 
 STUDY = """name = "s"
 walker = "D"
@@ -171,7 +171,7 @@ def test_whatever_call_fails_the_same_command_again_gives_the_same_bytes(trials,
 
 
 SOLVE = (
-    "import json; from pipeline.study.single_point import solve;"
+    "import json; from gaitsweep.pipeline.study.single_point import solve;"
     "print(json.dumps(solve('D', 0.01, {}, False, 1, None)['gaits']))"
 )
 
@@ -231,7 +231,7 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
 def test_a_compile_cache_is_used_again_and_not_where_others_may_change_it(tmp_path):
     """In a process of its own: the cache is a setting of the whole process."""
     code = (
-        "import os, sys; from tasks.mechanics import compile_cache; import heyoka\n"
+        "import os, sys; from gaitsweep.tasks.mechanics import compile_cache; import heyoka\n"
         "def is_used():\n"
         "    compile_cache.usable_folder.cache_clear(); compile_cache.use()\n"
         "    return heyoka.llvm_state.get_diskcache_enabled()\n"

@@ -15,17 +15,17 @@ import netCDF4
 import numpy as np
 import pytest
 
-from pipeline import paths
-from pipeline.archive import provenance, read
-from pipeline.cli import claims, commands, status
-from pipeline.engine import runner
-from pipeline.engine.locks import lock_archive
-from pipeline.engine.progress import last_state
-from pipeline.errors import ArchiveError, DiskFullError, shortage
-from pipeline.report import pages
-from pipeline.store.store import Store
-from pipeline.study import parse
-from tasks.registry import TASKS
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.cli import claims, commands, status
+from gaitsweep.pipeline.engine import runner
+from gaitsweep.pipeline.engine.locks import lock_archive
+from gaitsweep.pipeline.engine.progress import last_state
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, shortage
+from gaitsweep.pipeline.report import pages
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks.registry import TASKS
 
 STUDY = {"name": "s", "walker": "E", "axes": {"slope": [0.01, 0.02]}}
 

@@ -1,4 +1,4 @@
-"""`pipeline.gaits`: arrays in, gaits out, as a study finds them."""
+"""`gaitsweep.gaits`: arrays in, gaits out, as a study finds them."""
 
 import dataclasses
 
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline.api import in_memory
-from pipeline.errors import StudyError
-from pipeline.statuses import ALL_STATUSES
-from pipeline.store.memory import Memory
-from tasks import solve_points
-from tasks.registry import TASKS
+import gaitsweep
+from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.registry import TASKS
 
 SLOPES = np.geomspace(0.004, 0.05, 4)
 RAISED, CONVERGED = ALL_STATUSES["raised"], ALL_STATUSES["converged"]
@@ -28,13 +28,13 @@ def study(tmp_path_factory):
     """The archive of a study, as any program reads it."""
     path = tmp_path_factory.mktemp("study") / "study.nc"
     axes = {"slope": SLOPES, "R": [0.0, 0.2, 0.3]}
-    pipeline.run({"name": "study", "walker": "E", "axes": axes}, jobs=1, archive=path, quiet=True)
+    gaitsweep.run({"name": "study", "walker": "E", "axes": axes}, jobs=1, archive=path, quiet=True)
     return xr.load_dataset(path)
 
 
 def test_it_holds_what_the_archive_of_a_study_holds(study, tmp_path):
     slope, radius = (xr.DataArray(study[n].values, dims=n, coords={n: study[n].values}) for n in ("slope", "R"))
-    answer = pipeline.gaits("E", slope, R=radius)
+    answer = gaitsweep.gaits("E", slope, R=radius)
     assert list(answer.data_vars) == list(study.data_vars) and answer.sizes["gait"] == 4
     (tmp_path / "here").mkdir()
     answer.to_netcdf(tmp_path / "here" / "answer.nc")
@@ -53,23 +53,23 @@ def test_it_holds_what_the_archive_of_a_study_holds(study, tmp_path):
 
 def test_arrays_broadcast_by_the_rules_of_numpy():
     radii = np.array([[0.0], [0.2]])
-    answer = pipeline.gaits("E", SLOPES, R=radii, m_h=0.1, variables=["period", "multipliers"])
+    answer = gaitsweep.gaits("E", SLOPES, R=radii, m_h=0.1, variables=["period", "multipliers"])
     assert answer.period.dims == ("dim_0", "dim_1", "gait") and answer.period.shape == (2, 4, 4)
     assert answer.multiplier_real.dims == (*answer.period.dims, "multiplier")
     assert answer.R.dims == ("dim_0",) and answer.slope.dims == ("dim_1",) and answer.attrs["m_h"] == 0.1
-    one = pipeline.gaits("E", SLOPES[2], R=0.2, m_h=0.1)
+    one = gaitsweep.gaits("E", SLOPES[2], R=0.2, m_h=0.1)
     assert one.period.dims == ("gait",) and same(one.period.values, answer.period.values[1, 2])
-    pairs = pipeline.gaits("E", SLOPES[[2, 0]], R=[0.2, 0.0], m_h=0.1)
+    pairs = gaitsweep.gaits("E", SLOPES[[2, 0]], R=[0.2, 0.0], m_h=0.1)
     assert same(pairs.period.values, answer.period.values[[1, 0], [2, 0]])
-    assert pipeline.gaits("E", []).period.shape == (0, 4)
+    assert gaitsweep.gaits("E", []).period.shape == (0, 4)
 
 
 def test_slopes_may_come_in_any_order_and_twice():
     slopes = [0.05, 0.02, 0.01, 0.05, 0.03]  # below 0.015 this walker has no gait
-    answer = pipeline.gaits("physical-straight", slopes)
+    answer = gaitsweep.gaits("physical-straight", slopes)
     assert (answer.status.values[:, 0] == CONVERGED).tolist() == [True, True, False, True, True]
     for k, slope in enumerate(slopes):
-        alone = pipeline.gaits("physical-straight", slope)
+        alone = gaitsweep.gaits("physical-straight", slope)
         for name in ("stance_angle", "multiplier_real", "status", "error_bound"):
             assert same(answer[name].values[k], alone[name].values), name
         assert (
@@ -78,22 +78,22 @@ def test_slopes_may_come_in_any_order_and_twice():
 
 
 def test_keys_that_a_derived_one_moves_are_no_constants():
-    attrs = pipeline.gaits("E", 0.01, foot_mass_ratio=[0.05, 0.1]).attrs
+    attrs = gaitsweep.gaits("E", 0.01, foot_mass_ratio=[0.05, 0.1]).attrs
     assert not {"m_s", "m_t", "m_h", "foot_mass_ratio"} & set(attrs) and attrs["R"] == 0.0
-    assert pipeline.gaits("E", 0.01, foot_mass_ratio=0.05).attrs["m_s"] == 0.05
+    assert gaitsweep.gaits("E", 0.01, foot_mass_ratio=0.05).attrs["m_s"] == 0.05
 
 
 def test_data_arrays_keep_their_dimensions():
     slope = xr.DataArray(SLOPES, dims="place", coords={"place": list("abcd")})
-    answer = pipeline.gaits("E", slope, R=xr.DataArray([0.1, 0.2, 0.3], dims="foot"), variables=["period"])
+    answer = gaitsweep.gaits("E", slope, R=xr.DataArray([0.1, 0.2, 0.3], dims="foot"), variables=["period"])
     assert answer.period.dims == ("place", "foot", "gait") and list(answer.place) == list("abcd")
     assert "period" in answer and "speed" not in answer and answer.slope.units == "rad"
-    alone = pipeline.gaits("E", SLOPES[1], R=0.3)
+    alone = gaitsweep.gaits("E", SLOPES[1], R=0.3)
     assert same(answer.period.sel(place="b").isel(foot=2).values, alone.period.values)
 
 
 def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
-    answer = pipeline.gaits("E", [0.01, np.nan, 0.7], R=[[0.1], [-1.0], [np.nan]])
+    answer = gaitsweep.gaits("E", [0.01, np.nan, 0.7], R=[[0.1], [-1.0], [np.nan]])
     assert (answer.status.values[0, 0, :2] == CONVERGED).all()
     assert (np.delete(answer.status.values.reshape(9, 4), 0, axis=0) == RAISED).all()
     text = answer.reason_text.values[answer.reason.values[..., 0]]
@@ -103,12 +103,12 @@ def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
 
 
 def test_masked_values_are_missing():
-    answer = pipeline.gaits("E", np.ma.masked_array([0.01, 0.02], [False, True]))
+    answer = gaitsweep.gaits("E", np.ma.masked_array([0.01, 0.02], [False, True]))
     assert answer.status.values[:, 0].tolist() == [CONVERGED, RAISED]
 
 
 def test_knees_may_vary_and_multipliers_are_padded():
-    answer = pipeline.gaits("C", 0.02, knees=[True, False])
+    answer = gaitsweep.gaits("C", 0.02, knees=[True, False])
     assert answer.sizes["multiplier"] == 4 and np.isnan(answer.multiplier_real.values[1, :, 3]).all()
     assert np.isfinite(answer.kneestrike_time.values[0, 0]) and np.isnan(answer.kneestrike_time.values[1, 0])
 
@@ -157,7 +157,7 @@ def test_knees_may_vary_and_multipliers_are_padded():
 )
 def test_wrong_input_is_one_sentence(arguments, words):
     with pytest.raises(StudyError, match=f"^{words}") as caught:
-        pipeline.gaits(**{"walker": "E", **arguments})
+        gaitsweep.gaits(**{"walker": "E", **arguments})
     assert "\n" not in str(caught.value)
 
 
@@ -184,36 +184,36 @@ def asked(monkeypatch):
 def test_points_that_were_seen_are_not_solved_again(asked):
     """What makes a slider over keys fast: 3 ms for 200 slopes."""
     radii = [[0.1], [0.2]]
-    grid = pipeline.gaits("E", SLOPES, R=radii)
+    grid = gaitsweep.gaits("E", SLOPES, R=radii)
     assert asked == ["lines", "points", "points"]
-    one = pipeline.gaits("E", SLOPES, R=0.2)
+    one = gaitsweep.gaits("E", SLOPES, R=0.2)
     assert len(asked) == 3 and same(one.period.values, grid.period.values[1])
     one.period[:] = 0.0  # a caller's own
-    assert same(pipeline.gaits("E", SLOPES, R=radii).period.values, grid.period.values) and len(asked) == 3
+    assert same(gaitsweep.gaits("E", SLOPES, R=radii).period.values, grid.period.values) and len(asked) == 3
     # Neither other variables nor other slopes nor longer gaits are taken for these, but the branches are.
-    assert "multiplier_real" in pipeline.gaits("E", SLOPES, R=0.2, variables=["period", "multipliers"])
-    assert not same(pipeline.gaits("E", SLOPES * 1.1, R=0.2).period.values, one.period.values)
+    assert "multiplier_real" in gaitsweep.gaits("E", SLOPES, R=0.2, variables=["period", "multipliers"])
+    assert not same(gaitsweep.gaits("E", SLOPES * 1.1, R=0.2).period.values, one.period.values)
     assert asked[3:] == ["points", "points"]
     # Points of long lines cost less than to keep them.
     for _ in range(2):
-        pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=0.2, variables=["period"])
+        gaitsweep.gaits("E", np.geomspace(0.004, 0.05, 300), R=0.2, variables=["period"])
     assert asked[5:] == ["atlas", "points", "points"]
 
 
 def test_what_is_remembered_changes_time_only(asked, monkeypatch):
     memory = forget(monkeypatch, 100_000)
     radii = [0.1, 0.15, 0.2, 0.25, 0.3]
-    first = pipeline.gaits("E", 0.01, R=radii)
+    first = gaitsweep.gaits("E", 0.01, R=radii)
     assert 0 < memory.size <= memory.bound and asked.count("points") == len(radii)
-    assert pipeline.gaits("E", 0.01, R=radii[::-1]).isel(dim_0=slice(None, None, -1)).equals(first)
+    assert gaitsweep.gaits("E", 0.01, R=radii[::-1]).isel(dim_0=slice(None, None, -1)).equals(first)
     assert len(radii) < asked.count("points") < 2 * len(radii) and memory.size <= memory.bound
-    one = pipeline.gaits("E", 0.01, R=radii[0])
+    one = gaitsweep.gaits("E", 0.01, R=radii[0])
     assert same(one.period.values, first.period.values[0])
 
 
 def test_a_question_ends_a_sentence():
     with pytest.raises(StudyError, match=r"^Unknown name `perod`, did you mean `period`\?$"):
-        pipeline.gaits("E", 0.01, variables=["perod"])
+        gaitsweep.gaits("E", 0.01, variables=["perod"])
 
 
 def test_what_was_used_last_is_kept():
@@ -228,25 +228,25 @@ def test_what_was_used_last_is_kept():
 
 
 def test_lines_side_by_side_are_those_that_are_surveyed_alone(asked, monkeypatch):
-    together = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
+    together = gaitsweep.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
     forget(monkeypatch)
     for radius in (0.1, 0.2, 0.3):
-        pipeline.gaits("E", SLOPES, R=radius)
+        gaitsweep.gaits("E", SLOPES, R=radius)
     assert asked == ["lines", *["points"] * 3, *["atlas", "points"] * 3]
-    assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together) and len(asked) == 10
+    assert gaitsweep.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together) and len(asked) == 10
 
 
 def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
     slopes = np.geomspace(0.004, 0.05, 300)
     study = {"name": "long", "walker": "D", "axes": {"slope": slopes}, "want": {"variables": ["period"]}}
-    pipeline.run(study, jobs=1, archive=tmp_path / "long.nc", quiet=True)
+    gaitsweep.run(study, jobs=1, archive=tmp_path / "long.nc", quiet=True)
     stored = xr.load_dataset(tmp_path / "long.nc").period.values
-    answer = pipeline.gaits("D", slopes, variables=["period"]).period.values
+    answer = gaitsweep.gaits("D", slopes, variables=["period"]).period.values
     assert same(answer[:, : stored.shape[1]], stored)
 
 
 def test_long_lines_are_not_surveyed_side_by_side(asked):
-    pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
+    gaitsweep.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
     assert asked == ["atlas", "points"] * 2
 
 
@@ -265,14 +265,14 @@ def test_a_task_that_raises_is_a_status(monkeypatch, broken, reason):
         forget(patched)
         for name in broken:
             patched.setattr(solve_points, name, fail)
-        answer = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]])
+        answer = gaitsweep.gaits("E", SLOPES, R=[[0.1], [0.2]])
         assert (answer.status == RAISED).all() and answer.reason_text.values.tolist() == [reason]
     # A failure is not remembered.
-    assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
+    assert (gaitsweep.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
 
 
 def test_lines_that_fail_side_by_side_are_surveyed_alone(asked, monkeypatch):
-    broken = dataclasses.replace(TASKS["atlas"], side_by_side="tasks.solve_points:no_such_function")
+    broken = dataclasses.replace(TASKS["atlas"], side_by_side="gaitsweep.tasks.solve_points:no_such_function")
     monkeypatch.setitem(TASKS, "atlas", broken)
-    assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
+    assert (gaitsweep.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
     assert asked == ["atlas", "points"] * 2

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import serialize
-from pipeline.engine.jobs import _seconds_after
-from pipeline.graph import layers
-from pipeline.graph.graph import Graph
-from pipeline.graph.plan import Plan
-from pipeline.grid import costs
-from pipeline.grid.method import variables
-from pipeline.store.store import Outcome, Store
-from pipeline.study import parse
-from tasks import registry
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.engine.jobs import _seconds_after
+from gaitsweep.pipeline.graph import layers
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.method import variables
+from gaitsweep.pipeline.store.store import Outcome, Store
+from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks import registry
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.grid.grid import Grid
-from pipeline.study.parse import parse
+from gaitsweep.pipeline.grid.grid import Grid
+from gaitsweep.pipeline.study.parse import parse
 
 
 def grid(slope=(0.01, 0.1, 100_000), walker="D", **changes):

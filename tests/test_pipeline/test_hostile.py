@@ -23,15 +23,15 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
-from pipeline.api import load
-from pipeline.archive import diff, read, verify, write
-from pipeline.errors import ArchiveError, GaitsweepError
-from pipeline.graph.plan import Plan, summary
-from pipeline.report import pages
-from pipeline.store import file
-from pipeline.store.file import CorruptStoreError, repair
-from pipeline.store.store import Store
-from pipeline.study import files, parse
+from gaitsweep.pipeline.api import load
+from gaitsweep.pipeline.archive import diff, read, verify, write
+from gaitsweep.pipeline.errors import ArchiveError, GaitsweepError
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.report import pages
+from gaitsweep.pipeline.store import file
+from gaitsweep.pipeline.store.file import CorruptStoreError, repair
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import files, parse
 from processes import damaged
 
 SECONDS, GROWTH = 10, 1 << 30  # what one text or file may take [s], [byte]
@@ -157,7 +157,7 @@ def run_all(folder):
     """Archives and journals of real runs."""
     for name, text in RUNS.items():
         (folder / f"{name}.toml").write_text(f'name = "{name}"\n{text}')
-    code = "import sys; from pipeline.cli.commands import main; sys.exit(main())"
+    code = "import sys; from gaitsweep.pipeline.cli.commands import main; sys.exit(main())"
     command = [sys.executable, "-W", "ignore", "-c", code, "run", "--quiet", *(f"{name}.toml" for name in RUNS)]
     subprocess.run(command, cwd=folder, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
     for k in range(30):

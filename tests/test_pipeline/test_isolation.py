@@ -10,9 +10,9 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY
-from pipeline.cli import commands
-from pipeline.engine import worker_process
-from pipeline.store import file
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.store import file
 from processes import suspend, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT, STUDY
-from pipeline import paths
-from pipeline.archive import write
-from pipeline.graph.plan import Plan
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.archive import write
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
 from processes import alive, descendants, sidecar_path, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
@@ -87,7 +87,7 @@ def interpret(program, cwd=None):
 def test_a_second_interrupt_is_hard_unless_it_is_the_first_once_more(pause, code, said):
     """The first is looked for between results; the second ends at once."""
     program = (
-        "import os, signal, time; from pipeline.engine.runner import Signals; signals = Signals()\n"
+        "import os, signal, time; from gaitsweep.pipeline.engine.runner import Signals; signals = Signals()\n"
         "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
         "with signals.handle():\n"
         f"    interrupt(); print('first', flush=True); time.sleep({pause}); interrupt(); print('soft', flush=True)\n"
@@ -103,8 +103,8 @@ def test_a_signal_that_comes_twice_leaves_a_line_and_a_record(toy, when):
     """As `timeout` sends it: to its command, and a moment later to the group, of which that is one."""
     place = {"while it stops": "worker_process.close_all", "while its record is written": "runner._write_record"}[when]
     program = (
-        "import os, signal, sys; from pipeline.engine import runner, worker_process\n"
-        "from pipeline.cli import commands\n"
+        "import os, signal, sys; from gaitsweep.pipeline.engine import runner, worker_process\n"
+        "from gaitsweep.pipeline.cli import commands\n"
         "def again(call): return lambda *arguments: (os.kill(os.getpid(), signal.SIGTERM), call(*arguments))\n"
         f"{place} = again({place})\n"
         "runner.Progress.begin = lambda self: os.kill(os.getpid(), signal.SIGTERM)\n"

@@ -1,4 +1,4 @@
-"""`from pipeline import load, run, solve`: the command line's results as Datasets and tables."""
+"""`from gaitsweep import load, run, solve`: the command line's results as Datasets and tables."""
 
 import json
 import pathlib
@@ -12,15 +12,15 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline.api import studies
-from pipeline.cli import commands
-from pipeline.engine import progress
-from pipeline.engine.executors import Engine
-from pipeline.errors import ArchiveError, StudyError
-from pipeline.graph.layers import Layer
-from pipeline.graph.plan import Summary
-from tasks.registry import TASKS
+import gaitsweep
+from gaitsweep.pipeline.api import studies
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.engine import progress
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.errors import ArchiveError, StudyError
+from gaitsweep.pipeline.graph.layers import Layer
+from gaitsweep.pipeline.graph.plan import Summary
+from gaitsweep.tasks.registry import TASKS
 
 STUDY = {
     "name": "mine",
@@ -34,14 +34,14 @@ STUDY = {
 def mine(tmp_path_factory):
     """A small sweep, run from a mapping, and the archive's place."""
     path = tmp_path_factory.mktemp("mine") / "mine.nc"
-    return pipeline.run(STUDY, jobs=1, archive=path, quiet=True), path
+    return gaitsweep.run(STUDY, jobs=1, archive=path, quiet=True), path
 
 
 def test_a_sweep_in_three_lines_is_tidy(mine):
     found, path = mine
     assert dict(found.sizes) == {"slope": 4, "foot_mass_ratio": 2, "gait": 2, "multiplier": 3, "violation": 7}
     np.testing.assert_array_equal(found.slope, STUDY["axes"]["slope"])
-    assert found.identical(pipeline.load(path))
+    assert found.identical(gaitsweep.load(path))
     assert found.attrs["tables"] == ["fits/scaling"] and found.stance_angle.units == "rad"
 
 
@@ -49,7 +49,7 @@ def test_a_sweep_in_three_lines_is_tidy(mine):
 def test_a_run_needs_no_standard_error(mine, monkeypatch, capsys, stream):
     found, path = mine
     monkeypatch.setattr(sys, "stderr", stream)
-    assert found.identical(pipeline.run(STUDY, jobs=1, archive=path)) and capsys.readouterr().out == ""
+    assert found.identical(gaitsweep.run(STUDY, jobs=1, archive=path)) and capsys.readouterr().out == ""
 
 
 def test_flags_are_words_and_multipliers_complex(mine):
@@ -65,17 +65,17 @@ def test_flags_are_words_and_multipliers_complex(mine):
 
 
 def test_gaits_of_two_steps_at_one_point():
-    found = pipeline.solve("D", 0.016, steps=2)
-    alone = pipeline.gaits("D", 0.016, steps=2).isel(gait=0)
-    assert list(found.gait) == ["long"] and list(found.columns) == list(pipeline.solve("D", 0.009).columns)
+    found = gaitsweep.solve("D", 0.016, steps=2)
+    alone = gaitsweep.gaits("D", 0.016, steps=2).isel(gait=0)
+    assert list(found.gait) == ["long"] and list(found.columns) == list(gaitsweep.solve("D", 0.009).columns)
     for name in ("stance_angle", "period", "speed", "error_bound"):
         assert found[name][0] == alone[name].item()
-    none = pipeline.solve("D", 0.014, steps=2)
+    none = gaitsweep.solve("D", 0.014, steps=2)
     assert none.empty and none.attrs["search"][0].startswith(
         "No gait of period 2 at this slope: the branches found span"
     )
     with pytest.raises(StudyError, match=r"`steps` must be a whole number from 1 to 64; got 65"):
-        pipeline.solve("D", 0.014, steps=65)
+        gaitsweep.solve("D", 0.014, steps=65)
 
 
 def test_a_loaded_grid_can_be_written(mine, tmp_path):
@@ -92,7 +92,7 @@ def test_a_loaded_grid_can_be_written(mine, tmp_path):
 def test_a_sweep_and_a_single_solve_agree(mine):
     found, _ = mine
     slope = float(found.slope[2])
-    alone = pipeline.solve(STUDY["walker"], slope, foot_mass_ratio=0.05).set_index("gait")
+    alone = gaitsweep.solve(STUDY["walker"], slope, foot_mass_ratio=0.05).set_index("gait")
     there = found.isel(slope=2).sel(foot_mass_ratio=0.05)
     assert list(alone.index) == ["long", "short"]
     for name in ("stance_angle", "period"):
@@ -102,7 +102,7 @@ def test_a_sweep_and_a_single_solve_agree(mine):
 
 
 def test_solve_gives_what_the_command_gives(capsys):
-    table = pipeline.solve("D", 0.009)
+    table = gaitsweep.solve("D", 0.009)
     assert commands.main(["solve", "--walker", "D", "--slope", "0.009", "--json"]) == 0
     for row, gait in zip(table.to_dict("records"), json.loads(capsys.readouterr().out), strict=True):
         assert row["period"] == gait["period"] and row["violations"] == tuple(gait["violations"])
@@ -110,18 +110,18 @@ def test_solve_gives_what_the_command_gives(capsys):
 
 
 def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
-    found = pipeline.solve("physical", 1e-4)
-    assert list(found.columns) == list(pipeline.solve("E", 0.01).columns) and "stance_angle" in found
+    found = gaitsweep.solve("physical", 1e-4)
+    assert list(found.columns) == list(gaitsweep.solve("E", 0.01).columns) and "stance_angle" in found
     assert found.empty and any("initial guesses" in sentence for sentence in found.attrs["search"])
 
 
 def test_a_table_is_a_frame_with_units(mine):
     _, path = mine
-    table = pipeline.load(path, "fits/scaling")
+    table = gaitsweep.load(path, "fits/scaling")
     assert {"gait", "exponent", "foot_mass_ratio"} <= set(table.columns)
     assert table.attrs["units"]["slope"] == "rad" if "slope" in table else table.attrs["units"]["exponent"] == "1"
     with pytest.raises(ArchiveError, match=r"mine.nc has no table branches; it has fits/scaling\.$"):
-        pipeline.load(path, "branches")
+        gaitsweep.load(path, "branches")
 
 
 def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
@@ -173,7 +173,7 @@ def test_a_walker_file_of_a_mapping_may_have_any_name(tmp_path, name):
 )
 def test_a_wrong_study_is_one_sentence(wanted, said):
     with pytest.raises(StudyError, match=said) as error:
-        pipeline.run(wanted)
+        gaitsweep.run(wanted)
     assert "\n" not in str(error.value)
 
 
@@ -187,18 +187,18 @@ def test_a_wrong_study_is_one_sentence(wanted, said):
 )
 def test_a_wrong_point_is_one_sentence(arguments, keys, said):
     with pytest.raises(StudyError, match=said):
-        pipeline.solve(*arguments, **keys)
+        gaitsweep.solve(*arguments, **keys)
 
 
 @pytest.mark.parametrize("jobs", [0, -1, 1001, "2", None, True])
 def test_a_wrong_number_of_workers_is_one_sentence(jobs):
     with pytest.raises(StudyError, match=f"`jobs` must be a whole number from 1 to 1,000; got {jobs!r}"):
-        pipeline.run(STUDY, jobs=jobs)
+        gaitsweep.run(STUDY, jobs=jobs)
 
 
 def test_no_path_is_one_sentence():
     with pytest.raises(ArchiveError, match="An archive must be a file; got NoneType"):
-        pipeline.load(None)
+        gaitsweep.load(None)
 
 
 def test_calls_from_threads_take_turns(monkeypatch):
@@ -213,14 +213,14 @@ def test_calls_from_threads_take_turns(monkeypatch):
         raise StudyError("Enough.")
 
     walker = type("Slow", (dict,), {"items": slow})()
-    monkeypatch.setattr("pipeline.archive.read.size_of", slow)
+    monkeypatch.setattr("gaitsweep.pipeline.archive.read.size_of", slow)
     with ThreadPoolExecutor(8) as pool:
         calls = [
-            *(pool.submit(function, walker, 0.01) for function in (pipeline.gaits, pipeline.solve) * 2),
-            *(pool.submit(pipeline.step_map, walker, 0.01, (0.1, 0, 0)) for _ in range(2)),
-            *(pool.submit(pipeline.simulate, walker, 0.01, (0.1, 0, 0), 2) for _ in range(2)),
-            *(pool.submit(pipeline.load, __file__) for _ in range(2)),
-            *(pool.submit(pipeline.run, walker) for _ in range(2)),
+            *(pool.submit(function, walker, 0.01) for function in (gaitsweep.gaits, gaitsweep.solve) * 2),
+            *(pool.submit(gaitsweep.step_map, walker, 0.01, (0.1, 0, 0)) for _ in range(2)),
+            *(pool.submit(gaitsweep.simulate, walker, 0.01, (0.1, 0, 0), 2) for _ in range(2)),
+            *(pool.submit(gaitsweep.load, __file__) for _ in range(2)),
+            *(pool.submit(gaitsweep.run, walker) for _ in range(2)),
         ]
         assert {str(call.exception()) for call in calls} == {"Enough."}
     assert most == [1] * 12
@@ -252,7 +252,7 @@ def _in_a_notebook(monkeypatch, shell):
 
 def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
     handle = _in_a_notebook(monkeypatch, types.SimpleNamespace(kernel=True))
-    pipeline.run({**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc")
+    gaitsweep.run({**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc")
     assert handle.seen[0] == {"text/plain": "", "text/html": '<progress max="1"></progress>'}
     assert '<progress value="1.0000"' in handle.seen[-1]["text/html"]
     assert "2 of 2 points (100 %)" in handle.seen[-1]["text/plain"]
@@ -315,10 +315,10 @@ def test_laws_are_fitted_to_the_wanted_gaits_only(tmp_path, monkeypatch):
     slope = {"from": 1e-4, "to": 0.05, "n": 260, "spacing": "log"}
     study = {"name": "one", "walker": "E", "axes": {"slope": slope}, "want": {"variables": ["stance_angle"]}}
     study["want"]["fits"] = ["scaling"]
-    pipeline.run(study, jobs=1, quiet=True)
+    gaitsweep.run(study, jobs=1, quiet=True)
     long = study | {"gaits": ["long"]}
-    pipeline.run(long, jobs=1, quiet=True)
-    pipeline.run(long, jobs=1, quiet=True, fresh=True, archive="fresh.nc")
+    gaitsweep.run(long, jobs=1, quiet=True)
+    gaitsweep.run(long, jobs=1, quiet=True, fresh=True, archive="fresh.nc")
     resumed, fresh = (pathlib.Path(name).read_bytes() for name in ("data/archive/one.nc", "fresh.nc"))
     assert resumed == fresh
-    assert pipeline.load("fresh.nc", "fits/scaling").set_index("gait").exponent["short"].isna().all()
+    assert gaitsweep.load("fresh.nc", "fits/scaling").set_index("gait").exponent["short"].isna().all()

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.errors import StudyError
-from tasks import solve_at_slope
-from tasks.continuation import atlas
-from tasks.registry import GAITS, SLOPES, STATUSES, VARIABLES
-from tasks.solve_at_slope import solve_one
-from tasks.walkers.catalogue import CATALOGUE
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks import solve_at_slope
+from gaitsweep.tasks.continuation import atlas
+from gaitsweep.tasks.registry import GAITS, SLOPES, STATUSES, VARIABLES
+from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Rates at the start of a step, whose errors count over the largest of them.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -28,7 +28,7 @@ def drawn(seed, n):
 
 def differences(walker, slopes):
     """What `solve` and `gaits` answer differently, and the number of gaits with the farthest distance over bounds."""
-    found = pipeline.gaits(walker, slopes)
+    found = gaitsweep.gaits(walker, slopes)
     names = {code: name for name, code in STATUSES.items()}
     different, count, farthest = [], 0, 0.0
     for k, slope in enumerate(slopes.tolist()):
@@ -92,7 +92,7 @@ def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, r
 @pytest.mark.parametrize("walker", LAWS)
 def test_gaits_down_to_the_least_slope_follow_the_laws(walker):
     slopes = np.array([SLOPES[0], 1e-17, 1e-15, 2e-14, 1e-13])
-    found = pipeline.gaits(walker, slopes)
+    found = gaitsweep.gaits(walker, slopes)
     for label, law in zip(GAITS, LAWS[walker], strict=False):
         gait = found.sel(gait=label)
         assert (gait.status == STATUSES["converged"]).all() and gait.error_bound.max() < 1e-11
@@ -103,7 +103,7 @@ def test_gaits_down_to_the_least_slope_follow_the_laws(walker):
 
 def test_steps_as_short_as_the_least_slope_makes_them_are_followed():
     """Steps were taken to vanish where their angle was below e^-40."""
-    found = pipeline.gaits("B", SLOPES[0], R=0.3533, m_s=1.0).sel(gait="short")
+    found = gaitsweep.gaits("B", SLOPES[0], R=0.3533, m_s=1.0).sel(gait="short")
     assert found.status == STATUSES["converged"] and found.stance_angle < 2 * SLOPES[0]
 
 
@@ -111,11 +111,11 @@ def test_a_slope_below_the_least_is_refused_by_every_entry_in_one_sentence():
     below = 9e-19
     state = (0.1, -0.1, 0.1)
     asked = [
-        lambda: pipeline.solve("D", below),
-        lambda: pipeline.gaits("D", below),
-        lambda: pipeline.step_map("D", below, state),
-        lambda: pipeline.simulate("D", below, state, 1),
-        lambda: pipeline.run({"name": "s", "walker": "D", "axes": {"slope": [0.1, below]}}),
+        lambda: gaitsweep.solve("D", below),
+        lambda: gaitsweep.gaits("D", below),
+        lambda: gaitsweep.step_map("D", below, state),
+        lambda: gaitsweep.simulate("D", below, state, 1),
+        lambda: gaitsweep.run({"name": "s", "walker": "D", "axes": {"slope": [0.1, below]}}),
     ]
     for each in asked:
         with pytest.raises(StudyError, match=r"`slope` must lie in \[1e-18, 0.5\) rad; got 9e-19"):

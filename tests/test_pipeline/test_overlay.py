@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from pipeline.cli import commands
-from pipeline.errors import StudyError
-from pipeline.report import html_tables, pages
-from pipeline.report.figures import measured
-from pipeline.report.source import read as read_archive
-from pipeline.study import parse
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.report import html_tables, pages
+from gaitsweep.pipeline.report.figures import measured
+from gaitsweep.pipeline.report.source import read as read_archive
+from gaitsweep.pipeline.study import parse
 
 STUDY = """name = "own"
 walker = "{walker}"

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline import serialize
+from gaitsweep.pipeline import serialize
 
 _ARRAYS = hnp.arrays(
     st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]), hnp.array_shapes(max_dims=3, min_side=0, max_side=4)

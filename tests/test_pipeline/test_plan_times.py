@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, STUDY
-from pipeline.cli import commands
-from pipeline.grid import costs
-from pipeline.grid.method import method_of, seconds_over_plane
-from pipeline.study.parse import read
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.method import method_of, seconds_over_plane
+from gaitsweep.pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
 #: Studies of every sort that a plan's time is promised for.
@@ -32,7 +32,7 @@ STUDIES = {
 
 def processor_time(folder, *arguments):
     """Processor time of a command and all its processes [s]."""
-    command = [sys.executable, "-m", "pipeline.cli.commands", *arguments]
+    command = [sys.executable, "-m", "gaitsweep", *arguments]
     process = subprocess.Popen(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

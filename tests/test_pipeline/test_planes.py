@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline import paths
-from pipeline.engine.runner import _check_room
-from pipeline.errors import DiskFullError
-from pipeline.graph.graph import Graph
-from pipeline.grid.method import Method
-from pipeline.statuses import ALL_STATUSES
-from pipeline.store.store import Store
-from pipeline.study.parse import read
-from tasks import solve_points
+import gaitsweep
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.engine.runner import _check_room
+from gaitsweep.pipeline.errors import DiskFullError
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study.parse import read
+from gaitsweep.tasks import solve_points
 
 STUDY = """
 name = "plane"
@@ -40,7 +40,7 @@ def written(folder, text):
 
 def run(folder, text, **options):
     archive = folder / "plane.nc"
-    pipeline.run(written(folder, text), archive=archive, quiet=True, **options)
+    gaitsweep.run(written(folder, text), archive=archive, quiet=True, **options)
     return archive
 
 
@@ -91,9 +91,9 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path, monkeypatch):
     def fail(params, inputs):
         raise FloatingPointError
 
-    monkeypatch.setattr("tasks.solve_planes.charts", fail)
+    monkeypatch.setattr("gaitsweep.tasks.solve_planes.charts", fail)
     axes = "m_s = { from = 0.08, to = 0.12, n = 40 }"
-    plane = pipeline.load(run(tmp_path, STUDY.format(walker="B", axes=axes), jobs=1))
+    plane = gaitsweep.load(run(tmp_path, STUDY.format(walker="B", axes=axes), jobs=1))
     assert (plane.status.sel(gait=BOTH) == "converged").all()
 
 
@@ -133,7 +133,7 @@ def test_few_lines_are_no_plane(tmp_path, axes):
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.engine.runner._MIN_BYTES", 10**12)
+    monkeypatch.setattr("gaitsweep.pipeline.engine.runner._MIN_BYTES", 10**12)
     with pytest.raises(DiskFullError, match=r"^576 points need 5,184,000.0 GB at least; [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
@@ -141,7 +141,9 @@ def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
 
 def test_what_the_disk_can_hold_is_not_refused(tmp_path, monkeypatch):
     """Of a coarse sweep 8,157,867 bytes were measured, of which its slopes take 8e6; windows have no points."""
-    monkeypatch.setattr("pipeline.engine.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000))
+    monkeypatch.setattr(
+        "gaitsweep.pipeline.engine.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000)
+    )
     million = 'name = "s"\nwalker = "D"\ngaits = ["long"]\n[axes]\nslope = { from = 0.001, to = 0.01, n = 1000000 }\n'
     branches = 'kind = "branch"\n' + million + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
     for text in ("accuracy = 1e-2\n" + million + '[want]\nvariables = ["period"]\n', branches):
@@ -156,9 +158,9 @@ def test_two_workers_write_the_same_bytes(archive, tmp_path):
 
 
 def test_a_plane_holds_what_its_lines_hold(archive):
-    plane = pipeline.load(archive)
+    plane = gaitsweep.load(archive)
     for i, k in ((0, 0), (5, 3), (6, 15), (17, 5)):
-        one = pipeline.gaits("B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])).sel(gait=BOTH)
+        one = gaitsweep.gaits("B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])).sel(gait=BOTH)
         other = plane.isel(R=i, m_s=k).sel(gait=BOTH)
         for name in ("stance_angle", "period"):
             bound = other.error_bound.values + one.error_bound.values
@@ -171,8 +173,8 @@ def test_violations_are_measured_walker_by_walker(tmp_path):
     text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }").replace(
         "loss_normal", "scuff_depth"
     )
-    plane = pipeline.load(run(tmp_path, text, jobs=1))
-    one = pipeline.gaits("B", plane.slope.values, m_s=0.12, variables=["scuff_depth"])
+    plane = gaitsweep.load(run(tmp_path, text, jobs=1))
+    one = gaitsweep.gaits("B", plane.slope.values, m_s=0.12, variables=["scuff_depth"])
     depth = plane.scuff_depth.isel(m_s=-1).sel(gait=BOTH)
     assert depth.values == pytest.approx(one.scuff_depth.sel(gait=BOTH).values, rel=1e-9)
 
@@ -183,7 +185,7 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
     monkeypatch.setattr(solve_points, "lines", None)
     plane = xr.load_dataset(archive).transpose("R", "m_s", "slope", ...)
     R, m_s = plane.R.values[::-1, None, None], plane.m_s.values[:, None]
-    answer = pipeline.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
+    answer = gaitsweep.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
     assert (answer.status.values[:, :, 1] == ALL_STATUSES["raised"]).all()
     answer = answer.isel(dim_0=slice(None, None, -1), dim_2=[2, 0], gait=slice(plane.sizes["gait"]))
     for name in ("stance_angle", "period", "loss_normal", "error_bound", "status", "branch", "piece"):
@@ -193,16 +195,16 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
 
 
 def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
-    monkeypatch.setattr("tasks.solve_planes.lines", None)
+    monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", None)
     m_s = np.linspace(0.08, 0.12, 70)
     R = np.where(np.arange(70) < 69, 0.1, 0.2)
-    assert (pipeline.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(gait=BOTH) == 0).all()
+    assert (gaitsweep.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(gait=BOTH) == 0).all()
 
 
 def test_lines_of_cells_that_fail_are_solved_one_by_one(monkeypatch):
     def fail(params, inputs):
         raise FloatingPointError
 
-    monkeypatch.setattr("tasks.solve_planes.lines", fail)
-    answer = pipeline.gaits("B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"])
+    monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", fail)
+    answer = gaitsweep.gaits("B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"])
     assert (answer.status.sel(gait=BOTH) == 0).all()

@@ -8,10 +8,10 @@ from pathlib import Path
 import netCDF4
 import pytest
 
-from pipeline.cli.commands import main
-from pipeline.study import parse
+from gaitsweep.pipeline.cli.commands import main
+from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks.walkers.resolve import resolve
 from soak import certificates
-from tasks.walkers.resolve import resolve
 
 STUDY = """name = "small"
 walker = ["D", "B"]

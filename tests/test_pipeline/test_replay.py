@@ -6,16 +6,16 @@ import time
 
 import pytest
 
-from pipeline import serialize
-from pipeline.archive import write
-from pipeline.engine import worker_process
-from pipeline.engine.executors import Engine
-from pipeline.engine.jobs import Jobs
-from pipeline.engine.scheduler import Scheduler
-from pipeline.engine.signals import Signals
-from pipeline.graph.plan import Plan
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.archive import write
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.scheduler import Scheduler
+from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
 
 #: Walker, axes and the least number of workers.
 STUDIES = {

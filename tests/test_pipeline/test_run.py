@@ -15,9 +15,9 @@ import time
 import pytest
 
 from conftest import STUDY, Toy
-from pipeline import paths
-from pipeline.engine import runner
-from pipeline.errors import BusyError
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.engine import runner
+from gaitsweep.pipeline.errors import BusyError
 from processes import alive, damaged, descendants, ignored, wait_for_points
 from processes import sidecar_path as journal
 

@@ -12,18 +12,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.engine import progress, worker_process
-from pipeline.engine.executors import Engine
-from pipeline.engine.jobs import Jobs
-from pipeline.engine.request import Request
-from pipeline.engine.scheduler import Scheduler
-from pipeline.engine.signals import Signals
-from pipeline.errors import StoppedError, StudyError
-from pipeline.graph.plan import Plan
-from pipeline.grid.grid import Shape
-from pipeline.store.record import Packing, Points, pack, unpacked
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline.engine import progress, worker_process
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.engine.scheduler import Scheduler
+from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.errors import StoppedError, StudyError
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.grid.grid import Shape
+from gaitsweep.pipeline.store.record import Packing, Points, pack, unpacked
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
 
 TEXT = 'name = "{}"\nkind = "branch"\nwalker = "{}"\n[axes]\nslope = [0.01, 0.02]\n{} = [0.1, 0.2, 0.3]\n'
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from conftest import STUDY, Toy
-from pipeline.graph.graph import Graph
-from pipeline.graph.plan import Plan, summary
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
 from processes import damaged, wait_for_points
 from processes import sidecar_path as sidecar
 

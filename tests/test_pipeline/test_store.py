@@ -11,13 +11,13 @@ import zlib
 import numpy as np
 import pytest
 
-from pipeline import serialize
-from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.grid.grid import Shape
-from pipeline.store import file, store
-from pipeline.store.file import CorruptStoreError, forget, repair
-from pipeline.store.record import Head, Packing, Points, count, joined, pack, sentence_number, unpacked
-from pipeline.store.store import Key, Outcome, Store
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
+from gaitsweep.pipeline.grid.grid import Shape
+from gaitsweep.pipeline.store import file, store
+from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
+from gaitsweep.pipeline.store.record import Head, Packing, Points, count, joined, pack, sentence_number, unpacked
+from gaitsweep.pipeline.store.store import Key, Outcome, Store
 from processes import damaged
 
 N = 40  # records in a store of the tests

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.archive.provenance import provenance
-from pipeline.errors import StudyError
-from pipeline.study import model, parse
-from tasks.registry import CLAIMS, VARIABLES
-from tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.pipeline.archive.provenance import provenance
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import model, parse
+from gaitsweep.tasks.registry import CLAIMS, VARIABLES
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 GOOD = """name = "s"
 walker = "E"
@@ -282,11 +282,11 @@ def test_a_walker_may_be_based_on_a_file(write, tmp_path):
 
 
 def test_the_registry_names_every_claim_and_curve_of_the_tasks():
-    from pipeline.dispatch import resolve
-    from tasks import registry
+    from gaitsweep.pipeline.dispatch import resolve
+    from gaitsweep.tasks import registry
 
-    assert set(registry.CLAIMS) == set(resolve("tasks.paper.claim:CLAIMS"))
-    assert set(registry.FOLLOWED) < set(resolve("tasks.continuation.defining:SCALARS"))
+    assert set(registry.CLAIMS) == set(resolve("gaitsweep.tasks.paper.claim:CLAIMS"))
+    assert set(registry.FOLLOWED) < set(resolve("gaitsweep.tasks.continuation.defining:SCALARS"))
 
 
 def test_a_list_of_allowed_names_is_whole(write):

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from conftest import STUDY
-from pipeline.engine.executors import Engine
-from pipeline.engine.jobs import Jobs
-from pipeline.engine.progress import Progress
-from pipeline.engine.scheduler import Scheduler
-from pipeline.engine.signals import Signals
-from pipeline.graph.plan import Plan, summary
-from pipeline.grid import grid
-from pipeline.store.record import Points, pack
-from pipeline.store.store import Store
-from pipeline.study import parse
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.progress import Progress
+from gaitsweep.pipeline.engine.scheduler import Scheduler
+from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.grid import grid
+from gaitsweep.pipeline.store.record import Points, pack
+from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.study import parse
 from processes import sidecar_path
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"

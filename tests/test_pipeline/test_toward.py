@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline.archive import verify
-from pipeline.archive.attributes import of_axis
-from pipeline.cli import commands
-from pipeline.errors import StudyError
-from pipeline.report.source import Source, read
-from pipeline.study import corners, parse
-from pipeline.study.ways import inline
-from tasks.walkers.resolve import resolve
+import gaitsweep
+from gaitsweep.pipeline.archive import verify
+from gaitsweep.pipeline.archive.attributes import of_axis
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.report.source import Source, read
+from gaitsweep.pipeline.study import corners, parse
+from gaitsweep.pipeline.study.ways import inline
+from gaitsweep.tasks.walkers.resolve import resolve
 
 ROUND = {"base": "E", "R": 0.3}
 STUDY = """name = "way"
@@ -45,7 +45,7 @@ def written(folder, walker='"E"', axes=AXES, kind="", more="", slope=(0.005, 0.0
 
 def run(folder, *args, **options):
     path = folder / "way.nc"
-    pipeline.run(written(folder, *args, **options), archive=path, quiet=True, jobs=1)
+    gaitsweep.run(written(folder, *args, **options), archive=path, quiet=True, jobs=1)
     return path
 
 
@@ -71,20 +71,20 @@ def test_the_gaits_are_those_of_the_walkers_on_the_way(archive):
     """By the study, by arrays in memory, by `solve`, and of the same walkers by their own keys."""
     study, walker = xr.load_dataset(archive), {"base": "E", "toward": ROUND}
     arrays = {name: study[name] for name in ("slope", "foot_mass_ratio", "detuning")}
-    memory = pipeline.gaits(walker, **arrays)
+    memory = gaitsweep.gaits(walker, **arrays)
     assert memory["detuning"].attrs == study["detuning"].attrs
-    own = pipeline.gaits("E", arrays["slope"], foot_mass_ratio=arrays["foot_mass_ratio"], R=study["R"])
+    own = gaitsweep.gaits("E", arrays["slope"], foot_mass_ratio=arrays["foot_mass_ratio"], R=study["R"])
     for name in ("stance_angle", "period"):
         for other_way in (memory, own):
             values = other_way[name].sel(gait=study["gait"]).transpose(*study[name].dims).values
             np.testing.assert_allclose(values, study[name].values, rtol=1e-12, err_msg=name)
     at = {"foot_mass_ratio": 0.02, "detuning": 0.5}
-    long = pipeline.solve(walker, 0.02, **at).set_index("gait").loc["long"]
+    long = gaitsweep.solve(walker, 0.02, **at).set_index("gait").loc["long"]
     there = study.sel(slope=0.02, gait="long", **at)
     assert long["stance_angle"] == pytest.approx(float(there["stance_angle"]), rel=1e-12)
     state = [float(there[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    assert pipeline.step_map(walker, 0.02, state, **at).state == pytest.approx(state, rel=1e-9)
-    assert int(pipeline.simulate(walker, 0.02, state, 2, **at)["steps_taken"]) == 2
+    assert gaitsweep.step_map(walker, 0.02, state, **at).state == pytest.approx(state, rel=1e-9)
+    assert int(gaitsweep.simulate(walker, 0.02, state, 2, **at)["steps_taken"]) == 2
 
 
 @pytest.mark.parametrize("walker", ['"E"', '["E", "F"]', '{ base = "E", c_t = 0.01 }', '{ base = "E", toward = "D" }'])
@@ -201,7 +201,7 @@ def test_a_walker_between_two_that_cannot_be_fails_alone():
     """In the middle of this way the shank does not reach the line from the hip to the foot's centre."""
     ends = [{"base": "E", "l_t": 0.4, "eps_T": 1.4}, {"base": "E", "l_t": 4.0, "eps_T": 0.1}]
     walker = {**ends[0], "toward": ends[1]}
-    found = pipeline.gaits(walker, 0.01, detuning=np.array([0.0, 0.5, 1.0]), variables=["stance_angle"])
+    found = gaitsweep.gaits(walker, 0.01, detuning=np.array([0.0, 0.5, 1.0]), variables=["stance_angle"])
     status = found["status"].values.max(axis=-1)
     sentence = str(found["reason_text"].values[found["reason"].values[1, 0]])
     assert status[1] != status[0] == status[2] and sentence.startswith("`eps_T` must satisfy")
@@ -240,7 +240,7 @@ def test_a_gait_on_a_way_is_proved_with_every_digit(capsys):
     words = ["--set", toward, "--set", "detuning=0.5", "--gait", "long", "--json"]
     assert commands.main(["prove", "--walker", "E", "--slope", "0.01", *words]) == 0
     (proof,) = json.loads(capsys.readouterr().out)
-    own = pipeline.solve("E", 0.01, R=0.15).set_index("gait").loc["long"]
+    own = gaitsweep.solve("E", 0.01, R=0.15).set_index("gait").loc["long"]
     assert proof["proved"] and proof["walker"]["R"] == "0.150000000000000000000005"
     assert proof["stance_angle"] == pytest.approx(own["stance_angle"], rel=1e-12)
 
@@ -251,7 +251,7 @@ def test_a_table_on_one_line_is_read_as_it_was(table):
 
 
 def test_python_is_told_where_toward_stands():
-    for call in (pipeline.solve, pipeline.gaits):
+    for call in (gaitsweep.solve, gaitsweep.gaits):
         with pytest.raises(StudyError, match="`toward` stands in the table of the walker"):
             call("E", 0.01, detuning=0.5, toward="F")
 
@@ -259,5 +259,5 @@ def test_python_is_told_where_toward_stands():
 def test_a_way_may_hold_paths_and_numbers_of_numpy(tmp_path):
     (tmp_path / "point.toml").write_text('[walker]\nbase = "E"\n')
     walker = {"base": "E", "toward": {"base": tmp_path / "point.toml", "R": np.float64(0.3)}}
-    found, own = pipeline.solve(walker, 0.01, detuning=0.5), pipeline.solve("E", 0.01, R=0.15)
+    found, own = gaitsweep.solve(walker, 0.01, detuning=0.5), gaitsweep.solve("E", 0.01, R=0.15)
     assert found["stance_angle"].tolist() == own["stance_angle"].tolist()

@@ -5,15 +5,15 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-import pipeline
-from pipeline.errors import StudyError
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
 
 STATE = [0.3, -0.25, -0.2]
 ENTRIES = {
-    "gaits": lambda **changed: pipeline.gaits(**{"walker": "E", "slope": 0.01, **changed}),
-    "solve": lambda **changed: pipeline.solve(**{"walker": "E", "slope": 0.01, **changed}),
-    "step_map": lambda **changed: pipeline.step_map(**{"walker": "E", "slope": 0.01, "state": STATE, **changed}),
-    "simulate": lambda **changed: pipeline.simulate(
+    "gaits": lambda **changed: gaitsweep.gaits(**{"walker": "E", "slope": 0.01, **changed}),
+    "solve": lambda **changed: gaitsweep.solve(**{"walker": "E", "slope": 0.01, **changed}),
+    "step_map": lambda **changed: gaitsweep.step_map(**{"walker": "E", "slope": 0.01, "state": STATE, **changed}),
+    "simulate": lambda **changed: gaitsweep.simulate(
         **{"walker": "E", "slope": 0.01, "state": STATE, "steps": 2, **changed}
     ),
 }
@@ -33,7 +33,7 @@ SLOPES = [
     np.datetime64("2020-01-01"),
 ]
 WALKERS = [
-    *(None, 3, b"E", ["E"], object(), pipeline, pd.Series({"base": "E"}), xr.Dataset(), "", "Q", "E ", "no.toml"),
+    *(None, 3, b"E", ["E"], object(), gaitsweep, pd.Series({"base": "E"}), xr.Dataset(), "", "Q", "E ", "no.toml"),
     *({}, {1: 2}, {"base": object()}, {"base": {"base": "E"}}, {"base": "E", "R": np.nan}, {"base": "E", "Q": 1}),
     *({"base": "E", "R": -0.1}, {"base": "E", "R": np.array([0.1])}, {"base": "E", "R": xr.DataArray(0.1)}),
 ]
@@ -90,33 +90,33 @@ def test_wrong_arguments_of_a_run_are_one_sentence():
     for changed in wrong:
         (name,) = changed
         with pytest.raises(StudyError, match=f"^`{name}` must "):
-            pipeline.run({"name": "wrong", "walker": "E", "axes": {"slope": [0.01]}}, **changed)
+            gaitsweep.run({"name": "wrong", "walker": "E", "axes": {"slope": [0.01]}}, **changed)
 
 
 def test_a_start_that_never_strikes_is_an_outcome_of_a_simulation():
     for state in ([0.2, 0.0, 0.0], [0.2, 5.0, 5.0]):
-        walk = pipeline.simulate("E", 0.01, state, 3)
+        walk = gaitsweep.simulate("E", 0.01, state, 3)
         assert walk.outcome.item() == "fell backward" and walk.steps_taken == 0
         assert walk.reason.item() == "Step 0: fell backward." and np.isnan(walk.stance_angle[1:]).all()
 
 
 def test_a_table_may_be_based_on_a_file_everywhere(tmp_path):
     (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\nR = 0.2\n')
-    gait = pipeline.gaits("E", 0.01, R=0.2, m_h=0.1).isel(gait=0)
+    gait = gaitsweep.gaits("E", 0.01, R=0.2, m_h=0.1).isel(gait=0)
     state = [gait[name].item() for name in ("stance_angle", "stance_rate", "thigh_rate")]
     for base in (tmp_path / "mine.toml", str(tmp_path / "mine.toml")):
         table = {"base": base, "m_h": 0.1}
-        assert pipeline.gaits(table, 0.01).isel(gait=0).stance_angle.item() == state[0]
-        assert pipeline.solve(table, 0.01).stance_angle[0] == state[0]
-        assert pipeline.step_map(table, 0.01, state).state == pytest.approx(state, rel=1e-10)
-        assert pipeline.simulate(table, 0.01, state, 1).stance_angle[1] == pytest.approx(state[0], rel=1e-10)
+        assert gaitsweep.gaits(table, 0.01).isel(gait=0).stance_angle.item() == state[0]
+        assert gaitsweep.solve(table, 0.01).stance_angle[0] == state[0]
+        assert gaitsweep.step_map(table, 0.01, state).state == pytest.approx(state, rel=1e-10)
+        assert gaitsweep.simulate(table, 0.01, state, 1).stance_angle[1] == pytest.approx(state[0], rel=1e-10)
 
 
 @pytest.mark.parametrize("knees", [False, np.False_])
 def test_knees_are_changed_alike_everywhere(knees):
-    gait = pipeline.gaits("C", 0.02, knees=knees).isel(gait=0)
+    gait = gaitsweep.gaits("C", 0.02, knees=knees).isel(gait=0)
     state = [gait[name].item() for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    row = pipeline.solve("C", 0.02, knees=knees).iloc[0]
+    row = gaitsweep.solve("C", 0.02, knees=knees).iloc[0]
     assert row.stance_angle == gait.stance_angle.item() and np.isnan(row.kneestrike_time)
-    assert pipeline.step_map("C", 0.02, state, knees=knees).state == pytest.approx(state, rel=1e-10)
-    assert pipeline.simulate("C", 0.02, state, 1, knees=knees).stance_angle[1] == pytest.approx(state[0], rel=1e-10)
+    assert gaitsweep.step_map("C", 0.02, state, knees=knees).state == pytest.approx(state, rel=1e-10)
+    assert gaitsweep.simulate("C", 0.02, state, 1, knees=knees).stance_angle[1] == pytest.approx(state[0], rel=1e-10)

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.registry import GAITS, VARIABLES
 
 
 def atlas(params, inputs):

@@ -9,17 +9,17 @@ from flint import arb, arb_mat, ctx
 
 import extended
 from exact_gaits import SLOPE, STATE, check_durations, check_remainder, coarse, fine, state, walker
+from gaitsweep.tasks.proofs import enclosure as flows
+from gaitsweep.tasks.proofs.collisions import heelstrike, kneestrike
+from gaitsweep.tasks.proofs.enclosed_step import Region, step
+from gaitsweep.tasks.proofs.enclosure import Accuracy, enclose, enclose_derivative
+from gaitsweep.tasks.proofs.keys import check_written, decimal, exact, in_doubles, written
+from gaitsweep.tasks.proofs.krawczyk import contained, image
+from gaitsweep.tasks.proofs.motion import Motion, Variation, acceleration, evaluate
+from gaitsweep.tasks.proofs.stability import is_stable, step_derivative
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
 from oracle import Oracle, SimplestWalker
-from tasks.proofs import enclosure as flows
-from tasks.proofs.collisions import heelstrike, kneestrike
-from tasks.proofs.enclosed_step import Region, step
-from tasks.proofs.enclosure import Accuracy, enclose, enclose_derivative
-from tasks.proofs.keys import check_written, decimal, exact, in_doubles, written
-from tasks.proofs.krawczyk import contained, image
-from tasks.proofs.motion import Motion, Variation, acceleration, evaluate
-from tasks.proofs.stability import is_stable, step_derivative
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
 
 PHASES = [("D", 2), ("E", 2), ("B", 2), ("A", 2), ("C", 3), ("C", 2), ("physical", 3)]
 

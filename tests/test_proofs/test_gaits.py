@@ -7,19 +7,19 @@ import pytest
 from flint import arb, ctx
 
 from exact_gaits import GAITS, guess, reference, setting
+from gaitsweep.tasks import prove_gaits
+from gaitsweep.tasks.proofs.body import body
+from gaitsweep.tasks.proofs.enclosed_step import dimensions
+from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece
+from gaitsweep.tasks.proofs.gait import Proof, prove, solve
+from gaitsweep.tasks.proofs.keys import check_written, decimal, double, exact, written
+from gaitsweep.tasks.proofs.records import checked, distance, prove_stored, quoted
+from gaitsweep.tasks.proofs.signs import zeros
+from gaitsweep.tasks.proofs.stability import characteristic, step_derivative
+from gaitsweep.tasks.prove_gaits import prove_one
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import gait, some
-from tasks import prove_gaits
-from tasks.proofs.body import body
-from tasks.proofs.enclosed_step import dimensions
-from tasks.proofs.enclosure import NotProvedError, Piece
-from tasks.proofs.gait import Proof, prove, solve
-from tasks.proofs.keys import check_written, decimal, double, exact, written
-from tasks.proofs.records import checked, distance, prove_stored, quoted
-from tasks.proofs.signs import zeros
-from tasks.proofs.stability import characteristic, step_derivative
-from tasks.prove_gaits import prove_one
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import WalkerError
 
 NAMES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
 EACH_STRUCTURE = [("D", "0.009", "long"), ("E", "0.01", "short"), ("A", "0.01", "long"), ("C", "0.01", "short")]
@@ -230,7 +230,7 @@ def test_a_zero_at_the_start_is_divided_out():
 
 
 def test_legs_that_pass_three_times_are_no_gait():
-    from tasks.proofs.sequence import _legs
+    from gaitsweep.tasks.proofs.sequence import _legs
 
     ((begin, (piece,)),) = cubic(1, 2, 3)
     falling = Piece(piece.start, piece.h, *([[-x for x in s] for s in part] for part in (piece.q, piece.w)))
@@ -343,8 +343,8 @@ def test_printed_intervals_hold_the_ball(x):
 @pytest.mark.parametrize("name", ["A", "C"])
 def test_doubles_of_a_tuned_walker_stand_for_it(name):
     """At small slopes the rounding of its offsets alone would move the gait by more than its bound."""
-    from tasks.proofs.keys import doubles
-    from tasks.walkers.catalogue import CATALOGUE
+    from gaitsweep.tasks.proofs.keys import doubles
+    from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
     table = CATALOGUE[name].table()
     keys, kneed = doubles(table)

@@ -8,7 +8,7 @@ import pytest
 from flint import ctx
 
 from exact_gaits import check_durations, check_remainder, guess, reference, setting
-from tasks.proofs.gait import prove
+from gaitsweep.tasks.proofs.gait import prove
 
 #: Changes of the equations: module, what stands there, what is put in its place, and gaits whose proof it must break.
 PHYSICS = {
@@ -53,12 +53,14 @@ def mutate(monkeypatch):
     """Put an altered module's functions and classes wherever the original's are known."""
 
     def change(name, old, new):
-        module = importlib.import_module(f"tasks.proofs.{name}")
+        module = importlib.import_module(f"gaitsweep.tasks.proofs.{name}")
         source = inspect.getsource(module)
         assert source.count(old) >= 1, f"{name} has no {old!r}"
         scope = dict(vars(module))
         exec(compile(source.replace(old, new), module.__file__, "exec"), scope)
-        for place in [m for n, m in sys.modules.items() if n.startswith("tasks.proofs.") or n == "exact_gaits"]:
+        for place in [
+            m for n, m in sys.modules.items() if n.startswith("gaitsweep.tasks.proofs.") or n == "exact_gaits"
+        ]:
             for key, value in list(vars(place).items()):
                 own = getattr(value, "__module__", None) == module.__name__
                 if own and key in scope and key != "NotProvedError" and callable(value):

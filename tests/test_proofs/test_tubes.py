@@ -8,11 +8,11 @@ import pytest
 from flint import arb, ctx, fmpq
 
 from exact_gaits import GAITS, REFERENCE, guess, reference
-from tasks import write_certificates
-from tasks.proofs import covers, crossings, tubes
-from tasks.proofs.enclosure import NotProvedError
-from tasks.proofs.keys import decimal, exact
-from tasks.prove_gaits import prove_one
+from gaitsweep.tasks import write_certificates
+from gaitsweep.tasks.proofs import covers, crossings, tubes
+from gaitsweep.tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.keys import decimal, exact
+from gaitsweep.tasks.prove_gaits import prove_one
 
 KEPT = {path.stem: json.loads(path.read_text()) for path in sorted((REFERENCE / "proofs").glob("*.json"))}
 #: First flip of the simplest walker, to 20 digits at 256 bits.

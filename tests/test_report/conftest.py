@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.report import pages
+from gaitsweep.pipeline.report import pages
 from test_report import synthetic
 
 

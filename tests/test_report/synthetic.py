@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pipeline.report.figures import design_maps
+from gaitsweep.pipeline.report.figures import design_maps
 from test_report.shape import GAITS, KNEED, POINT, write
 
 

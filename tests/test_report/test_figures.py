@@ -8,16 +8,16 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
+from gaitsweep.pipeline.report import cells, html_tables
+from gaitsweep.pipeline.report.figures import FIGURES, design_maps, draw, families, fields
+from gaitsweep.pipeline.report.figures.body import Body
+from gaitsweep.pipeline.report.figures.cycle import traced_steps
+from gaitsweep.pipeline.report.figures.degrees import add_degrees
+from gaitsweep.pipeline.report.figures.style import GAIT_COLOURS, MUTED, choose_rows, set_log, style
+from gaitsweep.pipeline.report.figures.svg import TARGETS
+from gaitsweep.pipeline.report.source import read
+from gaitsweep.pipeline.report.words import WORDS, plain, sentences
 from lines import some
-from pipeline.report import cells, html_tables
-from pipeline.report.figures import FIGURES, design_maps, draw, families, fields
-from pipeline.report.figures.body import Body
-from pipeline.report.figures.cycle import traced_steps
-from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, choose_rows, set_log, style
-from pipeline.report.figures.svg import TARGETS
-from pipeline.report.source import read
-from pipeline.report.words import WORDS, plain, sentences
 from test_report import synthetic
 from test_report.shape import GAITS, KNEED, POINT, write
 

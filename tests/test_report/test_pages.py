@@ -16,16 +16,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline import paths
-from pipeline.archive import read as archive_reader
-from pipeline.archive.citation import PAPER
-from pipeline.cli import commands
-from pipeline.cli import report as report_command
-from pipeline.errors import ArchiveError
-from pipeline.report import entry, html_tables, ledger, pages, source
-from pipeline.report.source import read
-from pipeline.report.words import plain
-from pipeline.store.record import count
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.archive import read as archive_reader
+from gaitsweep.pipeline.archive.citation import PAPER
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.cli import report as report_command
+from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.report import entry, html_tables, ledger, pages, source
+from gaitsweep.pipeline.report.source import read
+from gaitsweep.pipeline.report.words import plain
+from gaitsweep.pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import GAITS, KNEED, POINT, write
@@ -232,16 +232,16 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
 #: `gaitsweep` with little more memory than its modules take: to import them without it may never end.
 _LITTLE_MEMORY = """
 import re, resource, sys
-import pipeline.report.pages
-from pipeline.cli import commands
-from pipeline.cli import report as report_command
+import gaitsweep.pipeline.report.pages
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.cli import report as report_command
 used = int(re.search(r"VmData:\\s+(\\d+)", open("/proc/self/status").read())[1]) << 10
 resource.setrlimit(resource.RLIMIT_DATA, (used + (8 << 20),) * 2)
 sys.exit(commands.main(sys.argv[1:]))
 """
 
 
-def _command(archives, folder, program=("-m", "pipeline.cli.commands"), **environment):
+def _command(archives, folder, program=("-m", "gaitsweep"), **environment):
     """What `gaitsweep report` returns and prints to standard error, in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-P", *program, "report", *map(str, archives), "-o", str(folder / "out")],
@@ -500,10 +500,9 @@ def test_a_foreign_file_is_named(tmp_path, content):
 
 
 def test_the_report_loads_neither_the_tasks_nor_the_plan():
-    program = (
-        "import pipeline.report.pages, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
-    )
-    program += " + [m for m in sys.modules if m in ('pipeline.graph', 'pipeline.engine')])"
+    program = "import gaitsweep.pipeline.report.pages, sys; "
+    program += "print([m for m in sys.modules if 'gaitsweep.tasks' in m or m == 'heyoka']"
+    program += " + [m for m in sys.modules if m in ('gaitsweep.pipeline.graph', 'gaitsweep.pipeline.engine')])"
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
     assert done.stdout.strip() == "[]"
@@ -666,7 +665,7 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
     # It is laid out for the pages only.
     with pytest.raises(ArchiveError, match=r"s\.nc is damaged: The attribute `title` is missing\."):
         pages.write([path], tmp_path / "out")
-    monkeypatch.setattr("pipeline.archive.structure.misfits", lambda file: iter(()))
+    monkeypatch.setattr("gaitsweep.pipeline.archive.structure.misfits", lambda file: iter(()))
     with netCDF4.Dataset(path, "a") as file:
         sums = {"stance_angle": archive_reader._checksum(file["stance_angle"])}
         file.checksums = json.dumps(sums)
@@ -699,9 +698,8 @@ def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
 
 
 def _report_in_another_process(path, out):
-    code = (
-        "import sys; from pathlib import Path; from pipeline.report import pages; pages.write(*map(eval, sys.argv[1:]))"
-    )
+    code = "import sys; from pathlib import Path; from gaitsweep.pipeline.report import pages\n"
+    code += "pages.write(*map(eval, sys.argv[1:]))"
     subprocess.run([sys.executable, "-c", code, f"[Path({str(path)!r})]", f"Path({str(out)!r})"], check=True)
 
 

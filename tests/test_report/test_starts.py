@@ -8,9 +8,9 @@ from urllib.parse import parse_qs
 import numpy as np
 import pytest
 
-from pipeline.report import html_tables, pages
-from pipeline.report.figures import draw, fields, starts
-from pipeline.report.source import read
+from gaitsweep.pipeline.report import html_tables, pages
+from gaitsweep.pipeline.report.figures import draw, fields, starts
+from gaitsweep.pipeline.report.source import read
 from test_report.shape import KNEED, POINT, write
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")

@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import pipeline
+import gaitsweep
+from gaitsweep.tasks import interpolate, solve_at_slope, status
+from gaitsweep.tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
+from gaitsweep.tasks.families.box import roots
+from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.fixed_points.multipliers import characteristic_errors, multiplier_bounds, multipliers
+from gaitsweep.tasks.fixed_points.newton import curvature
+from gaitsweep.tasks.fixed_points.rounding import rounding_std
+from gaitsweep.tasks.interpolate import Interpolation, Sampled, _gaits, _tied, fit_panels, panels_over
+from gaitsweep.tasks.measures.gaits import Part, round_bits, to_accuracy
+from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT, branches, solved
-from tasks import interpolate, solve_at_slope, status
-from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
-from tasks.families.box import roots
-from tasks.families.span import Span
-from tasks.fixed_points.multipliers import characteristic_errors, multiplier_bounds, multipliers
-from tasks.fixed_points.newton import curvature
-from tasks.fixed_points.rounding import rounding_std
-from tasks.interpolate import Interpolation, Sampled, _gaits, _tied, fit_panels, panels_over
-from tasks.measures.gaits import Part, round_bits, to_accuracy
-from tasks.measures.smooth import Smooth
-from tasks.registry import GAITS
-from tasks.solve_points import atlas, points
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
 
 SMOOTH = tuple(v for v in WANT if v not in OF_INTEGRATION)
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -406,7 +406,7 @@ def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_en
 def test_more_digits_are_used_where_long_double_does_not_suffice(name, slopes):
     """Its rounding did, but not with its last step: an accuracy of 3e-14 was missed where one of 1e-14 was met."""
     for accuracy in (1e-13, 3e-14, 1e-14, 3e-15):
-        gaits = pipeline.gaits(name, np.array(slopes), accuracy=accuracy).isel(gait=[0, 1])
+        gaits = gaitsweep.gaits(name, np.array(slopes), accuracy=accuracy).isel(gait=[0, 1])
         assert (gaits.status == 0).all() and (gaits.error_bound <= accuracy).all()
 
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.parse import parse
+from gaitsweep.tasks.continuation.atlas import to_arrays
+from gaitsweep.tasks.continuation.sampling import apart, chosen, plane
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.follow_branches import _dense, branch
+from gaitsweep.tasks.mechanics.kernel import flow
 from lines import branches
-from pipeline.errors import StudyError
-from pipeline.study.parse import parse
-from tasks.continuation.atlas import to_arrays
-from tasks.continuation.sampling import apart, chosen, plane
-from tasks.fixed_points.multipliers import multipliers
-from tasks.follow_branches import _dense, branch
-from tasks.mechanics.kernel import flow
 
 
 def figure_error(truth, points):

@@ -5,17 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation.atlas import from_arrays
+from gaitsweep.tasks.dynamics import attractors as capturing
+from gaitsweep.tasks.dynamics import walk as walks
+from gaitsweep.tasks.dynamics.attractors import Neighbourhoods, attractors
+from gaitsweep.tasks.dynamics.crisis import surviving_slopes
+from gaitsweep.tasks.dynamics.initial_states import gaits_at
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import FORWARD, STRUCK, stride
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, some
-from tasks.continuation.atlas import from_arrays
-from tasks.dynamics import attractors as capturing
-from tasks.dynamics import walk as walks
-from tasks.dynamics.attractors import Neighbourhoods, attractors
-from tasks.dynamics.crisis import surviving_slopes
-from tasks.dynamics.initial_states import gaits_at
-from tasks.dynamics.walk import Walk
-from tasks.step.problem import Problem
-from tasks.step.simulate import FORWARD, STRUCK, stride
-from tasks.walkers.resolve import resolve
 
 ANY = SimpleNamespace(some=lambda lanes: ANY, phases=1)
 

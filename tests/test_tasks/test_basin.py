@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import count_gaits
+from gaitsweep.tasks.count_gaits import census, deflated, starts
+from gaitsweep.tasks.dynamics.stable_manifold import saddle_at
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.map_basin import basin
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, solved
-from tasks import count_gaits
-from tasks.count_gaits import census, deflated, starts
-from tasks.dynamics.stable_manifold import saddle_at
-from tasks.fixed_points.newton import newton
-from tasks.map_basin import basin
-from tasks.step.problem import Problem
-from tasks.step.simulate import STRUCK, stride
-from tasks.walkers.resolve import resolve
 
 
 def mapped(slope, size, **options):

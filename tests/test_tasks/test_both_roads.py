@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 import extended
+from gaitsweep.tasks.continuation.atlas import from_arrays
+from gaitsweep.tasks.families.box import Box, Refused
+from gaitsweep.tasks.families.cell import Lines, _Maker
+from gaitsweep.tasks.families.division import make_cells
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.registry import ALWAYS, GAITS
+from gaitsweep.tasks.solve_planes import Wanted, charts, lines, solve
+from gaitsweep.tasks.solve_points import lines as lines_side_by_side
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import KEYS, WalkerError
 from lines import FAILURES
 from soak.missed import neighbour
-from tasks.continuation.atlas import from_arrays
-from tasks.families.box import Box, Refused
-from tasks.families.cell import Lines, _Maker
-from tasks.families.division import make_cells
-from tasks.families.family import Family
-from tasks.registry import ALWAYS, GAITS
-from tasks.solve_planes import Wanted, charts, lines, solve
-from tasks.solve_points import lines as lines_side_by_side
-from tasks.solve_points import points
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import KEYS, WalkerError
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 VALUES = ("stance_angle", *RATES, "period")

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import columns, locate_cascade
+from gaitsweep.tasks.continuation import tracking
+from gaitsweep.tasks.continuation.atlas import from_arrays
+from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.special_points import flips as flips_of
+from gaitsweep.tasks.continuation.tracking import Path
+from gaitsweep.tasks.dynamics import crisis
+from gaitsweep.tasks.dynamics.crisis import surviving_slopes
+from gaitsweep.tasks.dynamics.initial_states import gaits_at
+from gaitsweep.tasks.fits.feigenbaum import DELTA, accumulation, ratios
+from gaitsweep.tasks.locate_cascade import cascade
+from gaitsweep.tasks.registry import OPTIONS
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
-from tasks import columns, locate_cascade
-from tasks.continuation import tracking
-from tasks.continuation.atlas import from_arrays
-from tasks.continuation.defining import scalar
-from tasks.continuation.special_points import flips as flips_of
-from tasks.continuation.tracking import Path
-from tasks.dynamics import crisis
-from tasks.dynamics.crisis import surviving_slopes
-from tasks.dynamics.initial_states import gaits_at
-from tasks.fits.feigenbaum import DELTA, accumulation, ratios
-from tasks.locate_cascade import cascade
-from tasks.registry import OPTIONS
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
 
 #: Period doublings of x -> r x (1 - x), and where they accumulate.
 LOGISTIC = [3.0, 3.449489742783178, 3.544090359551923, 3.564407266095433, 3.568759419543826, 3.569691609801374]

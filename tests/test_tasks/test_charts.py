@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tasks.families.box import Refused, roots
-from tasks.families.chart import Chart, fit
-from tasks.families.span import Span
-from tasks.interpolate import Sampled, Sheet, _margins, fit_panels, panels_over
+from gaitsweep.tasks.families.box import Refused, roots
+from gaitsweep.tasks.families.chart import Chart, fit
+from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.interpolate import Sampled, Sheet, _margins, fit_panels, panels_over
 
 
 def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3), total=10**9):

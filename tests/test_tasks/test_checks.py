@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation import checks, tracking
+from gaitsweep.tasks.continuation.atlas import from_arrays
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.checks import checked
+from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.pseudo_arclength import Tracks
+from gaitsweep.tasks.continuation.refine import COARSE, measure
+from gaitsweep.tasks.continuation.sampling import within
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.continuation.tracking import correct
+from gaitsweep.tasks.solve_points import _reasons, atlas
+from gaitsweep.tasks.status import outside
 from lines import branches
-from tasks.continuation import checks, tracking
-from tasks.continuation.atlas import from_arrays
-from tasks.continuation.branch import Branch
-from tasks.continuation.checks import checked
-from tasks.continuation.lockstep import run
-from tasks.continuation.pseudo_arclength import Tracks
-from tasks.continuation.refine import COARSE, measure
-from tasks.continuation.sampling import within
-from tasks.continuation.special_points import special_points
-from tasks.continuation.tracking import correct
-from tasks.solve_points import _reasons, atlas
-from tasks.status import outside
 
 
 def plain(branch, nodes=None):

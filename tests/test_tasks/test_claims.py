@@ -7,18 +7,18 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from tasks.check_claims import claims
-from tasks.paper import claim as rule
-from tasks.paper import kneed_chaos, lines
-from tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
-from tasks.paper.lines import line
-from tasks.paper.published import HALF_UNITS
-from tasks.paper.quotations import QUOTATIONS
-from tasks.paper.rounding_intervals import LANDMARKS, changed, interval, place, sensitivities
-from tasks.paper.zero_slope import mass_limit
-from tasks.registry import TASKS
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.statics import is_tuned
+from gaitsweep.tasks.check_claims import claims
+from gaitsweep.tasks.paper import claim as rule
+from gaitsweep.tasks.paper import kneed_chaos, lines
+from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
+from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.paper.published import HALF_UNITS
+from gaitsweep.tasks.paper.quotations import QUOTATIONS
+from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, changed, interval, place, sensitivities
+from gaitsweep.tasks.paper.zero_slope import mass_limit
+from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.statics import is_tuned
 
 ROOT = Path(__file__).parents[2]
 # The search for gaits lets lanes that go astray overflow.

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation.atlas import _loop
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import lines
 from lines import FAILURES, branches, repeats, solved
-from tasks.continuation.atlas import _loop
-from tasks.continuation.special_points import special_points
-from tasks.registry import GAITS
-from tasks.solve_points import lines
 
 #: A loop of gaits between folds at slopes of 0.0032 and 0.0186, apart from the branch of larger steps.
 LOOP = {"R": 0.273, "detuning": 0.2}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tasks.mechanics import compile_cache
+from gaitsweep.tasks.mechanics import compile_cache
 
 ME, OTHER = os.geteuid(), 54321
 

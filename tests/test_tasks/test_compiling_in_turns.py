@@ -9,9 +9,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from tasks.mechanics import compile_cache, kernel
-from tasks.mechanics.lumped import structure_of
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.mechanics import compile_cache, kernel
+from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.walkers.resolve import resolve
 
 HOLD = (
     "import fcntl, sys; file = open(sys.argv[1], 'r+b'); fcntl.lockf(file, fcntl.LOCK_EX, 1, int(sys.argv[2]));"

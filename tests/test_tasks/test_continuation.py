@@ -8,28 +8,28 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from gaitsweep.tasks.continuation import atlas
+from gaitsweep.tasks.continuation.atlas import survey
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.defining import evaluate, scalar
+from gaitsweep.tasks.continuation.locate import row_tangent
+from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
+from gaitsweep.tasks.continuation.root import bracketed_root
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.continuation.tracking import correct, follow
+from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
+from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.registry import GAITS, STATUSES
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.walker import Walker
 from lines import branches, gait, solved, some
 from soak.bounds import compared
 from soak.stress import random_walker
-from tasks.continuation import atlas
-from tasks.continuation.atlas import survey
-from tasks.continuation.branch import Branch
-from tasks.continuation.defining import evaluate, scalar
-from tasks.continuation.locate import row_tangent
-from tasks.continuation.lockstep import run
-from tasks.continuation.refine import COARSE, FINE, without_jumps
-from tasks.continuation.root import bracketed_root
-from tasks.continuation.special_points import special_points
-from tasks.continuation.tracking import correct, follow
-from tasks.fixed_points.newton import LONGEST_PERIOD
-from tasks.fixed_points.polish import UNKNOWN, settle
-from tasks.fixed_points.search import search
-from tasks.mechanics.lumped import lump
-from tasks.registry import GAITS, STATUSES
-from tasks.step import extended_precision
-from tasks.step.problem import Problem
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.walker import Walker
 
 
 def points_of(walker, **overrides):

@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation import codimension_one
+from gaitsweep.tasks.continuation.codimension_one import Curve, follow, follow_both_directions, turning
+from gaitsweep.tasks.continuation.joint import rounding_step
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.follow_curves import _is_ordinary, curve
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, branches
-from tasks.continuation import codimension_one
-from tasks.continuation.codimension_one import Curve, follow, follow_both_directions, turning
-from tasks.continuation.joint import rounding_step
-from tasks.continuation.special_points import special_points
-from tasks.follow_curves import _is_ordinary, curve
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import WalkerError
 
 LINE = {"walker": "C", "set": {}}
 WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_cycle_slope, steps_of
+from gaitsweep.tasks import locate_cascade
+from gaitsweep.tasks.continuation.defining import slope_error
+from gaitsweep.tasks.continuation.special_points import corrected, crossings, special_points
+from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.step.extended_precision import _extended_step_map
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import joined, sections
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, some
-from tasks import locate_cascade
-from tasks.continuation.defining import slope_error
-from tasks.continuation.special_points import corrected, crossings, special_points
-from tasks.mechanics.lumped import lump
-from tasks.step.extended_precision import _extended_step_map
-from tasks.step.problem import Problem
-from tasks.step.several_steps import joined, sections
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import WalkerError
 from test_tasks.test_gaits_beside_folds import drawn, followed
 
 R = hy.real128

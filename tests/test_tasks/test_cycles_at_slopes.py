@@ -4,21 +4,21 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+import gaitsweep
 import oracle
-import pipeline
 from exact_special_points import steps_of
 from extended import Walker, _derivative
+from gaitsweep.tasks.continuation.atlas import from_arrays, to_arrays
+from gaitsweep.tasks.continuation.flips import begun_at_flips
+from gaitsweep.tasks.continuation.locate import _is_near
+from gaitsweep.tasks.continuation.special_points import flips
+from gaitsweep.tasks.continuation.tracking import HALVED, correct
+from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
+from gaitsweep.tasks.follow_cycles import cycle_branches
+from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.step.several_steps import begun_at, distances_of_steps, from_largest, joined, sections
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import branches as atlas_of
-from tasks.continuation.atlas import from_arrays, to_arrays
-from tasks.continuation.flips import begun_at_flips
-from tasks.continuation.locate import _is_near
-from tasks.continuation.special_points import flips
-from tasks.continuation.tracking import HALVED, correct
-from tasks.fixed_points.polish import settle, unmeasured
-from tasks.follow_cycles import cycle_branches
-from tasks.solve_at_slope import solve_one
-from tasks.step.several_steps import begun_at, distances_of_steps, from_largest, joined, sections
-from tasks.walkers.catalogue import CATALOGUE
 from test_tasks.test_gaits_beside_folds import points
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate")
@@ -27,7 +27,7 @@ CASES = [("D", 0.016, 2), ("D", 0.018, 4), ("D", 0.015, 3), ("C", 0.08, 2), ("C"
 
 
 def first(walker, slope, n, **options):
-    gaits = pipeline.gaits(walker, slope, steps=n, **options)
+    gaits = gaitsweep.gaits(walker, slope, steps=n, **options)
     assert gaits.status[0] == 0
     return gaits.isel(gait=0)
 
@@ -40,7 +40,7 @@ def state_of(gait):
 def test_simulation_comes_back_after_n_steps_and_not_before(walker, slope, n):
     gait = first(walker, slope, n)
     state = state_of(gait)
-    steps = pipeline.simulate(walker, slope, state, n)
+    steps = gaitsweep.simulate(walker, slope, state, n)
     after = np.array([steps[name].values for name in STATE])
     assert after[:, n] == pytest.approx(state, rel=1e-10)
     assert np.abs(after[0, 1:n] - state[0]).min() > 1e-4 and after[0, :n].max() == state[0]
@@ -55,7 +55,7 @@ def test_the_multipliers_are_those_of_the_product_of_its_steps(walker, slope, n)
     gait = first(walker, slope, n)
     state, product, losses = state_of(gait), np.eye(3), np.zeros(3)
     for _ in range(n):
-        step = pipeline.step_map(walker, slope, state)
+        step = gaitsweep.step_map(walker, slope, state)
         state, product, losses = step.state, step.jacobian @ product, losses + np.nan_to_num(step.losses)
     values = np.linalg.eigvals(product)
     values = values[np.argsort(-np.abs(values))]
@@ -72,8 +72,8 @@ def test_the_multipliers_are_those_of_the_product_of_its_steps(walker, slope, n)
 )
 def test_speed_power_and_cost_are_those_of_distance_and_losses(walker, slope, n):
     """The contact rolls along the slope, and what is lost per step is drawn from gravity."""
-    gait, w = first(walker, slope, n) if n else pipeline.gaits(walker, slope).sel(gait="long"), CATALOGUE[walker]
-    angles = pipeline.simulate(walker, slope, state_of(gait), n).stance_angle.values[:n] if n else [gait.stance_angle]
+    gait, w = first(walker, slope, n) if n else gaitsweep.gaits(walker, slope).sel(gait="long"), CATALOGUE[walker]
+    angles = gaitsweep.simulate(walker, slope, state_of(gait), n).stance_angle.values[:n] if n else [gait.stance_angle]
     length = sum(2 * (w.leg - w.R) * np.sin(angle) + 2 * w.R * angle for angle in np.array(angles))
     lost = np.nansum([gait[f"loss_{name}"] for name in ("normal", "tangential", "kneestrike")])
     weight = (2 * (w.m_t + w.m_s) + w.m_h) * w.g
@@ -87,7 +87,7 @@ def test_speed_power_and_cost_are_those_of_distance_and_losses(walker, slope, n)
 def test_the_velocity_ratio_is_that_of_the_heelstrike_after_the_first_step(walker, slope, n):
     """Each loss is half of an eigenvalue of the contact mass times the velocity along its eigenvector, squared."""
     gait = solve_one({"walker": walker, "slope": slope, "steps": n})["gaits"][0]
-    losses = pipeline.step_map(walker, slope, [gait[name] for name in STATE]).losses
+    losses = gaitsweep.step_map(walker, slope, [gait[name] for name in STATE]).losses
     values, vectors = np.linalg.eigh(np.array(gait["contact_mass_matrix"]))
     normal = int(np.argmax(np.abs(vectors[1])))
     along = np.sqrt(2 * np.array([losses.normal if k == normal else losses.tangential for k in (0, 1)]) / values)
@@ -99,14 +99,14 @@ def test_orbits_of_the_simplest_walker_settle_on_its_stable_gaits():
     for slope, n in ((0.016, 2), (0.018, 4)):
         gait, single = first("D", slope, n), first("D", slope, 1)
         assert gait.spectral_radius < 1 < single.spectral_radius
-        walk = pipeline.simulate("D", slope, state_of(single) * 1.001, 600)
+        walk = gaitsweep.simulate("D", slope, state_of(single) * 1.001, 600)
         assert walk.stance_angle[-8:].max().item() == pytest.approx(gait.stance_angle.item(), rel=1e-9)
 
 
 def test_doubled_gaits_begin_at_the_flip():
     """The paper, section 3: period doubling of the simplest walker begins at 0.015."""
     slope = np.array([0.01508, 0.0150885, 0.01509, 0.0151, 0.0152, 0.0176, 0.0177])
-    one, two = (pipeline.gaits("D", slope, steps=n).sel(gait="long") for n in (1, 2))
+    one, two = (gaitsweep.gaits("D", slope, steps=n).sel(gait="long") for n in (1, 2))
     np.testing.assert_array_equal(two.status == 0, one.spectral_radius > 1)
     # Near the flip its multiplier is 1 - 4 (what the single gait's is beyond -1).
     beyond = one.spectral_radius.values[2:4] - 1
@@ -120,13 +120,13 @@ def test_doubled_gaits_begin_at_the_flip():
 def test_doubled_gaits_are_followed_from_a_flip_beside_which_newton_steps_are_rounding():
     """At small slopes: the last point that is found on the way to the flip begins the branch."""
     slope, keys = np.array([4.16e-4, 4.17e-4, 0.001, 0.01]), {"m_t": 0.3976305559090616}
-    one, two = (pipeline.gaits("B", slope, steps=n, **keys).sel(gait="long") for n in (1, 2))
+    one, two = (gaitsweep.gaits("B", slope, steps=n, **keys).sel(gait="long") for n in (1, 2))
     np.testing.assert_array_equal(two.status == 0, one.spectral_radius > 1)
     assert (two.spectral_radius[1:] < 1).all() and np.abs(two.energy_imbalance[1:]).max() < 1e-12
 
 
 def test_every_gait_is_listed_once_under_its_label():
-    three = pipeline.gaits("D", 0.015, steps=3)
+    three = gaitsweep.gaits("D", 0.015, steps=3)
     assert (three.status == 0).values.tolist() == [True, False, True, False]
     assert three.stance_angle[0] > three.stance_angle[2] and len({*three.piece.values[[0, 2]].tolist()}) == 2
     assert three.branch.values.tolist() == [0, -1, 0, -1]
@@ -179,7 +179,7 @@ def test_a_gait_whose_halves_came_together_is_not_the_one_guessed():
 def test_the_same_gait_begins_at_any_of_its_steps():
     problem, known = atlas_of("D")
     several, slope = problem.of_steps(4), first("D", 0.018, 4)
-    walk = pipeline.simulate("D", 0.018, state_of(slope), 4)
+    walk = gaitsweep.simulate("D", 0.018, state_of(slope), 4)
     w = np.array([np.log(walk.stance_angle.values[:4]), walk.stance_rate.values[:4] / walk.stance_angle.values[:4]])
     branch = cycle_branches(problem, known, 4)[-1]
     ((_, Z, _),) = branch.guesses(np.log([0.018]))
@@ -205,7 +205,7 @@ def test_a_branch_between_two_flips_is_followed_from_one_of_them():
     assert branch.q[1] > branch.q[0] and branch.q[-1] < branch.q[-2]
     for end in (0, -1):
         slope, angle = np.exp(branch.q[end]), np.exp(branch.Z[end, 0])
-        near = pipeline.gaits("physical", slope * (1 + 1e-7), steps=2)
+        near = gaitsweep.gaits("physical", slope * (1 + 1e-7), steps=2)
         merged = np.abs(near.stance_angle / angle - 1) < 3e-3
         assert near.status.values[merged].tolist() == [0]
 
@@ -242,23 +242,23 @@ def test_an_accuracy_spares_digits():
 
 def test_gaits_that_no_flip_begins_are_searched_for():
     """The long gait of E has doubled at any slope: its two steps, by the step map, were not found."""
-    found = pipeline.gaits("E", [1e-6, 0.004, 0.006], steps=2).sel(gait="long")
+    found = gaitsweep.gaits("E", [1e-6, 0.004, 0.006], steps=2).sel(gait="long")
     np.testing.assert_allclose(found.stance_angle[1:], [0.13273476092302, 0.15360049], rtol=1e-8)
     for gait in (found.isel(dim_0=i) for i in range(3)):
         state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-        steps = [pipeline.step_map("E", gait.slope.item(), state)]
-        steps.append(pipeline.step_map("E", gait.slope.item(), steps[0].state))
+        steps = [gaitsweep.step_map("E", gait.slope.item(), state)]
+        steps.append(gaitsweep.step_map("E", gait.slope.item(), steps[0].state))
         np.testing.assert_allclose(steps[1].state, state, rtol=1e-12)
         radius = np.abs(np.linalg.eigvals(steps[1].jacobian @ steps[0].jacobian)).max()
         assert gait.spectral_radius.item() == pytest.approx(radius, rel=1e-9)
     # They double again, which leads to gaits of four steps.
-    assert (pipeline.gaits("E", 0.006, steps=4).status == 0).any()
+    assert (gaitsweep.gaits("E", 0.006, steps=4).status == 0).any()
 
 
 @pytest.mark.parametrize("slope", [1e-18, 1e-13])
 def test_at_the_least_slopes_more_digits_resolve_gaits_of_several_steps(slope):
     """Doubles did not."""
-    gait = pipeline.gaits("E", slope, steps=2).sel(gait="long")
+    gait = gaitsweep.gaits("E", slope, steps=2).sel(gait="long")
     assert gait.status == 0 and gait.error_bound < 1e-9
     problem, known = atlas_of("E")
     guesses = [Z for branch in cycle_branches(problem, known, 2) for _, Z, _ in branch.guesses(np.log([slope]))]
@@ -271,7 +271,7 @@ def test_at_the_least_slopes_more_digits_resolve_gaits_of_several_steps(slope):
 
 
 def test_no_gait_is_found_where_nothing_begins_one():
-    none = pipeline.gaits("E", 0.001, steps=3)
+    none = gaitsweep.gaits("E", 0.001, steps=3)
     assert (none.status == 1).all() and none.stance_angle.isnull().all()
     assert "No gait of period 3 found: no flip of fewer steps begins one." in none.reason_text.values
 
@@ -300,7 +300,7 @@ def test_a_strike_that_turns_tangential_is_no_flip(walker, keys):
 def test_violations_are_the_worst_of_the_steps():
     gait = first("D", 0.018, 4, variables=["violations"])
     state = state_of(first("D", 0.018, 4))
-    angles = pipeline.simulate("D", 0.018, state, 4).stance_angle.values
+    angles = gaitsweep.simulate("D", 0.018, state, 4).stance_angle.values
     # A massless leg can only push along itself: each step demands the most friction at its steeper end.
     assert gait.friction_demand.item() == pytest.approx(np.tan(angles).max(), rel=1e-9)
     assert gait.friction_demand_heelstrike.item() == pytest.approx(np.tan(angles[1:]).max(), rel=1e-9)
@@ -310,7 +310,7 @@ def test_violations_are_the_worst_of_the_steps():
 
 def test_the_time_of_the_worst_torque_counts_from_the_start_of_the_gait():
     gait, model = first("C", 0.09, 4, variables=["violations"]), oracle.Oracle(CATALOGUE["C"].table())
-    steps = pipeline.simulate("C", 0.09, state_of(first("C", 0.09, 4)), 4)
+    steps = gaitsweep.simulate("C", 0.09, state_of(first("C", 0.09, 4)), 4)
     rates = np.array([steps[f"{link}_rate"].values for link in ("stance", "thigh", "shank")])
     starts = np.concatenate([steps.stance_angle.values * np.array([[1], [-1], [-1]]), rates])[:, :4]
     # On these slopes the stance knee is held least at the start of a step.
@@ -360,7 +360,7 @@ def test_the_error_bound_holds_beside_a_flip(beyond, worst):
     (branch,) = cycle_branches(problem, known, 2)
     slope = float(np.exp(branch.q[0])) * (1 + beyond)
     gait = first("D", slope, 2)
-    walk = pipeline.simulate("D", slope, state_of(gait), 2)
+    walk = gaitsweep.simulate("D", slope, state_of(gait), 2)
     angle, period = extended_cycle("D", slope, np.array([walk[name].values[:2] for name in (*STATE, "period")]).T)
     error = abs(float(gait.stance_angle.item() / angle - 1)), abs(float(gait.period.item() / period - 1))
     assert max(error) < gait.error_bound < worst

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation import extremes
+from gaitsweep.tasks.continuation.extremes import Points, find
+from gaitsweep.tasks.map_designs import _Rows, _walkers, design
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.step.problem import Lanes
 from lines import _atlas, branches, solved
-from tasks.continuation import extremes
-from tasks.continuation.extremes import Points, find
-from tasks.map_designs import _Rows, _walkers, design
-from tasks.registry import GAITS
-from tasks.step.problem import Lanes
 
 
 def best(walker, low=1e-4, high=0.2, **overrides):

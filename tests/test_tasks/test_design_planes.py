@@ -8,26 +8,26 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tasks.continuation import defining, extremes
-from tasks.continuation.atlas import survey_lines
-from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
-from tasks.continuation.extremes import Points, best, find
-from tasks.continuation.refine import COARSE
-from tasks.families import landscape as landscapes
-from tasks.families import manifold_maker as makers
-from tasks.families.box import Box, Refused, roots
-from tasks.families.chart import Chart
-from tasks.families.division import divide
-from tasks.families.family import Family
-from tasks.families.landscape import _Surveyor, is_known, make
-from tasks.families.manifold import Region
-from tasks.families.manifold_maker import Maker, _Extension
-from tasks.fixed_points.step_check import gait_ratio
-from tasks.map_designs import _Rows, _solve, design
-from tasks.mechanics.lumped import common_structure
-from tasks.step.problem import Lanes
-from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.statics import statics
+from gaitsweep.tasks.continuation import defining, extremes
+from gaitsweep.tasks.continuation.atlas import survey_lines
+from gaitsweep.tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
+from gaitsweep.tasks.continuation.extremes import Points, best, find
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families import landscape as landscapes
+from gaitsweep.tasks.families import manifold_maker as makers
+from gaitsweep.tasks.families.box import Box, Refused, roots
+from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.families.division import divide
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.landscape import _Surveyor, is_known, make
+from gaitsweep.tasks.families.manifold import Region
+from gaitsweep.tasks.families.manifold_maker import Maker, _Extension
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.map_designs import _Rows, _solve, design
+from gaitsweep.tasks.mechanics.lumped import common_structure
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
+from gaitsweep.tasks.walkers.statics import statics
 
 QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
 SLOPE = np.array([1e-6, 0.45])

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-import pipeline
+import gaitsweep
+from gaitsweep.tasks.disturb_designs import attractors_beside
+from gaitsweep.tasks.map_designs import design
+from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.step.simulate import step_onto, stride
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from lines import gait
-from tasks.disturb_designs import attractors_beside
-from tasks.map_designs import design
-from tasks.mechanics.lumped import structure_of
-from tasks.step.problem import Lanes
-from tasks.step.simulate import step_onto, stride
-from tasks.walkers.resolve import resolve, resolve_many
 
 
 def computed(walker, at=None, **options):
@@ -74,7 +74,7 @@ def test_larger_steps_of_the_ground_are_not_survived(walker, slope):
     assert 0 <= up <= down < 0.03
     for h, survives in ((-down, True), (-down - 1e-3, False), (up, True), (up + 1e-3, False)):
         if h:
-            steps = pipeline.simulate(walker, slope, state, 200, ground={0: h * leg})
+            steps = gaitsweep.simulate(walker, slope, state, 200, ground={0: h * leg})
             last = [float(steps[name][-1]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
             assert (np.abs(np.array(last) / state - 1) < 1e-3).all() == survives
 
@@ -95,7 +95,7 @@ def test_steps_onto_other_ground_are_those_of_a_simulation(walker):
     after = step_onto(problem, y, np.full(5, 0.009), heights * own.leg / own.l)
     start = problem.start(after.image, np.full(5, 0.009))
     for i, h in enumerate(heights):
-        steps = pipeline.simulate(walker, 0.009, state, 2, ground={0: h * own.leg})
+        steps = gaitsweep.simulate(walker, 0.009, state, 2, ground={0: h * own.leg})
         last = [float(steps["stance_angle"][-1]), *(float(steps[k][-1]) * unit for k in ("stance_rate", "thigh_rate"))]
         assert start[:3, i] == pytest.approx(last, rel=1e-6)
         assert after.times[-1, i] * unit == pytest.approx(float(steps["period"][1]), rel=1e-6)

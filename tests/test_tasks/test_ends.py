@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation import locate
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.locate import locate_root, settle_on_branches
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, join, settle
+from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.registry import GAITS, STATUSES
+from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.verify_step import strikes_fall_in_order, verify
 from lines import FAILURES, branches, of_label, repeats, solved
 from soak.bounds import compared
-from tasks.continuation import locate
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import locate_root, settle_on_branches
-from tasks.continuation.special_points import special_points
-from tasks.fixed_points.polish import UNKNOWN, join, settle
-from tasks.mechanics.lumped import lump
-from tasks.registry import GAITS, STATUSES
-from tasks.solve_points import lines
-from tasks.step import extended_precision
-from tasks.step.verify_step import strikes_fall_in_order, verify
 
 POINTS = tomllib.loads(Path(__file__).with_name("points_beside_ends.toml").read_text())
 

@@ -7,32 +7,32 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tasks import interpolate, solve_planes
-from tasks.continuation.atlas import survey_lines
-from tasks.continuation.refine import COARSE
-from tasks.families import cell as cells
-from tasks.families import pieces
-from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import Cell, Lines, _Maker
-from tasks.families.chart import Chart
-from tasks.families.division import make_cells
-from tasks.families.family import Family
-from tasks.families.patch import measured, near_predictions, similarity
-from tasks.families.pieces import Piece
-from tasks.families.span import along, coordinate
-from tasks.fixed_points.newton import curvature
-from tasks.fixed_points.polish import settle
-from tasks.fixed_points.rounding import rounding_std
-from tasks.measures.gaits import nothing_solved
-from tasks.measures.smooth import Smooth
-from tasks.mechanics.contact import Chain
-from tasks.mechanics.lumped import common_structure, constants_of
-from tasks.registry import ALWAYS
-from tasks.solve_planes import charts, lines
-from tasks.solve_points import lines as lines_side_by_side
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.walker import NUMBERS, WalkerError
+from gaitsweep.tasks import interpolate, solve_planes
+from gaitsweep.tasks.continuation.atlas import survey_lines
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families import cell as cells
+from gaitsweep.tasks.families import pieces
+from gaitsweep.tasks.families.box import Box, Refused, roots
+from gaitsweep.tasks.families.cell import Cell, Lines, _Maker
+from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.families.division import make_cells
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.patch import measured, near_predictions, similarity
+from gaitsweep.tasks.families.pieces import Piece
+from gaitsweep.tasks.families.span import along, coordinate
+from gaitsweep.tasks.fixed_points.newton import curvature
+from gaitsweep.tasks.fixed_points.polish import settle
+from gaitsweep.tasks.fixed_points.rounding import rounding_std
+from gaitsweep.tasks.measures.gaits import nothing_solved
+from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.mechanics.contact import Chain
+from gaitsweep.tasks.mechanics.lumped import common_structure, constants_of
+from gaitsweep.tasks.registry import ALWAYS
+from gaitsweep.tasks.solve_planes import charts, lines
+from gaitsweep.tasks.solve_points import lines as lines_side_by_side
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
+from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
 #: Walker, keys with their ranges, and slopes; in the last two folds and ends of branches lie inside.
@@ -471,7 +471,7 @@ def test_a_box_is_not_divided_when_a_fifth_as_many_lines_are_surveyed(each, trie
             raise Refused("it is made to", len(made) % 2)
         return Cell(box, None, [], why)
 
-    monkeypatch.setattr("tasks.families.division.make_cell", refusing)
+    monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
     values = [np.linspace(0.0, 0.09, each)] * 2
     family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
     found = make_cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)), (-4.5, -4.0), values, 7)
@@ -541,7 +541,7 @@ SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal")
 def test_polynomials_are_not_fitted_to_gaits_that_are_not_those_predicted(monkeypatch):
     family, cell = cell_of("B")
     assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
-    monkeypatch.setattr("tasks.families.patch.near_predictions", lambda at, *_: np.arange(len(at.bound)) != 3)
+    monkeypatch.setattr("gaitsweep.tasks.families.patch.near_predictions", lambda at, *_: np.arange(len(at.bound)) != 3)
     assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
 
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gaitsweep.tasks.fit_laws import scaling
+from gaitsweep.tasks.fit_laws import transition as transition_table
+from gaitsweep.tasks.fits import power_law, transition
 from lines import solved
-from tasks.fit_laws import scaling
-from tasks.fit_laws import transition as transition_table
-from tasks.fits import power_law, transition
 
 
 def test_a_pure_power_is_found_to_rounding():

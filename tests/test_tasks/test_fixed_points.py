@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation.atlas import to_arrays
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.families.patch import similarity
+from gaitsweep.tasks.fixed_points import polish
+from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
+from gaitsweep.tasks.fixed_points.rounding import rounding
+from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.measures.losses import heelstrike_losses
+from gaitsweep.tasks.registry import ALWAYS, GAITS
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.verify_step import verify
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import branches, gait, solved
 from oracle import Oracle, StepFailed
-from tasks.continuation.atlas import to_arrays
-from tasks.continuation.special_points import special_points
-from tasks.families.patch import similarity
-from tasks.fixed_points import polish
-from tasks.fixed_points.multipliers import multipliers, other_multipliers
-from tasks.fixed_points.rounding import rounding
-from tasks.fixed_points.search import search
-from tasks.measures.losses import heelstrike_losses
-from tasks.registry import ALWAYS, GAITS
-from tasks.solve_points import points
-from tasks.step import extended_precision
-from tasks.step.problem import Problem
-from tasks.step.verify_step import verify
-from tasks.walkers.resolve import resolve
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
 EXTENDED = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]

@@ -5,14 +5,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tasks.continuation import atlas
-from tasks.continuation.refine import FINE
-from tasks.continuation.special_points import flips, special_points
-from tasks.follow_cycles import cycle_branches
-from tasks.registry import GAITS, STATUSES
-from tasks.solve_points import _solve_lines
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import WalkerError, resolve
+from gaitsweep.tasks.continuation import atlas
+from gaitsweep.tasks.continuation.refine import FINE
+from gaitsweep.tasks.continuation.special_points import flips, special_points
+from gaitsweep.tasks.follow_cycles import cycle_branches
+from gaitsweep.tasks.registry import GAITS, STATUSES
+from gaitsweep.tasks.solve_points import _solve_lines
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import WalkerError, resolve
 
 WANT = ("stance_angle", "branch", "piece", "error_bound")
 #: Relative distances of slopes from those of folds and flips.

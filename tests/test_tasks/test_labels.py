@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import ROOT
+from gaitsweep.tasks import solve_at_slope
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.tracking import MIN_SLOPE
+from gaitsweep.tasks.dynamics.initial_states import gaits_at
+from gaitsweep.tasks.fixed_points.labels import places
+from gaitsweep.tasks.follow_branches import branch as follow
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.trace_motion import trace
 from lines import WANT, _atlas, branches, gait, solved
-from tasks import solve_at_slope
-from tasks.continuation.branch import Branch
-from tasks.continuation.tracking import MIN_SLOPE
-from tasks.dynamics.initial_states import gaits_at
-from tasks.fixed_points.labels import places
-from tasks.follow_branches import branch as follow
-from tasks.registry import GAITS
-from tasks.solve_points import atlas, points
-from tasks.trace_motion import trace
 
 #: Slopes of the machine's branches, folds at 0.0191 and 0.0530 and ends on the way included.
 SLOPES = np.linspace(0.018, 0.2, 140)

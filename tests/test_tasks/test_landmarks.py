@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tasks.fits.transition import fitted_lines
-from tasks.locate_landmarks import corners, crises, landmarks
-from tasks.paper.lines import line
-from tasks.solve_points import atlas
+from gaitsweep.tasks.fits.transition import fitted_lines
+from gaitsweep.tasks.locate_landmarks import corners, crises, landmarks
+from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.solve_points import atlas
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

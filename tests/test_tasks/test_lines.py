@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.mechanics.kernel import LANES
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import atlas, lines, points
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import WANT
-from tasks import solve_points
-from tasks.mechanics.kernel import LANES
-from tasks.registry import GAITS
-from tasks.solve_points import atlas, lines, points
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.catalogue import CATALOGUE
 
 SLOPES = np.geomspace(1e-3, 0.15, 12)
 FAMILIES = {"E": ("foot_mass_ratio", 0.02, 0.45), "A": ("detuning", -0.3, 1.3), "C": ("detuning", -0.3, 1.3)}

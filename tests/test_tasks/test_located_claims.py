@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.graph.layers import line_params
-from pipeline.grid.method import Method
-from pipeline.study import parse
-from tasks.check_claims import claims
-from tasks.paper import kneed_chaos, lines
-from tasks.paper.claim import CLAIMS
-from tasks.paper.lines import line
-from tasks.registry import options
-from tasks.solve_points import atlas
-from tasks.trace_motion import trace
+from gaitsweep.pipeline.graph.layers import line_params
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks.check_claims import claims
+from gaitsweep.tasks.paper import kneed_chaos, lines
+from gaitsweep.tasks.paper.claim import CLAIMS
+from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.registry import options
+from gaitsweep.tasks.solve_points import atlas
+from gaitsweep.tasks.trace_motion import trace
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.continuation import atlas
+from gaitsweep.tasks.continuation.refine import COARSE, FINE
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.small_angles import exchange_periods
+from gaitsweep.tasks.registry import GAITS, STATUSES
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.verify_step import strike_distance
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import FAILURES, branches, of_label, repeats, solved, some
 from oracle import Oracle, StepFailed
 from soak.bounds import compared
 from soak.missed import missed
-from tasks.continuation import atlas
-from tasks.continuation.refine import COARSE, FINE
-from tasks.continuation.special_points import special_points
-from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
-from tasks.fixed_points.step_check import verify_steps
-from tasks.mechanics.small_angles import exchange_periods
-from tasks.registry import GAITS, STATUSES
-from tasks.step.problem import Problem
-from tasks.step.verify_step import strike_distance
-from tasks.walkers.resolve import resolve
 
 GAP = {
     "m_t": 2.39806,
@@ -152,7 +152,7 @@ def test_a_gait_is_kept_where_a_rate_passes_zero():
 
 
 def test_no_extended_precision_is_asked_for_where_a_rate_passes_zero(monkeypatch):
-    from tasks.step import extended_precision
+    from gaitsweep.tasks.step import extended_precision
 
     monkeypatch.setattr(extended_precision, "refine", None)
     assert of_label(solved("C", 0.102715733395058), "long")["status"] == STATUSES["converged"]
@@ -208,7 +208,7 @@ def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_fo
 
 def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
-    from tasks.continuation.lockstep import run
+    from gaitsweep.tasks.continuation.lockstep import run
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
@@ -300,8 +300,8 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
 @pytest.mark.parametrize("count", [8, pytest.param(500, marks=pytest.mark.soak)])
 def test_no_point_of_a_random_line_fails(count):
     """Walkers near A, C and the physical one, masses, lengths and offsets off by a fifth, or detuned; by both roads."""
-    from tasks.solve_points import lines
-    from tasks.walkers.catalogue import CATALOGUE
+    from gaitsweep.tasks.solve_points import lines
+    from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
     keys, failed = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"), []
     for k in range(count):
@@ -324,7 +324,7 @@ def test_no_point_of_a_random_line_fails(count):
 
 def test_a_fold_at_a_node_gets_no_node_beside_it():
     """Two nodes that are one but for the last digit have no polynomial between them."""
-    from tasks.solve_points import lines
+    from gaitsweep.tasks.solve_points import lines
 
     near_c = {
         "m_t": 2.5842990949854276,
@@ -391,7 +391,9 @@ def test_a_survey_misses_few_gaits_that_a_dense_search_finds(count, rate):
 
 
 def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
-    monkeypatch.setattr("tasks.continuation.atlas.survey_lines", lambda problem, tolerance: [[] for _ in problem.lanes])
+    monkeypatch.setattr(
+        "gaitsweep.tasks.continuation.atlas.survey_lines", lambda problem, tolerance: [[] for _ in problem.lanes]
+    )
     outcome = missed(4)
     assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()

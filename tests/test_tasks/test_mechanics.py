@@ -4,13 +4,13 @@ import mpmath
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.mechanics.lumped import constants_of, structure_of
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
+from gaitsweep.tasks.walkers.walker import Walker
 from oracle import Oracle, SimplestWalker
-from tasks.fixed_points.search import search
-from tasks.mechanics.lumped import constants_of, structure_of
-from tasks.step.problem import Problem
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.walker import Walker
 
 #: Asymmetric on purpose: every constant of the lumped equations is there.
 ODD = Walker(

@@ -6,18 +6,23 @@ import mpmath
 import numpy as np
 import pytest
 
+from gaitsweep import gaits
+from gaitsweep.tasks.fixed_points.multipliers import (
+    characteristic,
+    characteristic_errors,
+    multiplier_bounds,
+    multipliers,
+)
+from gaitsweep.tasks.fixed_points.newton import curvature
+from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
+from gaitsweep.tasks.fixed_points.rounding import characteristic_scale
+from gaitsweep.tasks.follow_cycles import cycle_branches
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.solve_points import atlas, lines, points
+from gaitsweep.tasks.step.extended_precision import _extended_step_map, solved
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT, branches
-from pipeline import gaits
-from tasks.fixed_points.multipliers import characteristic, characteristic_errors, multiplier_bounds, multipliers
-from tasks.fixed_points.newton import curvature
-from tasks.fixed_points.polish import settle, unmeasured
-from tasks.fixed_points.rounding import characteristic_scale
-from tasks.follow_cycles import cycle_branches
-from tasks.registry import GAITS
-from tasks.solve_points import atlas, lines, points
-from tasks.step.extended_precision import _extended_step_map, solved
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 

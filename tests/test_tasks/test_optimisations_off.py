@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import solve_planes, solve_points
+from gaitsweep.tasks.accuracy import OF_INTEGRATION, is_interpolated
+from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.lockstep import side_by_side
+from gaitsweep.tasks.fixed_points import search
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN
+from gaitsweep.tasks.mechanics import kernel
+from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.step import problem, step_map
 from lines import WANT
-from tasks import solve_planes, solve_points
-from tasks.accuracy import OF_INTEGRATION, is_interpolated
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.lockstep import side_by_side
-from tasks.fixed_points import search
-from tasks.fixed_points.polish import UNKNOWN
-from tasks.mechanics import kernel
-from tasks.registry import GAITS
-from tasks.step import problem, step_map
 
 ROOT = Path(__file__).parent.parent.parent
 SLOPES = np.geomspace(1.1e-3, 0.14, 8)

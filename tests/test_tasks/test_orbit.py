@@ -5,23 +5,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import iterate_orbits as orbits
+from gaitsweep.tasks import map_basin as basins
+from gaitsweep.tasks.continuation.atlas import from_arrays
+from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.dynamics import initial_states
+from gaitsweep.tasks.dynamics import walk as walks
+from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
+from gaitsweep.tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
+from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.iterate_orbits import orbit
+from gaitsweep.tasks.step import simulate
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import stride
+from gaitsweep.tasks.trace_motion import trace
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, gait
 from oracle import Oracle, SimplestWalker
-from tasks import iterate_orbits as orbits
-from tasks import map_basin as basins
-from tasks.continuation.atlas import from_arrays
-from tasks.continuation.special_points import special_points
-from tasks.dynamics import initial_states
-from tasks.dynamics import walk as walks
-from tasks.dynamics.initial_states import gaits_at, r_sequence
-from tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
-from tasks.dynamics.walk import Walk
-from tasks.iterate_orbits import orbit
-from tasks.step import simulate
-from tasks.step.problem import Problem
-from tasks.step.simulate import stride
-from tasks.trace_motion import trace
-from tasks.walkers.resolve import resolve
 
 D = {"walker": "D", "set": {}}
 SHORT = {"starts": 4, "transient": 120, "steps": 80, "shown": 40}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tasks.continuation.pseudo_arclength import (
+from gaitsweep.tasks.continuation.pseudo_arclength import (
     Linearisation,
     Newton,
     StepControl,
@@ -11,7 +11,7 @@ from tasks.continuation.pseudo_arclength import (
     bordered_newton,
     root_between,
 )
-from tasks.continuation.root import hermite
+from gaitsweep.tasks.continuation.root import hermite
 
 #: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x y beside them.
 SQUARES = np.array([1.0, 4.0, 0.25])

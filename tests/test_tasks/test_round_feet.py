@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import pipeline
-from pipeline.errors import StudyError
-from tasks.mechanics.contact import Chain
-from tasks.walkers.resolve import resolve
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.mechanics.contact import Chain
+from gaitsweep.tasks.walkers.resolve import resolve
 
 SLOPES = np.array([0.002, 0.009, 0.02])
 COMPARED = (
@@ -20,7 +20,7 @@ WANT = ["stance_angle", "stance_rate", "thigh_rate", "period", "speed", "multipl
 def feet(walker, radius, centre, **keys):
     """Gaits with the feet's mass at their lowest points, or at their centres."""
     keys |= {"c_s": 0.5 - radius} if centre else {}
-    return pipeline.gaits(walker, SLOPES, R=radius, variables=WANT, **keys).isel(gait=slice(2))
+    return gaitsweep.gaits(walker, SLOPES, R=radius, variables=WANT, **keys).isel(gait=slice(2))
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_the_swing_leg_accelerates_as_one_with_mass():
 
 def test_a_vanishing_mass_needs_a_place_off_the_hip():
     with pytest.raises(StudyError, match="`m_s` may vanish only off the hip: the swing leg has no inertia; got 0.0"):
-        pipeline.gaits("D", 0.01, c_s=-0.5)
+        gaitsweep.gaits("D", 0.01, c_s=-0.5)
 
 
 def test_steps_are_mapped_and_simulated():
-    gait = pipeline.gaits("D", 0.009, R=0.3).isel(gait=0)
+    gait = gaitsweep.gaits("D", 0.009, R=0.3).isel(gait=0)
     state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    mapped = pipeline.step_map("D", 0.009, state, R=0.3)
+    mapped = gaitsweep.step_map("D", 0.009, state, R=0.3)
     assert mapped.state == pytest.approx(state, rel=1e-12) and mapped.eigenvalues[2] == 0
     assert mapped.eigenvalues[0] == pytest.approx(complex(gait.multiplier_real[0], gait.multiplier_imag[0]), rel=1e-10)
-    assert pipeline.simulate("D", 0.009, state, 20, R=0.3).outcome == "walks"
+    assert gaitsweep.simulate("D", 0.009, state, 20, R=0.3).outcome == "walks"

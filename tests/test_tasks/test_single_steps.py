@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-import pipeline
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.simulate_steps import simulate_steps
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import gait
 from oracle import SHANK, Oracle, SimplestWalker, _turn
-from pipeline.errors import StudyError
-from tasks.map_step import map_step
-from tasks.simulate_steps import simulate_steps
-from tasks.walkers.resolve import resolve
 
 SLOPES = {"D": 0.009, "E": 0.005, "B": 0.01, "A": 0.02, "C": 0.02, "physical": 0.036}
 # Off every gait, within two per cent of one, so that some steps are taken.
@@ -48,7 +48,7 @@ def derivative(f, at, h):
 @pytest.mark.parametrize("name", SLOPES)
 def test_the_step_map_agrees_with_the_rigid_bodies(name):
     state, slope = at_gait(name) * AWAY, SLOPES[name]
-    answer = pipeline.step_map(name, slope, state)
+    answer = gaitsweep.step_map(name, slope, state)
     image, step = oracle_map(name, state, slope)
     assert answer.state == pytest.approx(image, rel=2e-9)
     assert answer.times.heelstrike == pytest.approx(step.period, rel=2e-9)
@@ -62,7 +62,7 @@ def test_the_step_map_agrees_with_the_rigid_bodies(name):
 @pytest.mark.parametrize("name", SLOPES)
 def test_the_derivatives_are_those_of_the_rigid_bodies(name):
     state, slope = at_gait(name) * AWAY, SLOPES[name]
-    answer = pipeline.step_map(name, slope, state)
+    answer = gaitsweep.step_map(name, slope, state)
     for k in range(3):
         unit = np.eye(3)[k]
         column = derivative(lambda h, e=unit: oracle_map(name, state + h * e, slope)[0], 0.0, 1e-4 * abs(state[k]))
@@ -74,7 +74,7 @@ def test_the_derivatives_are_those_of_the_rigid_bodies(name):
 @pytest.mark.parametrize("name", SLOPES)
 def test_at_a_gait_the_eigenvalues_are_its_multipliers(name):
     known = gait(name, SLOPES[name], "long")
-    answer = pipeline.step_map(name, SLOPES[name], at_gait(name))
+    answer = gaitsweep.step_map(name, SLOPES[name], at_gait(name))
     assert answer.state == pytest.approx(at_gait(name), rel=1e-12)
     multipliers = known["multiplier_real"][:3] + 1j * known["multiplier_imag"][:3]
     assert np.abs(answer.eigenvalues - multipliers).max() < 1e-11
@@ -89,7 +89,7 @@ def test_at_a_gait_the_eigenvalues_are_its_multipliers(name):
 def test_a_knee_that_first_hyperextends_has_not_struck():
     """The flexion falls to zero at the start of such a step too, which ends no phase."""
     state = at_gait("C") * [1, 1, 2.2]
-    steps, mapped = pipeline.simulate("C", 0.02, state, 1), pipeline.step_map("C", 0.02, state)
+    steps, mapped = gaitsweep.simulate("C", 0.02, state, 1), gaitsweep.step_map("C", 0.02, state)
     assert float(steps.thigh_rate[0] - steps.shank_rate[0]) < 0
     assert float(steps.kneestrike_time[0]) == pytest.approx(mapped.times.kneestrike, rel=1e-12)
 
@@ -104,9 +104,9 @@ FAST_KNEE = {
 
 def test_the_step_map_is_exact_where_the_knee_swings_fast():
     state, slope = np.array([0.1156, -0.3862, 0.0893]), 0.0351
-    answer = pipeline.step_map(FAST_KNEE, slope, state)
+    answer = gaitsweep.step_map(FAST_KNEE, slope, state)
     oracle = Oracle(resolve(FAST_KNEE).table())
-    free = float(pipeline.simulate(FAST_KNEE, slope, state, 1).shank_rate[0])
+    free = float(gaitsweep.simulate(FAST_KNEE, slope, state, 1).shank_rate[0])
     step = oracle.step(state[0], np.array([*state[1:], free]), slope, rtol=1e-12, atol=1e-14)
     assert answer.times.kneestrike == pytest.approx(step.kneestrike_time, rel=1e-7)
     assert answer.losses.kneestrike == pytest.approx(step.loss_kneestrike, rel=1e-6)
@@ -117,21 +117,21 @@ def test_the_step_map_is_exact_where_the_knee_swings_fast():
 def test_a_swing_leg_that_turns_over_the_hip_strikes_no_heel(name):
     """Its foot passes the ground beside the stance foot from above, where the legs are parallel again."""
     state = at_gait(name) * [1, 1, -40]
-    steps = pipeline.simulate(name, SLOPES[name], state, 1)
+    steps = gaitsweep.simulate(name, SLOPES[name], state, 1)
     assert steps.outcome == "fell forward"
     with pytest.raises(StudyError, match="fell forward"):
-        pipeline.step_map(name, SLOPES[name], state)
+        gaitsweep.step_map(name, SLOPES[name], state)
 
 
 @pytest.mark.parametrize("name", ["D", "B", "C"])
 def test_steps_follow_each_other_as_the_map_says(name):
     """Two methods: events located on Taylor polynomials, and event times as unknowns of the map."""
     state, slope = at_gait(name) * AWAY, SLOPES[name]
-    steps = pipeline.simulate(name, slope, state, 3)
+    steps = gaitsweep.simulate(name, slope, state, 3)
     for k in range(3):
         here = [float(steps[v][k]) for v in ("stance_angle", "stance_rate", "thigh_rate")]
         there = [float(steps[v][k + 1]) for v in ("stance_angle", "stance_rate", "thigh_rate")]
-        mapped = pipeline.step_map(name, slope, here)
+        mapped = gaitsweep.step_map(name, slope, here)
         assert there == pytest.approx(mapped.state, rel=1e-12)
         assert float(steps.period[k]) == pytest.approx(mapped.times.heelstrike, rel=1e-12)
         assert float(steps.kneestrike_time[k]) == pytest.approx(mapped.times.kneestrike, rel=1e-12, nan_ok=True)
@@ -165,7 +165,7 @@ def oracle_over(name, state, slope, height):
 @pytest.mark.parametrize(("name", "height"), [("B", -0.002), ("E", 0.0005), ("C", -0.004), ("physical", 0.003)])
 def test_uneven_ground_agrees_with_the_rigid_bodies(name, height):
     state, slope = at_gait(name), SLOPES[name]
-    steps = pipeline.simulate(name, slope, state, 2, ground={0: height})
+    steps = gaitsweep.simulate(name, slope, state, 2, ground={0: height})
     rates = start(name, state)
     time, after = oracle_over(name, np.array([state[0], -state[0], -state[0], *rates, rates[-1]])[:6], slope, height)
     names = ("stance_angle", "thigh_angle", "thigh_angle", "stance_rate", "thigh_rate", "shank_rate")
@@ -179,10 +179,10 @@ def test_uneven_ground_agrees_with_the_rigid_bodies(name, height):
 
 
 def test_a_push_along_a_mode_decays_with_its_multiplier():
-    modes = pipeline.step_map("C", 0.02, at_gait("C"))
+    modes = gaitsweep.step_map("C", 0.02, at_gait("C"))
     assert abs(modes.eigenvalues[0].imag) == 0
     mode = 1e-6 * modes.eigenvectors[:, 0].real
-    steps = pipeline.simulate("C", 0.02, at_gait("C") + mode, 3)
+    steps = gaitsweep.simulate("C", 0.02, at_gait("C") + mode, 3)
     off = np.array([steps[v].values for v in ("stance_angle", "stance_rate", "thigh_rate")]) - at_gait("C")[:, None]
     for k in range(4):
         assert off[:, k] == pytest.approx(modes.eigenvalues[0].real ** k * mode, abs=1e-10)
@@ -191,8 +191,8 @@ def test_a_push_along_a_mode_decays_with_its_multiplier():
 @pytest.mark.parametrize("name", ["B", "C"])
 def test_a_push_changes_the_rates_after_the_state_that_is_recorded(name):
     push = (0.01, -0.02)
-    steps = pipeline.simulate(name, SLOPES[name], at_gait(name), 3, pushes={1: push})
-    still = pipeline.simulate(name, SLOPES[name], at_gait(name), 3)
+    steps = gaitsweep.simulate(name, SLOPES[name], at_gait(name), 3, pushes={1: push})
+    still = gaitsweep.simulate(name, SLOPES[name], at_gait(name), 3)
     rates = []
     for v, change in (("stance_angle", 0.0), ("stance_rate", 0.01), ("thigh_rate", -0.02), ("shank_rate", -0.02)):
         assert (steps[v].values[:2] == still[v].values[:2]).all()
@@ -203,7 +203,7 @@ def test_a_push_changes_the_rates_after_the_state_that_is_recorded(name):
 
 @pytest.mark.parametrize(("name", "phases"), [("B", 1), ("C", 2)])
 def test_the_motion_leads_from_strike_to_strike(name, phases):
-    steps = pipeline.simulate(name, SLOPES[name], at_gait(name), 2, motion=True, ground={1: -0.001})
+    steps = gaitsweep.simulate(name, SLOPES[name], at_gait(name), 2, motion=True, ground={1: -0.001})
     assert steps.theta_st.dims == ("step", "phase", "sample") and steps.sizes["phase"] == phases
     walk = steps.isel(step=slice(2))
     first, last = walk.isel(phase=0, sample=0), walk.isel(phase=-1, sample=-1)
@@ -226,43 +226,43 @@ def test_the_motion_leads_from_strike_to_strike(name, phases):
 
 
 def test_falls_are_outcomes_with_a_sentence():
-    slow = pipeline.simulate("D", 0.009, at_gait("D") * [1, 0.8, 0.8], 5)
-    fast = pipeline.simulate("D", 0.009, at_gait("D") * [1, 1.5, 1.5], 5, motion=True)
+    slow = gaitsweep.simulate("D", 0.009, at_gait("D") * [1, 0.8, 0.8], 5)
+    fast = gaitsweep.simulate("D", 0.009, at_gait("D") * [1, 1.5, 1.5], 5, motion=True)
     assert slow.outcome == "fell backward" and slow.reason == "Step 0: fell backward." and slow.steps_taken == 0
     assert fast.outcome == "fell forward" and np.isnan(fast.stance_angle[1:]).all()
     # The motion of the fall itself is there to be drawn.
     assert float(fast.theta_st[0, 0, -1]) == pytest.approx(-np.exp(0.5)) and np.isnan(fast.theta_st[1:]).all()
-    later = pipeline.simulate("D", 0.009, at_gait("D"), 5, ground={2: -0.01})
+    later = gaitsweep.simulate("D", 0.009, at_gait("D"), 5, ground={2: -0.01})
     assert later.reason == "Step 3: fell forward." and later.steps_taken == 3
 
 
 def test_a_gait_of_large_angle_walks():
     """Simulations took it for a fall beyond 1.2 rad; it is a gait up to the angle to which branches are followed."""
     keys = {"foot_mass_ratio": 0.49, "R": 0.5142857142857143}
-    gait = pipeline.gaits("E", 0.01, **keys).sel(gait="short")
+    gait = gaitsweep.gaits("E", 0.01, **keys).sel(gait="short")
     state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
     assert state[0] == pytest.approx(1.47754452865606847, rel=1e-13)  # proved in ball arithmetic
-    walk = pipeline.simulate("E", 0.01, state, 4, **keys)
+    walk = gaitsweep.simulate("E", 0.01, state, 4, **keys)
     assert walk.outcome == "walks" and np.ptp(walk.stance_angle.to_numpy()) < 1e-12
-    modes = pipeline.step_map("E", 0.01, state, **keys).eigenvalues
+    modes = gaitsweep.step_map("E", 0.01, state, **keys).eigenvalues
     np.testing.assert_allclose(np.abs(modes).max(), gait.spectral_radius, rtol=1e-9)
 
 
 def test_a_motion_that_overflows_is_lost(capfd):
     for push in (1e200, 1e15):
-        walk = pipeline.simulate("D", 0.009, at_gait("D"), 3, pushes={0: (push, 0.0)})
+        walk = gaitsweep.simulate("D", 0.009, at_gait("D"), 3, pushes={0: (push, 0.0)})
         assert walk.reason == "Step 0: motion lost."
-    assert pipeline.simulate("C", 0.02, at_gait("C") * [1, 1e200, 1], 3, motion=True).outcome == "motion lost"
+    assert gaitsweep.simulate("C", 0.02, at_gait("C") * [1, 1e200, 1], 3, motion=True).outcome == "motion lost"
     assert capfd.readouterr() == ("", "")
 
 
 def test_units_are_the_walkers(tmp_path):
-    steps = pipeline.simulate("C", 0.02, at_gait("C"), 2, motion=True)
+    steps = gaitsweep.simulate("C", 0.02, at_gait("C"), 2, motion=True)
     assert (steps.stance_rate.units, steps.period.units, steps.foot_x.units) == ("rad s-1", "s", "m")
-    assert pipeline.simulate("D", 0.009, at_gait("D"), 1).period.units == "1"
+    assert gaitsweep.simulate("D", 0.009, at_gait("D"), 1).period.units == "1"
     steps.to_netcdf(tmp_path / "steps.nc")
     # Time in units of sqrt(leg/g): without a unit the same steps take another number.
-    plain = pipeline.simulate("C", 0.02, at_gait("C") * [1, 2**0.5, 2**0.5], 1, g=2 * 9.81)
+    plain = gaitsweep.simulate("C", 0.02, at_gait("C") * [1, 2**0.5, 2**0.5], 1, g=2 * 9.81)
     assert float(plain.period[0]) == pytest.approx(float(steps.period[0]) / 2**0.5, rel=1e-12)
 
 
@@ -293,7 +293,7 @@ def test_units_are_the_walkers(tmp_path):
 def test_wrong_input_is_one_sentence(function, arguments, words):
     usual = {"walker": "C", "slope": 0.02, "state": at_gait("C"), **({"steps": 5} if function == "simulate" else {})}
     with pytest.raises(StudyError, match=f"^{words}"):
-        getattr(pipeline, function)(**{**usual, **arguments})
+        getattr(gaitsweep, function)(**{**usual, **arguments})
 
 
 def test_the_tasks_take_plain_data():

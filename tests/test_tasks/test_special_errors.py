@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_earlier_strike, exact_slope
+from gaitsweep.tasks import follow_curves
+from gaitsweep.tasks.continuation import special_points as module
+from gaitsweep.tasks.continuation.atlas import survey
+from gaitsweep.tasks.continuation.defining import SCALARS
+from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.continuation.tracking import correct
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas
 from soak.missed import neighbour
-from tasks import follow_curves
-from tasks.continuation import special_points as module
-from tasks.continuation.atlas import survey
-from tasks.continuation.defining import SCALARS
-from tasks.continuation.refine import COARSE
-from tasks.continuation.tracking import correct
-from tasks.step.problem import EPS, Problem
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import WalkerError
 
 #: Kinds that equations define, and lines of the long test.
 KINDS = {*SCALARS, "end_earlier_strike"} - {"window", "label", "speed", "fastest", "exponent", "foot_at_kneestrike"}

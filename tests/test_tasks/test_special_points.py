@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tasks.continuation.atlas import survey, to_arrays
-from tasks.follow_branches import branch
-from tasks.map_step import map_step
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
+from gaitsweep.tasks.continuation.atlas import survey, to_arrays
+from gaitsweep.tasks.follow_branches import branch
+from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.mechanics.kernel import Flow, integrating_seconds
+from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.registry import ALWAYS
+from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.status import CONVERGED
+from gaitsweep.tasks.step import simulate
+from gaitsweep.tasks.step.crossing import crossing
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
+from gaitsweep.tasks.step.verify_step import _cubics, _extrema, _least_distance, _unclear, _zero
+from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from oracle import Oracle, SimplestWalker, StepFailed
 from soak.stress import random_walker
-from tasks.mechanics.kernel import Flow, integrating_seconds
-from tasks.mechanics.lumped import structure_of
-from tasks.registry import ALWAYS
-from tasks.solve_points import lines
-from tasks.status import CONVERGED
-from tasks.step import simulate
-from tasks.step.crossing import crossing
-from tasks.step.problem import Lanes, Problem
-from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from tasks.step.verify_step import _cubics, _extrema, _least_distance, _unclear, _zero
-from tasks.walkers.resolve import resolve, resolve_many
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import pipeline
-from tasks.registry import VARIABLES, Variable
-from tasks.solve_points import atlas, points
-from tasks.walkers.catalogue import CATALOGUE
+import gaitsweep
+from gaitsweep.tasks.registry import VARIABLES, Variable
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Enough slopes for polynomials to give the gaits of a line.
 SLOPES = np.geomspace(1e-3, 0.012, 300)
@@ -41,7 +41,7 @@ def test_polynomials_give_each_smooth_variable_that_is_wanted_alone(lines, walke
 
 @pytest.mark.parametrize(("walker", "slope"), [("D", 0.016), ("C", 0.08)])
 def test_a_gait_of_two_steps_has_every_variable(walker, slope):
-    gait = pipeline.gaits(walker, slope, steps=2, variables=list(OF_GAITS)).isel(gait=0)
+    gait = gaitsweep.gaits(walker, slope, steps=2, variables=list(OF_GAITS)).isel(gait=0)
     kneed = CATALOGUE[walker].knees
     missing = {name for name in OF_GAITS if np.isnan(gait[name].values).any()}
     assert missing == {name for name in OF_GAITS if VARIABLES[name].is_of_knees and not kneed}
@@ -62,7 +62,7 @@ def test_a_variable_that_nothing_computes_is_refused(monkeypatch, lines, is_smoo
 
 @pytest.mark.parametrize(("walker", "slope"), [("A", 0.02), ("B", 0.01), ("physical", 0.036)])
 def test_step_length_frequency_and_velocity_ratio_follow_from_angle_period_and_rates(walker, slope):
-    legs, gait = CATALOGUE[walker], pipeline.gaits(walker, slope).sel(gait="long")
+    legs, gait = CATALOGUE[walker], gaitsweep.gaits(walker, slope).sel(gait="long")
     angle, u = float(gait.stance_angle), float(gait.heelstrike_rate_ratio)
     assert gait.step_length.item() == pytest.approx(2 * (legs.l * np.sin(angle) + legs.R * angle), rel=1e-14)
     assert gait.step_frequency.item() == pytest.approx(1 / gait.period.item(), rel=1e-14)
@@ -76,9 +76,9 @@ def test_step_length_frequency_and_velocity_ratio_follow_from_angle_period_and_r
 
 
 def test_the_length_of_two_steps_is_their_mean():
-    gait = pipeline.gaits("D", 0.016, steps=2).isel(gait=0)
+    gait = gaitsweep.gaits("D", 0.016, steps=2).isel(gait=0)
     state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    angles = pipeline.simulate("D", 0.016, state, 2).stance_angle.values
+    angles = gaitsweep.simulate("D", 0.016, state, 2).stance_angle.values
     lengths = np.sin(angles[:-1]) + np.sin(angles[1:])
     assert gait.step_length.item() == pytest.approx(lengths.mean(), rel=1e-9)
     assert gait.step_frequency.item() == pytest.approx(2 / gait.period.item(), rel=1e-14)

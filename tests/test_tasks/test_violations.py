@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 import oracle
+from gaitsweep.tasks.follow_branches import contact_lost
+from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.mechanics.contact import Chain
+from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
+from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.statics import statics
+from gaitsweep.tasks.walkers.walker import Walker
 from lines import branches
-from tasks.follow_branches import contact_lost
-from tasks.measures import violations
-from tasks.mechanics.contact import Chain
-from tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from tasks.solve_at_slope import solve_one
-from tasks.solve_points import atlas, points
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import resolve
-from tasks.walkers.statics import statics
-from tasks.walkers.walker import Walker
 
 WALKERS = Path(__file__).parents[2] / "data" / "walkers"
 GROUP = tuple(v.name for v in VARIABLES.values() if v.group == "violations")

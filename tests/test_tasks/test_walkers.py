@@ -10,19 +10,19 @@ import pytest
 from heyoka import real128
 from scipy.optimize import minimize
 
+from gaitsweep.tasks.measures.losses import velocity_ratio
+from gaitsweep.tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
+from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.describe import describe, drawing
+from gaitsweep.tasks.walkers.resolve import check, from_table, owned, resolve, resolve_many
+from gaitsweep.tasks.walkers.statics import is_tuned, nearest, statics
+from gaitsweep.tasks.walkers.tuning import tune, untuned
+from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 from lines import some
 from soak.bounds import RANDOM
 from soak.stress import random_walker
-from tasks.measures.losses import velocity_ratio
-from tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
-from tasks.solve_at_slope import solve_one
-from tasks.step.problem import Lanes, Problem
-from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.describe import describe, drawing
-from tasks.walkers.resolve import check, from_table, owned, resolve, resolve_many
-from tasks.walkers.statics import is_tuned, nearest, statics
-from tasks.walkers.tuning import tune, untuned
-from tasks.walkers.walker import NUMBERS, WalkerError
 
 
 def test_the_physical_walker_has_the_leg_that_was_settled():

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tasks.check_claims import claims
+from gaitsweep.tasks.check_claims import claims
 
 KEPT = Path(__file__).parents[2] / "data" / "reference" / "ledger.json"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")

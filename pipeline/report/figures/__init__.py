@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from unittest import mock
 
-from pipeline.report.figures import (
+from gaitsweep.pipeline.report.figures import (
     bifurcation,
     body,
     branch_curves,
@@ -21,11 +21,11 @@ from pipeline.report.figures import (
     scaling,
     searches,
 )
-from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import style
-from pipeline.report.figures.svg import Drawing, render
-from pipeline.report.source import Source
+from gaitsweep.pipeline.report.figures.degrees import add_degrees
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import style
+from gaitsweep.pipeline.report.figures.svg import Drawing, render
+from gaitsweep.pipeline.report.source import Source
 
 FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "loglog": families.loglog,

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures import landmarks
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import (
+from gaitsweep.pipeline.report.figures import landmarks
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import (
     DOTTED,
     GAIT_COLOURS,
     MAX_PANELS,
@@ -17,8 +17,8 @@ from pipeline.report.figures.style import (
     set_heading,
     thin,
 )
-from pipeline.report.source import Source
-from pipeline.report.words import axis_values, shorten
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import axis_values, shorten
 
 
 def bifurcation(source: Source) -> Sketch | None:

@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.patches import Arc, Circle
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour
-from pipeline.report.source import Source
-from pipeline.report.words import fill, shorten
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import fill, shorten
 
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 #: Walkers drawn at most, and in one row.

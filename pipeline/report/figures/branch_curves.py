@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures import landmarks, measured
-from pipeline.report.figures.sketch import TIPS, Sketch
-from pipeline.report.figures.style import (
+from gaitsweep.pipeline.report.figures import landmarks, measured
+from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
+from gaitsweep.pipeline.report.figures.style import (
     INK,
     MAX_PANELS,
     MUTED,
@@ -19,8 +19,8 @@ from pipeline.report.figures.style import (
     thin,
     write_at,
 )
-from pipeline.report.source import Source, rows_at
-from pipeline.report.words import WORDS, axis_values, shorten, spaced
+from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.words import WORDS, axis_values, shorten, spaced
 
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import INK, MUTED, PRINTED, VARIABLES, set_heading
-from pipeline.report.source import Source
-from pipeline.report.words import WORDS, spaced
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import INK, MUTED, PRINTED, VARIABLES, set_heading
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import WORDS, spaced
 
 #: Colour and marker of each verdict; a square is a proof here as in the ledger.
 _INKS = {name: ink for ink, name in VARIABLES.items()}

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures.body import Body, draw_leg
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, INK, MUTED, colour, evenly, set_heading, write_at
-from pipeline.report.source import Source
-from pipeline.report.words import axis_values, plain, shorten, with_unit
+from gaitsweep.pipeline.report.figures.body import Body, draw_leg
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MUTED, colour, evenly, set_heading, write_at
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import axis_values, plain, shorten, with_unit
 
 #: Steps of the archive that are read, evenly spread.
 _MAX_STEPS = 12

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.figures.style import MUTED
-from pipeline.report.words import plain
+from gaitsweep.pipeline.report.figures.style import MUTED
+from gaitsweep.pipeline.report.words import plain
 
 _UNIT = "(rad)"
 _MAX_INTERVALS = 5

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.figures.sketch import Panel, Sketch
-from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import choose_rows
-from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, WORDS, plain, shorten, spaced, with_unit
+from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
+from gaitsweep.pipeline.report.figures.starts import START, cells
+from gaitsweep.pipeline.report.figures.style import choose_rows
+from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, plain, shorten, spaced, with_unit
 
 
 class Mapped(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures import landmarks, measured
-from pipeline.report.figures.sketch import TIPS, Sketch
-from pipeline.report.figures.style import (
+from gaitsweep.pipeline.report.figures import landmarks, measured
+from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
+from gaitsweep.pipeline.report.figures.style import (
     DASHES,
     DOTTED,
     INK,
@@ -24,8 +24,8 @@ from pipeline.report.figures.style import (
     thin,
     write_at,
 )
-from pipeline.report.source import RATES, Line, Source, rows_at
-from pipeline.report.words import plain, shorten
+from gaitsweep.pipeline.report.source import RATES, Line, Source, rows_at
+from gaitsweep.pipeline.report.words import plain, shorten
 
 
 def loglog(source: Source) -> Sketch | None:

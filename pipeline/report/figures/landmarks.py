@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures.style import INK, PRINTED, write_at
-from pipeline.report.source import Source
-from pipeline.report.words import plain
+from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import plain
 
 #: Columns of the tables of landmarks.
 _COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]

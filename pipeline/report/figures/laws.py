@@ -2,10 +2,10 @@
 
 import pandas as pd
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour, set_heading
-from pipeline.report.source import Source
-from pipeline.report.words import plain
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour, set_heading
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import plain
 
 #: Marker of each range of slopes, and the exponents that section 6.2 allows.
 _RANGES = {"vanishing": "o", "small": "s", "larger": "^"}

@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Rectangle
 
-from pipeline.report.figures import fields
-from pipeline.report.figures.sketch import Panel, Sketch
-from pipeline.report.figures.starts import START, cells, parameters
-from pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, set_heading, set_log
-from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
+from gaitsweep.pipeline.report.figures import fields
+from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
+from gaitsweep.pipeline.report.figures.starts import START, cells, parameters
+from gaitsweep.pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, set_heading, set_log
+from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")

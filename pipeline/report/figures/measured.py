@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import INK, PAPER, draw_gait, set_heading, thin
-from pipeline.report.source import Source, rows_at
-from pipeline.report.words import plain, print_units, spaced, titled, with_unit
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import INK, PAPER, draw_gait, set_heading, thin
+from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.words import plain, print_units, spaced, titled, with_unit
 
 #: How measurements are drawn, and their entry in a legend.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}

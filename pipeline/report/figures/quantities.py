@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures import measured
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin
-from pipeline.report.source import RATES, Source
-from pipeline.report.words import WORDS, spaced, with_unit
+from gaitsweep.pipeline.report.figures import measured
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin
+from gaitsweep.pipeline.report.source import RATES, Source
+from gaitsweep.pipeline.report.words import WORDS, spaced, with_unit
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DASHES, DOTTED, GAIT_COLOURS, INK, MARKERS, MUTED, set_heading, set_log
-from pipeline.report.source import Source
-from pipeline.report.words import plain, spaced
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import (
+    DASHES,
+    DOTTED,
+    GAIT_COLOURS,
+    INK,
+    MARKERS,
+    MUTED,
+    set_heading,
+    set_log,
+)
+from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import plain, spaced
 
 #: Quantities of the two panels, as the names of their columns begin: their names in a legend and under the pointer.
 _TITLES = {

@@ -5,8 +5,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import (
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import (
     DASHES,
     DOTTED,
     GAIT_COLOURS,
@@ -18,8 +18,8 @@ from pipeline.report.figures.style import (
     set_log,
     write_at,
 )
-from pipeline.report.source import Source, rows_at
-from pipeline.report.words import axis_values, plain, print_units, shorten, spaced, symbol, with_unit
+from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.words import axis_values, plain, print_units, shorten, spaced, symbol, with_unit
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990

@@ -9,8 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from pipeline.report.figures.style import DASHES, INK, MUTED, PRINTED, canvas, colour
-from pipeline.report.words import WORDS, fill, sentences, shorten
+from gaitsweep.pipeline.report.figures.style import DASHES, INK, MUTED, PRINTED, canvas, colour
+from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten
 
 #: What a gait's columns are called under the pointer.
 TIPS = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "period": "period"}

@@ -7,10 +7,10 @@ from urllib.parse import parse_qsl, urlencode
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures import fields
-from pipeline.report.figures.style import spread_evenly
-from pipeline.report.source import RATES, Source
-from pipeline.report.words import axis_values, symbol
+from gaitsweep.pipeline.report.figures import fields
+from gaitsweep.pipeline.report.figures.style import spread_evenly
+from gaitsweep.pipeline.report.source import RATES, Source
+from gaitsweep.pipeline.report.words import axis_values, symbol
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
 START = ("slope", "stance_angle", *RATES)

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from pipeline.report.words import axis_values, plain, shorten, superscript
+from gaitsweep.pipeline.report.words import axis_values, plain, shorten, superscript
 
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480

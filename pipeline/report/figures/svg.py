@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pipeline.report.figures.sketch import Marks, Panel, Sketch
-from pipeline.report.figures.starts import START, rounded
-from pipeline.report.figures.style import VARIABLES, spread_evenly
-from pipeline.report.words import plain
+from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
+from gaitsweep.pipeline.report.figures.starts import START, rounded
+from gaitsweep.pipeline.report.figures.style import VARIABLES, spread_evenly
+from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
 TARGETS = 240

@@ -1,0 +1,62 @@
+"""Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
+
+`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study and `load` opens its archive. The code
+is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which computes.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gaitsweep.pipeline.api.steps import simulate, step_map
+    from gaitsweep.pipeline.api.studies import gaits, load, run, solve
+    from gaitsweep.pipeline.errors import (
+        ArchiveError,
+        BusyError,
+        DiskFullError,
+        GaitsweepError,
+        StoppedError,
+        StudyError,
+        WorkerError,
+    )
+
+    __version__: str
+
+_ERRORS = "ArchiveError", "BusyError", "DiskFullError", "GaitsweepError", "StoppedError", "StudyError", "WorkerError"
+#: Module of each name; it is imported on use, so that a command loads only what it needs.
+_HOMES = {
+    **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
+    **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
+    **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
+}
+
+__all__ = [
+    "ArchiveError",
+    "BusyError",
+    "DiskFullError",
+    "GaitsweepError",
+    "StoppedError",
+    "StudyError",
+    "WorkerError",
+    "__version__",
+    "gaits",
+    "load",
+    "run",
+    "simulate",
+    "solve",
+    "step_map",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("gaitsweep")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
