@@ -18,11 +18,11 @@ from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.families.patch import Patch, measured, side_of_fold
 from gaitsweep.tasks.families.pieces import Piece, match, pieces_of
 from gaitsweep.tasks.families.span import Span
+from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.newton import newton, newton_step
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.problem import Lanes
-from gaitsweep.tasks.walkers.statics import leg_moment
 
 #: Coordinates of lines at the centre of a box, where no constant of a walker vanishes that does not vanish everywhere,
 #: and at its corners; a known line this near to one wanted serves as well.
@@ -53,10 +53,9 @@ _EVENTS = {
     for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
 }
 _ASTRAY = 0.25
-#: Places along a key at which walkers may be tuned, the slope at which those are balanced, over others', the part of a
-#: box that is cut off at a face of tuned ones, and the largest slope of balance, over those of the window, that does
-#: not matter.
-_PLACES, _TUNED, _SLIVER, _BALANCED = 9, 1e-9, 1 / 64, 0.25
+#: The part of a box that is cut off at a face of tuned walkers, the largest slope of balance, over those of the window,
+#: that does not matter, and places along keys at which ends are compared.
+_SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9
 #: Norm of rates over angle at an end from which on steps nearly vanish there [sqrt(g/leg)].
 _FAST = 4.0
 #: How near a patch is to pieces of lines in a corner, and inside.
@@ -237,25 +236,15 @@ class _Maker:
 
         Others have them at slopes of the order of that at which the still walker, legs together, is balanced.
         """
-        for axis in range(self.d):
-            unit = np.zeros((_PLACES, self.d))
-            unit[:, axis] = np.linspace(-1, 1, _PLACES)
-            keys = self.box.at(unit)
-            walkers, values = self.family.walkers(keys), keys[:, axis]
-            moment = leg_moment(walkers)
-            balanced = 2 * moment.real / (walkers.total_mass * walkers.leg + 2 * moment.imag)
-            offset = np.broadcast_to(balanced, _PLACES)
-            if np.abs(offset).max() < _BALANCED * np.exp(self.window[0]):
+        for axis, (low, high) in enumerate(zip(self.box.low, self.box.high, strict=True)):
+            tuning = Tuning(self.family, self.box, axis)
+            if tuning.largest < _BALANCED * np.exp(self.window[0]):
                 continue
-            is_tuned = np.abs(offset) < _TUNED * np.abs(offset).max()
-            if is_tuned[0] or is_tuned[-1]:
-                share = _SLIVER if is_tuned[0] else 1 - _SLIVER
-                raise Refused("tuned walkers at a face", axis, float(values[0] + share * (values[-1] - values[0])))
-            crossing = np.flatnonzero(is_tuned[1:] | (np.diff(np.sign(offset)) != 0))
-            if len(crossing):
-                k = int(crossing[0])
-                share = offset[k] / (offset[k] - offset[k + 1])
-                raise Refused("tuned walkers inside", axis, float(values[k] + share * (values[k + 1] - values[k])))
+            if any(at := tuning.at_faces()):
+                share = _SLIVER if at[0] else 1 - _SLIVER
+                raise Refused("tuned walkers at a face", axis, low + share * (high - low))
+            if (value := tuning.inside()) is not None:
+                raise Refused("tuned walkers inside", axis, value)
 
     def groups(self) -> list[list[Piece]]:
         """Pieces that come near the window on any line at the centre and the corners, each on all of these."""

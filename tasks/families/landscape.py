@@ -30,6 +30,7 @@ from gaitsweep.tasks.families.division import divide
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold import Manifold
 from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
@@ -55,8 +56,9 @@ _ROUNDS, _MAX_LINES = 6, 8
 _RARE = 0.02
 #: Points closer than this are identical.
 _SAME = 1e-6
-#: Boxes of fewer designs than this are left to lines; most halvings of a box.
-_MIN_DESIGNS, _MAX_SPLITS = 64, 8
+#: Boxes of fewer designs than this are left to lines; most halvings of a box; designs of a box, for each part of it
+#: that is tried, from which on that takes less time than their lines.
+_MIN_DESIGNS, _MAX_SPLITS, _A_TRY = 64, 8, 100
 
 
 @dataclass
@@ -204,6 +206,17 @@ class _Surveyor:
         axes = [np.unique(both[:, k]) for k in range(self.d)]
         self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.d)
 
+    def check_tuning(self) -> None:
+        """Refuse a box of two keys in which walkers are tuned at one value of a key, whatever the other is.
+
+        Beside it points at the window's edge have ends on both sides, and a region has one.
+        """
+        for axis in range(self.d if self.d == 2 else 0):
+            found = [Tuning(self.maker.family, self.box, axis, others).inside() for others in (-1.0, 0.0, 1.0)]
+            (at, *others) = [value for value in found if value is not None] or [np.nan]
+            if len(others) == 2 and np.ptp(found) < _SAME * abs(at):
+                raise Refused("tuned walkers inside", axis, at)
+
     def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
         """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""
         problem = self.maker.problem(unit)
@@ -236,6 +249,7 @@ class _Surveyor:
 
     def landscape(self) -> Landscape:
         """Survey lines and add manifolds until the lattice holds nothing new."""
+        self.check_tuning()
         self.begin()
         for _ in range(_ROUNDS):
             while self.missing(rivals=False):
@@ -356,9 +370,16 @@ def make(
         Logarithm of a speed at which the least cost of transport is wanted.
     """
     lines: list[_Line] = []
+    tried: list[Box] = []
 
-    def landscape(box: Box, why: str) -> Landscape:
-        surveyor = _Surveyor(family, box, window, lines, log_speed)
-        return Landscape(box, surveyor.structure, why=why) if why else surveyor.landscape()
+    def landscape(part: Box, why: str) -> Landscape:
+        surveyor = _Surveyor(family, part, window, lines, log_speed)
+        if why:
+            return Landscape(part, surveyor.structure, why=why)
+        tried.append(part)
+        return surveyor.landscape()
 
-    return divide(box, landscape, lambda part: count(part) >= _MIN_DESIGNS, splits)
+    def is_worth(part: Box) -> bool:
+        return count(part) >= _MIN_DESIGNS and len(tried) * _A_TRY <= count(box)
+
+    return divide(box, landscape, is_worth, splits)

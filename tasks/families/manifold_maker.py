@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +13,7 @@ from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
 from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold import LEAST, Manifold, Region
+from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.multipliers import other_multipliers
 from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.problem import Lanes
@@ -19,7 +21,7 @@ from gaitsweep.tasks.walkers.statics import leg_moment
 from gaitsweep.tasks.walkers.walker import WalkerError
 
 #: First and most nodes along each key, and the error of predictions below which no more are taken.
-_FIRST, _MAX_NODES, _GOOD = 5, 33, 1e-6
+_FIRST, _MAX_NODES, _GOOD = 5, 48, 1e-6
 #: Error of the ends of pieces below which no more nodes are taken.
 _GOOD_ENDS = 1e-9
 #: Largest error of the predictions of a useful manifold.
@@ -149,11 +151,14 @@ class _Extension:
 
     def manifold(self) -> Manifold:
         sizes = (_FIRST,) * self.d
-        nodes, region = tensor_nodes(sizes), Region.whole(self.d)
-        points, there = self.carried(nodes, region)
-        if not there.all():
-            region = self.cut(nodes[~there])
-        first = self.chart(region, sizes, points=points if there.all() else None)
+        if region := self.vanishing_beside():
+            points = None
+        else:
+            nodes, region = tensor_nodes(sizes), Region.whole(self.d)
+            points, there = self.carried(nodes, region)
+            if not there.all():
+                region, points = self.cut(nodes[~there]), None
+        first = self.chart(region, sizes, points=points)
         return self.measured(region, self.fit(region, first, _GOOD, _MAX_NODES**self.d))
 
     def fit(self, region: Region, first: Chart, good: float, total: int) -> Chart:
@@ -250,6 +255,14 @@ class _Extension:
             active = active[(share[active] < 1 - 1e-12) & (points.stride[active] > _MIN_STRIDE)]
         points.Z += own.growth(nodes)[0]
         return points, share >= 1 - 1e-12
+
+    def vanishing_beside(self) -> Region | None:
+        """The region of folds up to tuned walkers at a face, or beside it, where they vanish."""
+        for axis in range(self.d if self.kind == "fold" else 0):
+            if side := Tuning(self.maker.family, self.box, axis).beside():
+                with contextlib.suppress(Refused):
+                    return self.smooth_cut(axis, side)
+        return None
 
     def cut(self, lost: np.ndarray) -> Region:
         """The region of the manifold, which does not extend to some designs, `lost` (n, d)."""

@@ -223,6 +223,43 @@ def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
         assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(tuned_at(0.2), rel=1e-12)
 
 
+def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
+    """Within its window the smallest slope vanishes at R = 0.2; the map took thrice as long as its lines."""
+    R, m_h = np.delete(np.linspace(0.02, 0.4, 20), 9), np.linspace(0.0, 10.0, 21)  # without tuned walkers
+    family = Family.of({"walker": "A"}, ("R", "m_h"))
+    window = float(np.log(1e-4)), float(np.log(0.2))
+    whole = Box(("R", "m_h"), (0.02, 0.0), (0.4, 10.0), log=True)
+    parts = make(family, whole, window, lambda part: 420, log_speed=-0.2)
+    assert [part.why for part in parts] == ["", ""] and parts[0].box.high[0] == pytest.approx(0.2, rel=1e-12)
+    draw = np.random.default_rng(1)
+    keys = np.column_stack([draw.choice(R, 12), draw.choice(m_h, 12)])
+    for part in parts:
+        own = keys[(part.box.low[0] < keys[:, 0]) & (keys[:, 0] < part.box.high[0])]
+        rows = _Rows(len(own), -0.2)
+        accepted = _solve(family, part, own, np.arange(len(own)), window, rows)
+        assert accepted.sum() >= 3
+        line = {"walker": "A", "set": {"R": own[:, 0], "m_h": own[:, 1]}}
+        lines = computed({"line": line, "slope": np.array([1e-4, 0.2]), "at_speed": np.exp(-0.2)})
+        for name, column in [(name, name) for name in QUANTITIES[:2]] + [("least_cost", "slope_at_least_cost")]:
+            error = rows.error[name] + lines[f"{name}_error"]
+            off = np.abs(np.exp(rows.value[name]) / lines[column] - 1)
+            assert (np.isnan(rows.value[name]) == np.isnan(lines[column]))[accepted].all()
+            assert (off <= error)[accepted & np.isfinite(off)].all()
+
+
+def test_parts_that_are_refused_cost_no_more_than_lines(monkeypatch):
+    tried = []
+
+    def refuse(self):
+        tried.append(self.box)
+        raise Refused("always")
+
+    monkeypatch.setattr(_Surveyor, "landscape", refuse)
+    family, box = Family.of({"walker": "A"}, ("detuning",)), Box(("detuning",), (0.1,), (0.9,))
+    parts = make(family, box, WINDOW, lambda part: int(1000 * (part.high[0] - part.low[0])))
+    assert len(tried) == 9 and not [part for part in parts if not part.why]
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
     family, landscape = made("tuned")

@@ -1,0 +1,76 @@
+"""Where the walkers of a box are tuned: their gaits continue to vanishing slopes, and special points move by powers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gaitsweep.tasks.families.box import Box
+from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.walkers.statics import leg_moment
+
+#: Places along a key at which walkers may be tuned, and the slope at which those are balanced, over others'.
+_PLACES, _TUNED = 9, 1e-9
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Slopes at which still walkers, legs together, are balanced, along a key through the middle of a box.
+
+    Attributes
+    ----------
+    family : Family
+    box : Box
+    axis : int
+    others : float
+        Coordinate of the other keys.
+    """
+
+    family: Family
+    box: Box
+    axis: int
+    others: float = 0.0
+
+    def balanced(self, at: np.ndarray) -> np.ndarray:
+        """Return the slopes [rad] at coordinates of the key, shape (n,) both: of that order are smallest slopes."""
+        unit = np.full((len(at), len(self.box.keys)), self.others)
+        unit[:, self.axis] = at
+        walkers = self.family.walkers(self.box.at(unit))
+        moment = leg_moment(walkers)
+        slopes = 2 * moment.real / (walkers.total_mass * walkers.leg + 2 * moment.imag)
+        return np.broadcast_to(slopes, len(at))
+
+    @property
+    def largest(self) -> float:
+        """Largest of the slopes."""
+        return float(np.abs(self.balanced(np.linspace(-1, 1, _PLACES))).max())
+
+    def at_faces(self) -> tuple[bool, bool]:
+        """Return whether the walkers at the lower and at the upper face are tuned."""
+        slopes = np.abs(self.balanced(np.linspace(-1, 1, _PLACES)))
+        low, high = slopes[[0, -1]] < _TUNED * slopes.max()
+        return bool(low), bool(high)
+
+    def inside(self) -> float | None:
+        """Return the first value of the key between the faces at which walkers are tuned [the walker's units]."""
+        from scipy.optimize import brentq  # as long to import as the solver
+
+        places = np.linspace(-1, 1, _PLACES)
+        signs = np.sign(self.balanced(places))
+        crossing = np.flatnonzero(signs[1:] != signs[:-1])
+        if not len(crossing) or any(self.at_faces()):
+            return None
+        k = int(crossing[0])
+        at = brentq(lambda x: self.balanced(np.array([x]))[0], places[k], places[k + 1], xtol=1e-15, rtol=1e-15)
+        unit = np.full((1, len(self.box.keys)), self.others)
+        unit[0, self.axis] = at
+        return float(self.box.at(unit)[0, self.axis])
+
+    def beside(self) -> int:
+        """Return -1 or 1 if walkers are tuned at the lower or the upper face, or just outside or inside; 0 if not."""
+        for side in (-1, 1):
+            a, b = self.balanced(side * np.array([0.9, 1.1]))
+            if a * b < 0:
+                return side
+        return 0
