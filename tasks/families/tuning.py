@@ -54,13 +54,13 @@ class Tuning:
 
     def inside(self) -> float | None:
         """Return the first value of the key between the faces at which walkers are tuned [the walker's units]."""
-        from scipy.optimize import brentq  # as long to import as the solver
-
         places = np.linspace(-1, 1, _PLACES)
         signs = np.sign(self.balanced(places))
         crossing = np.flatnonzero(signs[1:] != signs[:-1])
         if not len(crossing) or any(self.at_faces()):
             return None
+        from scipy.optimize import brentq  # as long to import as the solver
+
         k = int(crossing[0])
         at = brentq(lambda x: self.balanced(np.array([x]))[0], places[k], places[k + 1], xtol=1e-15, rtol=1e-15)
         unit = np.full((1, len(self.box.keys)), self.others)

@@ -50,15 +50,17 @@ def table(quick: bool, newton_solve: float) -> list[dict[str, float | str]]:
         study = _study(grid)
         seconds, gaits = solve_study(study, jobs=2)
         further = seconds - least
-        _, boxes, charts = planes.made(study)
+        plane = planes.made(study)
         rows.append(
             {
                 "walker": grid.walker + (f" toward {label(grid.toward)}" if grid.toward else ""),
                 "grid": " × ".join(
                     [f"{grid.slopes} slopes", *(f"{n} {key}" for key, (_, _, n, _) in grid.keys.items())]
                 ),
-                "boxes of a plane": float(boxes),
-                "charts of a plane": float(charts),
+                "boxes of a plane": float(plane.boxes),
+                "charts of a plane": float(plane.charts),
+                "lines surveyed for it": float(plane.surveyed),
+                "of its points left to lines": float(plane.fell_back),
                 "gaits": float(gaits),
                 "s of one point": least,
                 "s beyond": further,

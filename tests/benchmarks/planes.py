@@ -1,18 +1,20 @@
 """Processor time of planes of keys: the cost of making charts, and of every further walker."""
 
 import functools
+import itertools
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 
 from benchmarks.harness import what_more_take
-from gaitsweep.pipeline.dispatch import resolve
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.parse import parse
-from gaitsweep.tasks.families.cell import parts
+from gaitsweep.tasks import solve_planes
+from gaitsweep.tasks.families import cell
 
 #: Walkers, a slope, and the two keys with their ranges.
 PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
@@ -33,16 +35,16 @@ def table(quick: bool) -> list[dict[str, float | str]]:
     for name, (slope, keys) in list(PLANES.items())[: 1 if quick else None]:
         study = functools.partial(_study, name, slope, keys)
         further = what_more_take(study, *_ACROSS[quick])
-        seconds, boxes, charts = made(study(_ACROSS[quick][0]))
+        plane = made(study(_ACROSS[quick][0]))
         rows.append(
             {
                 "walker": name,
                 "keys": " × ".join(keys),
                 "gaits": float(further.gaits + further.gaits_of_fewer),
                 "s a further gait": further.seconds / further.gaits,
-                "s of charts": seconds,
-                "boxes": float(boxes),
-                "charts": float(charts),
+                "s of charts": plane.seconds,
+                "boxes": float(plane.boxes),
+                "charts": float(plane.charts),
             }
         )
     return rows
@@ -53,15 +55,46 @@ def _study(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: i
     return {"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}
 
 
-def made(table: dict[str, Any]) -> tuple[float, int, int]:
-    """Processor time of making the charts of a study's first plane [s], the boxes of keys, the charts; 0 without."""
+class Made(NamedTuple):
+    """A plane: processor time of making its charts [s], boxes of keys, charts, lines surveyed, points left to lines."""
+
+    seconds: float = 0.0
+    boxes: int = 0
+    charts: int = 0
+    surveyed: int = 0
+    fell_back: int = 0
+
+
+def made(table: dict[str, Any]) -> Made:
+    """Make the charts of a study's first plane, if it has one, and solve its points by them."""
     graph = Graph(parse(table, "", Path("plane.toml")), in_memory=True)
     if graph.method is not Method.PLANE:
-        return 0.0, 0, 0
+        return Made()
     node = graph.line_node(0, "charts")
-    make, params = resolve(graph.function(node)), graph.params(node)
-    make(params, [])  # loads code
-    begin = time.process_time()
-    arrays = make(params, [])
-    seconds, boxes = time.process_time() - begin, parts(arrays)
-    return seconds, len(boxes), sum(len(parts(box)) for box in boxes)
+    params = graph.params(node)
+    solve_planes.charts(params, [])  # loads code
+    with mock.patch.object(cell, "survey_lines", side_effect=cell.survey_lines) as survey:
+        begin = time.process_time()
+        arrays = solve_planes.charts(params, [])
+        seconds = time.process_time() - begin
+    accepted = 0
+
+    def solve(*arguments: Any) -> Any:
+        nonlocal accepted
+        solved, which = solved_by_charts(*arguments)
+        accepted += int(which.sum())
+        return solved, which
+
+    solved_by_charts, plane, line = solve_planes.solve, params["plane"], params["line"]
+    every = itertools.product(*plane["values"])
+    lines = [{**line, "set": {**line["set"], **dict(zip(plane["keys"], at, strict=True))}} for at in every]
+    with mock.patch.object(solve_planes, "solve", solve):
+        solve_planes.lines({**params, "lines": lines}, [arrays])
+    boxes = cell.parts(arrays)
+    return Made(
+        seconds,
+        len(boxes),
+        sum(len(cell.parts(box)) for box in boxes),
+        sum(len(call.args[0].lanes) for call in survey.call_args_list),
+        len(lines) * len(params["slope"]) - accepted,
+    )
