@@ -212,10 +212,10 @@ class _Surveyor:
         Beside it points at the window's edge have ends on both sides, and a region has one.
         """
         for axis in range(self.d if self.d == 2 else 0):
-            found = [Tuning(self.maker.family, self.box, axis, others).inside() for others in (-1.0, 0.0, 1.0)]
-            (at, *others) = [value for value in found if value is not None] or [np.nan]
-            if len(others) == 2 and np.ptp(found) < _SAME * abs(at):
-                raise Refused("tuned walkers inside", axis, at)
+            tunings = [Tuning(self.maker.family, self.box, axis, others) for others in (-1.0, 0.0, 1.0)]
+            found = [value for tuning in tunings if (value := tuning.inside()) is not None]
+            if len(found) == len(tunings) and np.ptp(found) < _SAME * abs(found[0]):
+                raise Refused("tuned walkers inside", axis, found[0])
 
     def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
         """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""

@@ -19,6 +19,7 @@ from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.statics import leg_moment
 from gaitsweep.tasks.walkers.walker import WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: First and most nodes along each key, and the error of predictions below which no more are taken.
 _FIRST, _MAX_NODES, _GOOD = 5, 48, 1e-6
@@ -68,7 +69,25 @@ class Maker:
         unit : ndarray, shape (n, d)
             Coordinates of keys.
         """
-        return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
+        return Lanes(self.walkers(unit), self.structure)
+
+    def walkers(self, unit: np.ndarray) -> WalkerArray:
+        """Return walkers.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Raises
+        ------
+        Refused
+            If one cannot be.
+        """
+        try:
+            return self.family.walkers(self.box.at(unit))
+        except WalkerError as error:
+            raise Refused(f"special points are followed to where {error}") from None
 
     def static_moment(self, unit: np.ndarray) -> np.ndarray:
         """Return what vanishes where the smallest slope of straight legs does: the moment of a leg about the hip.
@@ -82,7 +101,7 @@ class Maker:
         -------
         ndarray, shape (n,)
         """
-        return np.broadcast_to(leg_moment(self.family.walkers(self.box.at(unit))).real, len(unit))
+        return np.broadcast_to(leg_moment(self.walkers(unit)).real, len(unit))
 
     def manifold(self, kind: str, unit: np.ndarray, Z: np.ndarray, target: float = 0.0) -> Manifold:
         """Return the manifold through a point.
@@ -101,10 +120,7 @@ class Maker:
             If it is not smooth enough, ends in the box in another way than along a curve, or goes on where no walker
             is valid.
         """
-        try:
-            return _Extension(self, kind, target, unit, Z).manifold()
-        except WalkerError as error:
-            raise Refused(f"a {kind} counts where {error}") from None
+        return _Extension(self, kind, target, unit, Z).manifold()
 
     def ends(self, kind: str, unit: np.ndarray, Z: np.ndarray, total: int) -> Chart:
         """Return the chart of the special points of a kind through one, of Z (c values), over the whole box.

@@ -306,15 +306,12 @@ def test_boxes_with_logarithms_have_inverse_coordinates():
     assert box.at(np.array([[-1.0, -1.0], [1.0, 1.0]])) == pytest.approx(np.array([[0.005, 0.0], [1.0, 6.0]]))
 
 
-def test_a_manifold_that_goes_on_where_no_walker_can_be_is_refused(monkeypatch):
-    def beyond(_):
-        resolve("B", {"m_h": -0.1})
-
-    monkeypatch.setattr(_Extension, "manifold", beyond)
-    family, box = Family.of({"walker": "B", "set": {}}, ("R",)), Box(("R",), (0.1,), (0.2,))
+@pytest.mark.parametrize("follow", [Maker.problem, Maker.static_moment])
+def test_special_points_that_go_on_where_no_walker_can_be_are_refused(follow):
+    family, box = Family.of({"walker": "B", "set": {}}, ("m_h",)), Box(("m_h",), (0.1,), (0.2,))
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
-    with pytest.raises(Refused, match=r"a flip counts where `m_h` must be >= 0; got -0\.1\."):
-        maker.manifold("flip", np.zeros(1), np.zeros(4))
+    with pytest.raises(Refused, match=r"are followed to where `m_h` must be >= 0; got -0\.1\d*\."):
+        follow(maker, np.array([[-5.0]]))
 
 
 def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
