@@ -12,6 +12,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
+from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold_maker import Maker
@@ -60,9 +61,8 @@ _SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9
 _FAST = 4.0
 #: How near a patch is to pieces of lines in a corner, and inside.
 _ALIKE = (0.1, 1e-2)
-#: First and smallest share of the way on which a gait is carried at a time, the largest distance from its prediction,
-#: and by how much strides grow and shrink.
-_STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR, _LONGER, _SHORTER = 0.25, 1 / 256, 0.3, 1.5, 0.4
+#: First share of the way on which a gait is carried at a time, and the largest distance from its prediction.
+_STRIDE, _MAX_STRIDE_ERROR = 0.25, 0.3
 
 
 @dataclass(eq=False)
@@ -445,19 +445,13 @@ class _Way:
         start = np.tile(self.maker.unit[0], (len(points), 1))
         start = np.column_stack([np.clip(points[:, 0], self.low, self.high), start])
         w = self.piece.gaits(self.span.log_slope(start))
-        n = len(points)
-        share, stride, rate, active = np.zeros(n), np.full(n, _STRIDE), np.zeros_like(w), np.arange(n)
-        while len(active):
-            step = np.minimum(stride[active], 1 - share[active])
-            at = start[active] + (share[active] + step)[:, None] * (points - start)[active]
-            new, fair = self.newton(at, w[:, active] + step * rate[:, active])
-            moved = active[fair]
-            rate[:, moved] = (new[:, fair] - w[:, moved]) / step[fair]
-            w[:, moved] = new[:, fair]
-            share[moved] += step[fair]
-            stride[active] *= np.where(fair, _LONGER, _SHORTER)
-            if (stride[active] < _MIN_STRIDE).any():
-                lost = (points - start)[active[stride[active] < _MIN_STRIDE], 1:]
-                raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
-            active = active[share[active] < 1 - 1e-12]
-        return w
+        gaits = Carried(w, _STRIDE)
+
+        def correct(active: np.ndarray, share: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return self.newton(start[active] + share[:, None] * (points - start)[active], guess)
+
+        there = gaits.carry(correct)
+        if not there.all():
+            lost = (points - start)[~there, 1:]
+            raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
+        return gaits.Z

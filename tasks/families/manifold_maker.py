@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import Solved, defining_system, evaluate, gradient, newton_step, solve
+from gaitsweep.tasks.continuation.defining import defining_system, evaluate, gradient, newton_step, solve
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
+from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold import LEAST, Manifold, Region
@@ -28,11 +29,10 @@ _GOOD_ENDS = 1e-9
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
-#: First and smallest share of the way in which a point is carried from one design to another, and largest distance from
-#: its prediction; the same of coordinates along which it is followed, with the largest, and by how much strides grow.
-_STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
+#: First share of the way in which a point is carried from one design to another, and largest distance from its
+#: prediction; first, least and largest step along coordinates in which it is followed, and that distance there.
+_STRIDE, _MAX_STRIDE_ERROR = 0.125, 0.3
 _FIRST_STRIDE, _LEAST_STRIDE, _LARGEST_STRIDE, _FOLLOWED_WITHIN = 0.02, 1e-4, 0.1, 0.05
-_LONGER, _SHORTER = 1.5, 0.4
 #: Displacement that shows how Newton's method converges.
 _DISPLACED = 1e-4
 #: How far a manifold that does not cover the box is followed along a key, and how far it is kept beyond the place from
@@ -142,20 +142,15 @@ class Maker:
         return _Extension(self, kind, 0.0, unit, Z).ends(total)
 
 
-class _Carried:
-    """Points (c, n) on their way to other designs, with the derivatives of their scalars and the next strides (n,).
+class _Points(Carried):
+    """Points on their way to other designs, with the derivatives of their scalars, `rows` (c, n).
 
-    Points and derivatives are accurate enough to lead to others.
+    Both are accurate enough to lead to others.
     """
 
     def __init__(self, Z: np.ndarray, rows: np.ndarray, stride: float):
-        self.Z, self.rows, self.stride = Z.copy(), rows.copy(), np.full(Z.shape[1], stride)
-        self.rate = np.zeros_like(Z)  # of the last steps: a parabola would lead to the other sheet beside a turn
-
-    def move(self, some: np.ndarray, Z: np.ndarray, rows: np.ndarray, step: np.ndarray) -> None:
-        """Move some of the points by steps."""
-        self.rate[:, some] = (Z - self.Z[:, some]) / step
-        self.Z[:, some], self.rows[:, some] = Z, rows
+        super().__init__(Z, stride)
+        self.rows = rows.copy()
 
 
 class _Extension:
@@ -197,7 +192,7 @@ class _Extension:
         return replace(chart, coefficients=chart.coefficients[:, : len(self.Z)], size=1.0)
 
     def chart(
-        self, region: Region, sizes: tuple[int, ...], before: Chart | None = None, points: _Carried | None = None
+        self, region: Region, sizes: tuple[int, ...], before: Chart | None = None, points: _Points | None = None
     ) -> Chart:
         """The chart through points at its nodes: those given, or predicted by the chart before, or carried there."""
         nodes = region.unit(tensor_nodes(sizes))
@@ -236,41 +231,36 @@ class _Extension:
         """Coordinates (n, d) of random designs that have a point of the manifold."""
         return region.unit(self.box.draw(_DRAWN, self.d, f"{self.kind} {chart.sizes}"))
 
-    def advance(
+    def correct(
         self,
-        points: _Carried,
+        points: _Points,
         active: np.ndarray,
         problem: Lanes,
-        step: np.ndarray,
         within: float,
+        guess: np.ndarray,
         growth: np.ndarray | float = 0.0,
-    ) -> tuple[Solved, np.ndarray]:
-        """Carry some points, `active`, by a step to other designs: what was solved there, and which are accepted."""
-        guess = points.Z[:, active] + step * points.rate[:, active]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Solve some points, `active`, at other designs: what was solved there, and which are accepted."""
         solved = solve(problem, self.kind, guess + growth, self.target, points.rows[:, active], quick=True)
         Z = solved.Z - growth
         fair = solved.ok & (np.abs(Z - guess).max(axis=0) < within)
-        points.move(active[fair], Z[:, fair], solved.rows[:, fair], step[fair])
-        points.stride[active] *= np.where(fair, _LONGER, _SHORTER)
-        return solved, fair
+        points.rows[:, active[fair]] = solved.rows[:, fair]
+        return Z, fair
 
-    def carried(self, nodes: np.ndarray, own: Region) -> tuple[_Carried, np.ndarray]:
+    def carried(self, nodes: np.ndarray, own: Region) -> tuple[_Points, np.ndarray]:
         """The point carried to other designs along straight lines in some coordinates, and whether it arrived, (n,)."""
-        n, start, ends = len(nodes), own.own(self.unit[None]), own.own(nodes)
-        row, growth = (
-            gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None]),
-            own.growth(self.unit[None])[0],
-        )
-        points = _Carried(np.repeat(self.Z[:, None] - growth, n, axis=1), np.repeat(row, n, axis=1), _STRIDE)
-        share, active = np.zeros(n), np.arange(n)
-        while len(active):
-            step = np.minimum(points.stride[active], 1 - share[active])
-            unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
-            _, fair = self.advance(points, active, self.problem(unit), step, _MAX_STRIDE_ERROR, own.growth(unit)[0])
-            share[active[fair]] += step[fair]
-            active = active[(share[active] < 1 - 1e-12) & (points.stride[active] > _MIN_STRIDE)]
+        n, here, start, ends = len(nodes), self.unit[None], own.own(self.unit[None]), own.own(nodes)
+        row, smooth = gradient(self.problem(here), self.kind, self.Z[:, None]), self.Z[:, None] - own.growth(here)[0]
+        points = _Points(np.repeat(smooth, n, axis=1), np.repeat(row, n, axis=1), _STRIDE)
+
+        def correct(active: np.ndarray, share: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            unit = own.unit(start + share[:, None] * (ends[active] - start))
+            growth, problem = own.growth(unit)[0], self.problem(unit)
+            return self.correct(points, active, problem, _MAX_STRIDE_ERROR, guess, growth)
+
+        there = points.carry(correct)
         points.Z += own.growth(nodes)[0]
-        return points, share >= 1 - 1e-12
+        return points, there
 
     def vanishing_beside(self) -> Region | None:
         """The region of folds up to tuned walkers at a face, or beside it, where they vanish."""
@@ -330,29 +320,30 @@ class _Extension:
 
     def followed(
         self, Z: np.ndarray, start: np.ndarray, axis: int, side: int
-    ) -> tuple[_Carried, np.ndarray, np.ndarray]:
+    ) -> tuple[_Points, np.ndarray, np.ndarray]:
         """Follow points along one key until no gaits beside them are stable any more, or two sheets meet.
 
         Returns
         -------
-        points : _Carried
+        points : _Points
         ends : ndarray, shape (n,)
             Coordinates of the key.
         turned : ndarray of bool, shape (n,)
             Where two sheets meet, so that points cannot be followed.
         """
         n, u, active = len(start), start[:, axis].copy(), np.arange(len(start))
-        points = _Carried(Z, gradient(self.problem(start), self.kind, Z), _FIRST_STRIDE)
+        points = _Points(Z, gradient(self.problem(start), self.kind, Z), _FIRST_STRIDE)
         counts, ended, turned = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, bool)
         while len(active):
             at, stride = start[active].copy(), points.stride[active]
             at[:, axis] = u[active] + side * stride
             problem = self.problem(at)
-            solved, fair = self.advance(points, active, problem, stride, _FOLLOWED_WITHIN)
+            correct = partial(self.correct, points, active, problem, _FOLLOWED_WITHIN)
+            fair = points.advance(active, stride, correct)
             new = active[fair]
             u[new] = at[fair, axis]
             # Gaits of a speed count whether they are stable or not.
-            jacobian = evaluate(problem, solved.Z).stride.jacobian
+            jacobian = evaluate(problem, points.Z[:, active]).stride.jacobian
             stable = (other_multipliers(self.kind, jacobian)[fair] < 1) | (self.kind == "speed")
             ended[new] = counts[new] & ~stable
             counts[new] |= stable
