@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gaitsweep.pipeline.report.words import WORDS, plain, spaced
+from gaitsweep.pipeline.report.words import WORDS, phrased, plain, spaced
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
         return Cell(str(int(value)).replace("-", "−"), int(value), counted)
     if isinstance(value, (float, np.floating)):
         return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
-    return Cell(str(value))
+    return Cell(WORDS["names"].get(value) or phrased(str(value)))
 
 
 #: Names of columns of words, of flags and of errors.

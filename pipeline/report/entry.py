@@ -12,9 +12,11 @@ from typing import Any
 class Entry:
     """One page as the index and the ledger show it.
 
-    `slug` names the page, `study` is the slug of its study; `statuses` are (name, count, share); `figures` are anchors
-    on the page; `thumbnail` is its first figure, small; `claims` are rows of the ledger; `files` are the data files
-    written with the page; `lines` are gaits that the index can show walking.
+    `slug` names the page, `study` is the slug of its study; `section` and `place` are those of a study of the paper in
+    the index; `statuses` are (name, count, share); `figures` have name, title, finding and the claims that they show
+    besides those that name them; `thumbnail` is the first figure, small; `claims` are rows of the ledger; `files` are
+    the data files written with the page; `lines` are gaits that the index can show walking. A study that only feeds the
+    ledger has no page but its `text` there.
     """
 
     slug: str
@@ -23,19 +25,30 @@ class Entry:
     title: str
     about: str
     whole: str
+    section: str
+    place: int
     statuses: list[tuple[str, int, float]]
-    figures: list[str]
+    figures: list[dict[str, Any]]
     claims: list[dict[str, Any]]
     files: list[str]
     thumbnail: str
     lines: list[dict[str, Any]]
+    text: str
 
     @property
-    def order(self) -> tuple[bool, bool, list[tuple[int, str]], str]:
-        """Sort key in the index: pages with pictures first, numbered ones before others, figure 3 before figure 11."""
+    def short(self) -> str:
+        """A title for links: that of a figure or a section of the paper without what it shows."""
+        return self.title.partition(". ")[0] if self.section else self.title
+
+    @property
+    def order(self) -> tuple[int, bool, bool, list[tuple[int, str]], str]:
+        """Sort key in the index: the paper's studies in their order, then pages with pictures, then numbered ones."""
         parts = re.findall(r"\d+|\D+", self.name.lower())
-        numbered = bool(parts) and parts[-1].isdigit()
-        return not self.figures, not numbered, [(int(p), "") if p.isdigit() else (0, p) for p in parts], self.slug
+        numbered, numbers = (
+            bool(parts) and parts[-1].isdigit(),
+            [(int(p), "") if p.isdigit() else (0, p) for p in parts],
+        )
+        return self.place, not self.figures, not numbered, numbers, self.slug
 
 
 class _Reader(HTMLParser):
@@ -53,25 +66,28 @@ class _Reader(HTMLParser):
         self.text += data * self.is_inside
 
 
-def read(page: str) -> Entry | None:
-    """Read the entry in the head of a page's text; None if there is none."""
+def read(page: str) -> list[Entry]:
+    """Read the entries in the head of a page's text: its own, or those of studies that only feed the ledger."""
     reader = _Reader()
     reader.feed(page.partition("</head>")[0])
     try:
-        return Entry(**json.loads(reader.text))
+        return [Entry(**record) for record in json.loads(reader.text)]
     except (ValueError, TypeError, RecursionError):
-        return None
+        return []
 
 
 def read_all(folder: Path) -> dict[str, Entry]:
     """Read the entries of the pages in a folder, by file name; files that are not pages of a report are left out."""
-    pages = [path for path in folder.glob("*.html") if path.is_file()]
-    entries = {path.name: read(path.read_text(encoding="utf-8", errors="replace")) for path in pages}
-    return {name: entry for name, entry in entries.items() if entry is not None and name == f"{entry.slug}.html"}
+    found = {}
+    for path in sorted(path for path in folder.glob("*.html") if path.is_file()):
+        for entry in read(path.read_text(encoding="utf-8", errors="replace")):
+            if path.name == ("ledger.html" if entry.text else f"{entry.slug}.html"):
+                found[f"{entry.slug}.html"] = entry
+    return found
 
 
 def remove(folder: Path, entry: Entry, keep: set[str]) -> None:
     """Delete a page and its data files, except those in `keep`."""
     for name in {f"{entry.slug}.html", *entry.files} - keep:
-        if re.fullmatch(re.escape(entry.slug) + r"(-[\w-]+\.csv|\.html)", name):
+        if re.fullmatch(rf"(csv/)?{re.escape(entry.slug)}(-[\w-]+\.csv|\.html)", name):
             (folder / name).unlink(missing_ok=True)

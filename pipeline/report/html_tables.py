@@ -98,8 +98,9 @@ def fits(source: Source) -> list[Table]:
 
 def _fit(name: str, frame: pd.DataFrame) -> Table:
     fitted = frame[frame["n"] > 0] if "n" in frame else frame
-    missing, more = len(frame) - len(fitted), "more " if len(fitted) else ""
-    note = f"{missing} {more}fits found no range over which a power law holds." if missing else ""
+    missing, more = len(frame) - len(fitted), "further " if len(fitted) else ""
+    plural = "" if missing == 1 else "s"
+    note = f"For {missing} {more}case{plural} no power law fits." if missing else ""
     if "quantity" in fitted:
         law = fitted["quantity"].map(lambda quantity: WORDS["laws"].get(quantity, quantity))
         fitted = fitted.assign(quantity=law).rename(columns={"quantity": "law"})
@@ -115,7 +116,7 @@ def landmarks(source: Source) -> Table | None:
         return None
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
-    return Table("The paper's numbers beside the computed ones", list(heads.values()), rows, words, gaits=gaits)
+    return Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)
 
 
 def residuals(source: Source) -> Table | None:
@@ -192,11 +193,11 @@ def outcome_sentence(source: Source) -> str:
     total = sum(counts.values())
     if not total:
         return ""
-    what = source.whole + ("" if total == 1 else "s")
-    if set(counts) == {"converged"}:
-        return f"{ {1: 'The', 2: 'Both'}.get(total, f'All {grouped(total)}') } {what} converged."
-    parts = [f"{grouped(count)} {spaced(name)}" for name, count in counts.items()]
-    return f"Of {grouped(total)} {what}: {', '.join(parts)}."
+    whole = "curve" if source.whole == "line" else "point"
+    s = "" if total == 1 else "s"
+    complete = counts.pop("converged", 0)
+    parts = [f"{grouped(complete)} of {grouped(total)} {whole}{s} complete"] if complete else []
+    return f"Solver: {', '.join([*parts, *(f'{grouped(count)} {spaced(name)}' for name, count in counts.items())])}"
 
 
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:

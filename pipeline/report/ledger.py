@@ -9,9 +9,10 @@ from typing import Any
 
 import pandas as pd
 
+from gaitsweep.pipeline.report import paper
 from gaitsweep.pipeline.report.cells import Cell, cell
 from gaitsweep.pipeline.report.entry import Entry
-from gaitsweep.pipeline.report.words import WORDS, plain, spaced, superscript
+from gaitsweep.pipeline.report.words import WORDS, phrased, plain, spaced, superscript
 
 
 @dataclass(frozen=True)
@@ -46,21 +47,44 @@ class ClaimRow:
     bar: Bar | None
     verdict: str
     sign: str
-    figure: str
-    href: str
+    short: str
+    shown: list[tuple[str, str]]
     command: str
 
 
 def families(entries: Iterable[Entry]) -> dict[str, list[ClaimRow]]:
-    """Every claim of some pages by subject, each with a link to its figure."""
+    """Every claim of some studies by subject, each with links to the figures that show it."""
     entries = list(entries)
-    pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
-    pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
-    rows = [_claim_row(row, entry, pages) for entry in entries for row in entry.claims]
+    titles = {
+        (entry.slug, figure["name"]): f"{entry.short}: {figure['title']}" if len(entry.figures) > 1 else entry.short
+        for entry in entries
+        for figure in entry.figures
+    }
+    shown: dict[str, list[tuple[str, str]]] = {}
+    for (slug, name), ids in figures(entries).items():
+        for id in ids:
+            shown.setdefault(id, []).append((titles[slug, name], f"{slug}.html#{name}"))
+    rows = [_claim_row(row, shown.get(str(row["id"]), [])) for entry in entries for row in entry.claims]
     groups: dict[str, list[ClaimRow]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
     for row in sorted(rows, key=lambda row: (row.id[:1], len(row.id), row.id)):
         groups[WORDS["subjects"].get(row.id[:1].upper(), "Others")].append(row)
     return {subject: members for subject, members in groups.items() if members}
+
+
+def figures(entries: Iterable[Entry]) -> dict[tuple[str, str], list[str]]:
+    """Claims that each figure shows, by page and name: those that name it, and those that it names itself."""
+    entries = list(entries)
+    rows = [
+        (str(row["id"]), own if "/" in (own := str(row.get("figure", ""))) else f"{entry.study}/{own}")
+        for entry in entries
+        for row in entry.claims
+    ]
+    places = {}
+    for entry in entries:
+        for figure in entry.figures:
+            at = f"{entry.study}/{figure['name']}"
+            places[entry.slug, figure["name"]] = [id for id, of in rows if of == at or id in figure["claims"]]
+    return places
 
 
 def tally(ledger: Mapping[str, list[ClaimRow]]) -> dict[str, list[ClaimRow]]:
@@ -109,6 +133,7 @@ _SIGNS_IN_TEXT = (
 
 def typeset(text: str) -> str:
     """Text with the signs of print: powers, products, arrows, minus signs and ranges."""
+    text = phrased(text)
     for pattern, sign in _SIGNS_IN_TEXT:
         text = re.sub(pattern, sign, text)
     return text
@@ -121,9 +146,8 @@ def sign(verdict: str) -> str:
     return str(known["chip"]) if known else "no" if words.startswith("not ") else "open"
 
 
-def _claim_row(row: Mapping[str, Any], entry: Entry, pages: Mapping[str, str]) -> ClaimRow:
-    verdict, figure = spaced(row.get("verdict", "")), str(row.get("figure", ""))
-    href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
+def _claim_row(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> ClaimRow:
+    verdict = spaced(row.get("verdict", ""))
     interval = [_number(row, name) for name in ("interval_low", "interval_high")]
     computed = row.get("computed", "")
     words = [str(computed)] if not isinstance(computed, str) else [part.strip() for part in computed.split(";")]
@@ -139,8 +163,8 @@ def _claim_row(row: Mapping[str, Any], entry: Entry, pages: Mapping[str, str]) -
         _bar(row),
         verdict,
         sign(verdict),
-        figure or entry.name,
-        href,
+        paper.claim(row),
+        shown,
         str(row.get("command", "")),
     )
 

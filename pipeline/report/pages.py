@@ -2,7 +2,6 @@
 
 import base64
 import contextlib
-import fcntl
 import gc
 import hashlib
 import multiprocessing
@@ -11,7 +10,7 @@ import pickle
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from multiprocessing import connection
 from pathlib import Path
@@ -20,10 +19,9 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
-from gaitsweep.pipeline.report import entry, html_tables, ledger, results
+from gaitsweep.pipeline.report import entry, folder, html_tables, paper, results
 from gaitsweep.pipeline.report.figures import FIGURES, draw, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
@@ -34,14 +32,11 @@ _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).paren
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
 
-#: How every page begins, whatever its title.
-_PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
-
-#: Suffix of drafts, by which a report finds those of a killed one; random, so that no other file has it.
-_DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
-
 #: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger")
+
+#: Units of columns of figures that are no variables of a grid.
+_UNITS = dict.fromkeys(("slope", "stance_angle", "angle", "flip", "next flip", "distance"), "rad")
 
 #: Entries of the run's record that a page shows; the record also names the computer, which a page does not.
 _RUN = {name: name for name in ("began", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")}
@@ -49,9 +44,6 @@ _RUN |= {"seconds": "finished after (s)"}
 
 #: Processes that make pages; a large archive takes each of them a GiB.
 _MAX_PROCESSES = 4
-
-#: Size limit of all thumbnails on the index [byte].
-_MAX_THUMBNAIL_BYTES = 235_000
 
 
 @dataclass(frozen=True)
@@ -109,14 +101,17 @@ def write(
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pages = _in_processes(sources, _slugs(sources), tell)
-    with _locked(out):
-        _combine(_environment(), out, pages, only)
+    with folder.locked(out):
+        folder.combine(_environment(), out, pages, only)
     return out / "index.html"
 
 
 def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
     """Text of the page of a study, and its data files by their names."""
     with blamed_if_damaged(source.path):
+        if source.only_claims:
+            parts: Any = _environment().get_template("parts.html").module
+            return str(parts.entry([vars(_entry(_bare(source, slug)))])), {}
         page = _page(source, slug)
         return _study(_environment(), page), page.files
 
@@ -190,70 +185,13 @@ def _deliver(
         os._exit(0)
 
 
-@contextlib.contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """Hold the folder while its pages are combined: of two reports into it, one waits for the other.
-
-    Drafts there are left from a report that was killed, and are removed.
-    """
-    folder = os.open(out, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(folder, fcntl.LOCK_EX)
-            for draft in out.glob(f".*.{_DRAFT}"):
-                draft.unlink()
-        yield
-    finally:
-        os.close(folder)
-
-
-def _combine(
-    environment: jinja2.Environment, out: Path, pages: dict[str, tuple[str, dict[str, str]]], only: bool
-) -> None:
-    """Write pages and their data, and the index and ledger of all pages in the folder."""
-    texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
-    previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
-    keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
-    entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
-    _check_own(out, pages, {name for record in previous.values() for name in record.files})
-    for slug, (page, files) in pages.items():
-        for name, text in files.items():
-            _publish(out / name, text)
-        _publish(out / f"{slug}.html", page)
-    wanted = {*keep, *(name for record in entries for name in record.files)}
-    for record in previous.values():
-        entry.remove(out, record, wanted)
-    claims = ledger.families(entries)
-    common = {"entries": entries, "ledger": claims, "tally": ledger.tally(claims), "signs": ledger.sign}
-    _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
-    if claims:
-        _publish(out / "ledger.csv", _csv(ledger.table(claims)))
-    else:
-        (out / "ledger.csv").unlink(missing_ok=True)
-    lines = next((record.lines for record in entries if record.lines), [])
-    index = environment.get_template("index.html")
-    _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), lines=lines))
-
-
-def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: set[str]) -> None:
-    """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
-    for name in (*pages, *_RESERVED):
-        paths.check_own(out / f"{name}.html", _PAGE)
-    if not (out / "ledger.html").exists():
-        paths.check_own(out / "ledger.csv", rb"(?!)")
-    for _, files in pages.values():
-        for name in files.keys() - listed:
-            paths.check_own(out / name, re.escape(files[name].partition("\n")[0].encode()))
-
-
 def _study(environment: jinja2.Environment, page: Page) -> str:
     """Render the page of one study, which depends on no other."""
     source = page.source
     record = _entry(page)
     return environment.get_template("study.html").render(
         page=page,
-        entry=vars(record),
-        claims=[(row["id"], verdict := str(row.get("verdict", "")), ledger.sign(verdict)) for row in record.claims],
+        entries=[vars(record)],
         **page.tables,
         sentence=html_tables.outcome_sentence(source),
         outcomes=html_tables.outcomes(source, page.absent),
@@ -273,16 +211,37 @@ def _entry(page: Page) -> entry.Entry:
         slug=page.slug,
         study=source.slug,
         name=source.name,
-        title=source.title,
+        title=paper.words(source).get("title", source.title),
         about=source.about,
         whole=source.whole,
+        section=paper.words(source).get("section", ""),
+        place=paper.PLACES.get(source.name, 0) if paper.words(source) else len(paper.PLACES),
         statuses=html_tables.statuses(source),
-        figures=[drawing.name for drawing in page.drawings],
+        figures=[
+            {
+                "name": drawing.name,
+                "title": drawing.title,
+                "finding": drawing.finding,
+                "claims": _shown(source, drawing),
+            }
+            for drawing in page.drawings
+        ],
         claims=html_tables.claims(source),
         files=list(page.files),
         thumbnail=page.drawings[0].small if page.drawings else "",
         lines=starts.brief(page.lines),
+        text=source.provenance["study"] if source.only_claims else "",
     )
+
+
+def _shown(source: Source, drawing: Drawing) -> list[str]:
+    """Claims that a figure of the paper shows, besides those that name it."""
+    return list(paper.words(source).get(drawing.name, {}).get("claims", []))
+
+
+def _bare(source: Source, slug: str) -> Page:
+    """A study that only feeds the ledger, as far as its record needs it."""
+    return Page(slug, source, [], [], [], [], pd.DataFrame(), pd.DataFrame(), {}, {})
 
 
 def _page(source: Source, slug: str) -> Page:
@@ -291,7 +250,8 @@ def _page(source: Source, slug: str) -> Page:
     drawings: list[Drawing] = []
     for name in wanted:
         drawing = draw(source, name, slug, small=not drawings)  # the index shows the first
-        drawings += [drawing] if drawing else []
+        title = paper.words(source).get(name, {}).get("title")
+        drawings += [replace(drawing, title=title or drawing.title)] if drawing else []
     tables: dict[str, Any] = {
         "landmarks": html_tables.landmarks(source),
         "residuals": html_tables.residuals(source),
@@ -306,8 +266,9 @@ def _page(source: Source, slug: str) -> Page:
     frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
     frames |= {"absent": listed} if len(absent) else {}
     known: dict[bytes, list[str]] = {}  # a column may be in several tables
-    files = {f"{slug}-{name}.csv": _csv(frame, known) for name, frame in frames.items()}
-    undrawn = [name for name in source.figures if name not in [drawing.name for drawing in drawings]]
+    units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
+    files = {f"csv/{slug}-{name}.csv": folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
+    undrawn = [name for name in source.figures if name not in ["claims", *(drawing.name for drawing in drawings)]]
     states = _share_states(drawings)
     return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files)
 
@@ -342,29 +303,16 @@ def _origin(source: Source) -> str:
 
 
 def _times(run: dict[str, Any]) -> list[str]:
-    """Processor time of a study, and time from the start of its command, which may run other studies, to its end."""
-    account, seconds = run.get("account"), run.get("seconds")
+    """Processor time of a study."""
+    account, jobs = run.get("account"), run.get("jobs", "?")
     own = account.get("workers_cpu") if isinstance(account, dict) else None
-    parts = [f"{own:.3g} s of processor time of its workers"] if isinstance(own, float) else []
-    jobs = run.get("jobs", "?")
     workers = f"{jobs} worker{'' if jobs == 1 else 's'}"
-    parts += [f"finished {seconds:.3g} s after its command began, with {workers}"] if isinstance(seconds, float) else []
-    return parts
+    return [f"{own:.2g} s CPU, {workers}"] if isinstance(own, float) else []
 
 
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
     return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
-
-
-def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:
-    """The first figures of the studies, the smallest first, up to the size limit of the index."""
-    room, thumbnails = _MAX_THUMBNAIL_BYTES, {}
-    for record in sorted((record for record in entries if record.thumbnail), key=lambda record: len(record.thumbnail)):
-        room -= len(record.thumbnail)
-        if room > 0:
-            thumbnails[record.slug] = record.thumbnail
-    return thumbnails
 
 
 @cache
@@ -414,42 +362,3 @@ def _tightened(line: str) -> str:
     return "".join(
         p if p[:1] in ('"', "`") else re.sub(r" ?([=<>?:,;{}()&|*/]) ?| ([+-]) (?![+-])", r"\1\2", p) for p in parts
     )
-
-
-def _csv(frame: pd.DataFrame, known: dict[bytes, list[str]] | None = None) -> str:
-    """A frame as CSV; `known` keeps the entries of columns of numbers, which other frames may have too."""
-    columns = [_entries(column, {} if known is None else known) for _, column in frame.items()]
-    return "".join(",".join(row) + "\n" for row in [map(_field, frame.columns), *zip(*columns, strict=True)])
-
-
-def _entries(column: pd.Series, known: dict[bytes, list[str]]) -> list[str]:
-    """What a column has in a CSV file: nothing where its number or word is missing.
-
-    Words that a spreadsheet would evaluate as a formula are quoted.
-    """
-    if column.dtype.kind in "iuf":
-        key = column.dtype.str.encode() + column.to_numpy().tobytes()
-        if key not in known:
-            known[key] = ["" if x != x else repr(x) for x in column.tolist()]
-        return known[key]
-    words = ["" if no else str(word) for word, no in zip(column, column.isna(), strict=True)]
-    return [_field(f"'{word}" if word[:1] in ("=", "+", "-", "@") else word) for word in words]
-
-
-def _field(word: str) -> str:
-    """A word in a CSV file, within quotes if it holds a sign of the format."""
-    return '"' + word.replace('"', '""') + '"' if re.search('[,"\n\r]', word) else word
-
-
-def _publish(path: Path, text: str) -> None:
-    """Replace a file at once: a reader sees the old text or the new."""
-    draft = paths.of(path, _DRAFT)
-    try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, path)
-    except OSError as error:
-        error.filename = str(path)  # not the draft, unknown to the reader
-        raise
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()

@@ -185,6 +185,11 @@ class Source:
         return [str(name) for name in wanted]
 
     @property
+    def only_claims(self) -> bool:
+        """Whether the study only feeds the ledger: it wants claims, and no figure but those."""
+        return "claims" in self.tables and self.figures == ["claims"]
+
+    @property
     def violation_limits(self) -> list[float]:
         """Limits of violations in the order of their bits; an archive of an earlier version has none."""
         return [float(limit) for _, limit in self.provenance.get("violation_limits", [])]

@@ -1,5 +1,7 @@
 """How a report writes numbers, units and names, and its sentences, which `words.toml` holds."""
 
+import math
+import re
 import string
 import tomllib
 from collections.abc import Mapping
@@ -30,6 +32,11 @@ def plain(value: float, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
+def as_printed(value: float, half_unit: float) -> str:
+    """A number with the digits that the paper prints, given half a unit of the last: 0.020."""
+    return f"{value:.{max(0, round(-math.log10(2 * half_unit)))}f}" if half_unit > 0 else plain(value)
+
+
 def superscript(power: int) -> str:
     """An integer in superscripts."""
     return str(power).translate(SUPERSCRIPTS)
@@ -52,7 +59,14 @@ def with_unit(words: str, unit: str) -> str:
 
 def spaced(name: Any) -> str:
     """A name in words."""
-    return str(name).replace("_", " ")
+    return str(WORDS["names"].get(name) or str(name).replace("_", " "))
+
+
+def phrased(text: str) -> str:
+    """A sentence of an archive in the words of a page."""
+    for pattern, words in WORDS["phrases"].items():
+        text = re.sub(pattern, words, text)
+    return text
 
 
 def symbol(name: str) -> str:

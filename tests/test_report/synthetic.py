@@ -109,7 +109,13 @@ claims = ["E2", "E3", "E4"]
             "local_exponent": np.gradient(np.log(crossing), np.log(ladder)),
         },
     }
-    run = {"seconds": 12.5, "jobs": 2, "host": "secret-host", "points": int(angle.size)}
+    run = {
+        "seconds": 12.5,
+        "jobs": 2,
+        "account": {"workers_cpu": 0.25},
+        "host": "secret-host",
+        "points": int(angle.size),
+    }
     return write(folder / "transition.nc", study, grid, coords, {"E": POINT}, tables, run)
 
 

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.cli import report as report_command
 from gaitsweep.pipeline.errors import ArchiveError
-from gaitsweep.pipeline.report import entry, html_tables, ledger, pages, source
+from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import plain
 from gaitsweep.pipeline.store.record import count
@@ -82,7 +82,7 @@ def test_a_line_of_many_slopes_is_thinned(tmp_path):
     archive = synthetic.transition(tmp_path, slopes=50_000)
     pages.write([archive], tmp_path / "out")
     assert (tmp_path / "out" / "transition.html").stat().st_size < PAGE_BYTES
-    assert len(pd.read_csv(tmp_path / "out" / "transition-loglog.csv")) < 5000
+    assert len(pd.read_csv(tmp_path / "out" / "csv" / "transition-loglog.csv")) < 5000
 
 
 def test_every_number_of_a_table_is_in_an_archive(report, archives):
@@ -102,8 +102,8 @@ def test_every_figure_has_its_data_beside_it(report, archives):
     assert len(linked) > 12
     for link in linked:
         assert len(pd.read_csv(report / link)), link
-    drawn = pd.read_csv(report / "transition-loglog.csv", dtype=str)
-    assert set(drawn["stance_angle"].astype(float)) <= known
+    drawn = pd.read_csv(report / "csv" / "transition-loglog.csv", dtype=str)
+    assert set(drawn["stance_angle (rad)"].astype(float)) <= known
     assert set(drawn["gait"]) == {"long", "short"}
 
 
@@ -149,7 +149,7 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
     ):
         assert words in found.text
     assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
-    assert ">l_t<" in source and "The line converged." in found.text
+    assert ">l_t<" in source and "Solver: 1 of 1 curve complete" in found.text
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
 
@@ -224,9 +224,12 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
     monkeypatch.setattr(pages.threading, "active_count", lambda: 1)
     pages.write(archives, tmp_path, tell=told.append)
     assert started and told == list(range(1, len(archives) + 1))
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
-        path.name: path.read_bytes() for path in report.iterdir()
-    }
+    assert _files(tmp_path) == _files(report)
+
+
+def _files(folder):
+    """Every file of a report, by its place."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 #: `gaitsweep` with little more memory than its modules take: to import them without it may never end.
@@ -294,24 +297,23 @@ def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch,
 
 def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tmp_path, monkeypatch):
     """And no file of somebody else, as the draft of an archive in the same folder."""
-    gone = [paths.of(tmp_path / name, pages._DRAFT) for name in ("x.html", "index.html", "ledger.csv")]
-    others = [paths.of(tmp_path / "x.nc", "0" * 32), tmp_path / ".x.html.5", tmp_path / f"x.html.{pages._DRAFT}"]
+    gone = [paths.of(tmp_path / name, folder._DRAFT) for name in ("x.html", "csv/x.csv")]
+    others = [paths.of(tmp_path / "x.nc", "0" * 32), tmp_path / ".x.html.5", tmp_path / f"x.html.{folder._DRAFT}"]
+    (tmp_path / "csv").mkdir()
     for file in (*gone, *others):
         file.write_text("")
     monkeypatch.setattr(pages.os, "replace", Mock(side_effect=PermissionError(13, "Permission denied", "draft")))
     with pytest.raises(PermissionError) as refused:
         pages.write(archives[:1], tmp_path)
     assert refused.value.filename.startswith(str(tmp_path / "")) and ".csv" in refused.value.filename
-    assert set(tmp_path.iterdir()) == set(others)
+    assert set(tmp_path.iterdir()) == {*others, tmp_path / "csv"} and not list((tmp_path / "csv").iterdir())
 
 
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
     """One archive after the other, in any order, gives what all of them give at once."""
     for archive in reversed(archives):
         index = pages.write([archive], tmp_path)
-    assert {path.name for path in report.iterdir()} == {path.name for path in tmp_path.iterdir()}
-    for path in report.iterdir():
-        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+    assert _files(tmp_path) == _files(report)
     pages.write([], tmp_path)
     assert index.read_bytes() == (report / "index.html").read_bytes()
 
@@ -332,12 +334,12 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
     ledger = Page(tmp_path / "ledger.html")
     assert {"D3", "D5"} <= set(ledger.all("id")) and "one.html#linear" in ledger.all("href")
     pages.write([tmp_path / "three.nc"], tmp_path, only=True)
-    assert {path.name for path in tmp_path.iterdir() if path.suffix != ".nc"} == {
+    assert {name for name in _files(tmp_path) if not name.endswith(".nc")} == {
         "index.html",
         "ledger.html",
-        "ledger.csv",
+        "csv/ledger.csv",
         "three.html",
-        "three-linear.csv",
+        "csv/three-linear.csv",
         "bench.html",
         "one-notes.csv",
     }
@@ -347,17 +349,17 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
 
 def test_a_page_written_again_leaves_no_data_of_the_old_one(tmp_path):
     pages.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
-    assert (tmp_path / "s-loglog.csv").is_file()
+    assert (tmp_path / "csv" / "s-loglog.csv").is_file()
     pages.write([_small(tmp_path, "s")], tmp_path)
-    assert not (tmp_path / "s-loglog.csv").exists() and (tmp_path / "s-linear.csv").is_file()
-    assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 1
+    assert not (tmp_path / "csv" / "s-loglog.csv").exists() and (tmp_path / "csv" / "s-linear.csv").is_file()
+    assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 2  # a card, and beside the page
 
 
 def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
     (tmp_path / "precious.csv").write_text("mine")
     pages.write([_small(tmp_path, "s")], tmp_path)
     text = (tmp_path / "s.html").read_text()
-    lie = text.replace('"files":["s-linear.csv"]', '"files":["precious.csv","../s.nc"]')
+    lie = text.replace('"files":["csv/s-linear.csv"]', '"files":["precious.csv","../s.nc"]')
     assert lie != text
     (tmp_path / "s.html").write_text(lie)
     (tmp_path / "torn.html").write_text(text.replace('"slug":"s"', '"slug":3'))
@@ -368,12 +370,12 @@ def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
 
 def test_an_entry_is_read_from_the_head_of_a_page_and_from_nothing_else(report):
     page = (report / "transition.html").read_text()
-    found = entry.read(page)
+    (found,) = entry.read(page)
     assert found.slug == "transition" and found.thumbnail.startswith("<svg")
     head, _, rest = page.partition("</head>")
     for other in ("", rest, head.replace('id="entry"', 'id="exit"'), head.replace('"slug"', '"slag"')):
-        assert entry.read(other) is None
-    assert entry.read('<script id="entry">' + "[" * 100_000 + "</script>") is None
+        assert entry.read(other) == []
+    assert entry.read('<script id="entry">' + "[" * 100_000 + "</script>") == []
 
 
 def test_every_page_names_the_paper(report):
@@ -408,7 +410,7 @@ def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
     tables = {"claims": claims, "trace": trace}
     archive = write(tmp_path / "bad.nc", text, grid, coords, {bad: POINT, "b": KNEED}, tables, {bad: bad})
     out = pages.write([archive], tmp_path / "out").parent
-    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {tmp_path, out}
+    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {tmp_path, out, out / "csv"}
     for path in out.glob("*.html"):
         found = Page(path)
         allowed = [about.get("type") for tag, about in found.elements if tag == "script"]
@@ -417,7 +419,7 @@ def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
         assert not [tag for tag, _ in found.elements if tag == "img"]
         assert not [a for _, about in found.elements for a in about if a.startswith("on")]
         assert not [link for link in found.all("href") if link.lower().startswith("javascript")]
-    for path in out.glob("*.csv"):
+    for path in out.glob("csv/*.csv"):
         assert not re.search(r"(^|,)\"?[=@]", path.read_text(), re.M), path.name
 
 
@@ -428,13 +430,13 @@ def test_a_page_names_what_the_archive_lacks(report):
 def test_failed_points_are_listed_with_their_reason(report):
     text = Page(report / "transition.html").text
     assert "The worker died by signal 11." in text
-    absent = pd.read_csv(report / "transition-absent.csv")
+    absent = pd.read_csv(report / "csv" / "transition-absent.csv")
     assert set(absent["status"]) == {"no_gait", "not_converged", "worker_died"}
 
 
 def test_a_page_tells_the_run_time_and_not_the_machine(report):
     text = Page(report / "transition.html").text
-    assert "finished 12.5 s after its command began, with" in text
+    assert "0.25 s CPU, 2 workers" in text and "secret-host" not in text
     assert "secret-host" not in text
 
 
@@ -447,7 +449,7 @@ def test_the_csv_file_of_a_large_study_has_the_failures_first_and_is_counted(tmp
         status[n - failed :] = 2
         grid = {"status": (dims, status), "reason": (dims, status.astype("i2"))}
         pages.write([write(tmp_path / "large.nc", text, grid, coords, {"E": POINT})], tmp_path)
-        listed = pd.read_csv(tmp_path / "large-absent.csv")
+        listed = pd.read_csv(tmp_path / "csv" / "large-absent.csv")
         assert len(listed) == 20_000 and (listed["status"][:failed] == "not_converged").all()
         page = Page(tmp_path / "large.html").text
         assert note in page and "lists 20\u202f000 of the 21\u202f000 points" in page
@@ -483,7 +485,7 @@ def test_the_ledger_links_each_claim_to_its_figure(report):
 def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
     archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
     assert pages.write([archive], tmp_path).is_file()
-    assert "The line converged." in Page(tmp_path / "a.html").text
+    assert "Solver: 1 of 1 curve complete" in Page(tmp_path / "a.html").text
 
 
 def test_no_archive_gives_an_index_that_says_so(tmp_path):
@@ -578,7 +580,7 @@ def test_points_are_counted_as_by_the_run(archives):
 
 
 def test_one_two_and_more_points_are_spoken_of_in_english(tmp_path):
-    for n, words in ((1, "The point converged."), (2, "Both points converged."), (3, "All 3 points converged.")):
+    for n, words in ((1, "Solver: 1 of 1 point complete"), (3, "Solver: 3 of 3 points complete")):
         slopes, dims = np.linspace(0.01, 0.02, n), ("slope", "gait")
         grid = {"status": (dims, np.stack([np.zeros(n, "i1"), np.ones(n, "i1")], -1))}
         coords = {"slope": slopes, "gait": np.array(["long", "short"], object)}
@@ -599,7 +601,7 @@ def test_a_table_shows_codes_as_words_and_units_as_in_print():
     frame = pd.DataFrame({"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]})
     frame.attrs["units"] = {"speed": "m s-1"}
     table = html_tables.from_frame("Design", frame)
-    assert [cell.text for cell in table.rows[0]] == ["end zero step", "my_walker", "0.5"]
+    assert [cell.text for cell in table.rows[0]] == ["end: steps vanish", "my_walker", "0.5"]
     assert table.heads[2] == "speed (m s⁻¹)"
 
 
@@ -610,7 +612,7 @@ def test_a_claim_is_shown_with_its_words_a_picture_and_a_command(report):
     assert "printed 2.828, computed 3.69, from 3.1 to 3.9 by rounding" in claim
     assert "<code>gaitsweep run transition.toml</code>" in claim and 'href="#E4"' in claim
     assert "<svg" not in text[text.index('id="Z5"') : text.index("</main>")]  # nothing is printed for it
-    table = pd.read_csv(report / "ledger.csv")
+    table = pd.read_csv(report / "csv" / "ledger.csv")
     assert list(table["id"]) == ["E2", "E3", "E4", "Z5"]
     assert table["printed"][2] == 2.828 and table["interval_high"][2] == 3.9
 
@@ -714,8 +716,8 @@ def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
     coords = {"slope": [0.01, 0.02, 0.03], "gait": np.array(["long", "short"], object)}
     pages.write([write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path)
     text = Page(tmp_path / "none.html").text
-    assert text.count("the archive holds nothing to draw it from") == len(figures)
-    assert "Of 3 points: 3 no gait." in text
+    assert text.count("the archive holds nothing to draw it from") == len(figures) - 1  # claims are shown in the ledger
+    assert "Solver: 3 no gait" in text
 
 
 def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
@@ -726,7 +728,7 @@ def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
     grid = {"stance_angle": (dims, np.array([[[0.1], [0.2]], [[0.15], [0.25]]]))}
     pages.write([write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})], tmp_path)
     assert name in Page(tmp_path / "w.html").text
-    assert name in (tmp_path / "w-loglog.csv").read_text(encoding="utf-8")
+    assert name in (tmp_path / "csv" / "w-loglog.csv").read_text(encoding="utf-8")
 
 
 def test_no_page_has_an_identifier_twice(report):

@@ -51,7 +51,7 @@ def bifurcation(source: Source) -> Sketch | None:
         _widen(sketch.panels[-1], every)
         sketch.key("printed", PRINTED, lw=1.4, ls=(0, (5, 2)))
         if landmarks.has_rounding(every):
-            sketch.key("allowed by rounding", PRINTED, lw=7, alpha=0.25)
+            sketch.key("rounding range", PRINTED, lw=7, alpha=0.25)
         sketch.key("computed", lw=0.8, ls=DOTTED)
     return sketch.finish(
         table,

@@ -70,8 +70,7 @@ def locus(source: Source) -> Sketch | None:
     sketch.gait_keys(data)
     sketch.line_keys([str(at["walker"]) for at, _ in chosen] if together else [])
     for kind in special["kind"].astype(str).unique() if "kind" in special else ():
-        words = spaced(kind).removeprefix("end ")
-        sketch.dot_key(f"end: {words}" if kind.startswith("end_") else words, **_mark(kind))
+        sketch.dot_key(spaced(kind), **_mark(kind))
     if has_printed:
         sketch.printed_key()
     if is_measured:

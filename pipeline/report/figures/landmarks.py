@@ -1,14 +1,12 @@
 """Printed numbers beside computed ones: a mark at the printed number, a bar over what rounding allows."""
 
-import math
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import plain
+from gaitsweep.pipeline.report.words import as_printed, plain
 
 #: Columns of the tables of landmarks.
 _COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]
@@ -37,12 +35,6 @@ def point_numbers(source: Source) -> pd.DataFrame:
     return table[table["point"].astype(str) != ""]
 
 
-def _as_printed(value: float, half_unit: float) -> str:
-    """A number with the digits that the paper prints, given half a unit of the last: 0.020."""
-    digits = max(0, round(-math.log10(2 * half_unit))) if half_unit > 0 else 0
-    return f"{value:.{digits}f}" if half_unit > 0 else plain(value)
-
-
 def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
     """Mark printed slopes at the stance angles of the computed landmarks; whether there were any."""
     low, high = sorted(axes.get_xlim())
@@ -54,7 +46,7 @@ def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
         axes.plot([row.printed], [row.stance_angle], "|", color=PRINTED, ms=15, mew=2, zorder=6)
         at = row.printed if log else row.slope_low if at_left else row.slope_high
         offset, how = (5, -10) if log else (-5 if at_left else 5, 0), {"ha": "right" if at_left else "left"}
-        text = _as_printed(row.printed, row.half_unit)
+        text = as_printed(row.printed, row.half_unit)
         write_at(axes, text, (at, row.stance_angle), offset, va="center", color=PRINTED, **how)
     return bool(len(table))
 
@@ -66,7 +58,7 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
         for text, at, ink, height in (
-            (f"printed {_as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.02),
+            (f"printed {as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.02),
             (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.1),
         ):
             is_right = at == max(row.printed, row.slope)
@@ -90,7 +82,7 @@ def sentence(table: pd.DataFrame) -> str:
         elif width > 1e-3 * row.slope:
             kept = "with exact tuning" if row.walker in _TUNED else "with the parameters as printed"
             interval = f", {plain(ends[0], 3)}–{plain(ends[1], 3)} {kept}"
-        printed = _as_printed(row.printed, row.half_unit)
+        printed = as_printed(row.printed, row.half_unit)
         parts.append(f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}")
     head = "printed slopes, and the interval that rounding allows" if has_rounding(table) else "printed slopes"
     return f"Purple: {head} ({'; '.join(parts)})." if parts else ""

@@ -168,7 +168,7 @@ def basin(source: Source) -> Sketch | None:
         across, upward = window
         panels[1].set_xlim(*across)
         panels[1].set_ylim(*upward)
-        set_heading(panels[1], "around the gaits")
+        set_heading(panels[1], "enlarged")
         corner, sides = (across[0], upward[0]), (across[1] - across[0], upward[1] - upward[0])
         panels[0].add_patch(Rectangle(corner, *sides, fill=False, ec=INK, lw=0.9))
     for outcome, ink in zip(outcomes, inks, strict=True):

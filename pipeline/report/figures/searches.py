@@ -55,7 +55,7 @@ def census(source: Source) -> Sketch | None:
         if k < len(MARKERS):
             sketch.key(shorten(name), ink, ls=dash, marker=marker, ms=5)
     set_heading(top, "stance angle θ* of every gait found (rad)")
-    set_heading(below, "converging guesses that may lead to unseen gaits, at most (%)")
+    set_heading(below, "upper bound on guesses that lead to missed gaits (%)")
     below.set_ylim(bottom=0)
     below.set_xlabel("slope γ (rad)")
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
@@ -93,7 +93,7 @@ def cascade(source: Source) -> Sketch | None:
     set_log(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("number of the flip")
-    set_heading(axes, "distance to the next flip in slope (rad)")
+    set_heading(axes, "slope interval to the next period doubling (rad)")
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
     limits = source.table("accumulation", "slope", "ratio")
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]

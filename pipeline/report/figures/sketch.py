@@ -112,7 +112,7 @@ class Sketch:
 
     def printed_key(self) -> None:
         """Add the marks of printed numbers to the legend."""
-        self.key("printed, and allowed by rounding", PRINTED, lw=5, alpha=0.4)
+        self.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
 
     def finish(
         self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
@@ -128,11 +128,14 @@ class Sketch:
         known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
         if "slope" in self.data:
             known |= {"low": self.data["slope"].min(), "high": self.data["slope"].max()}
+            stable = self.data[self.data["stable"] == 1] if "stable" in self.data else self.data[:0]
+            known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
         self.lines, self.values = list(lines), known | values
         return self
 
-    def words(self, name: str) -> tuple[str, str, str]:
-        """Title, caption and alt text, of the figure's name."""
-        words = WORDS["figures"][name]
-        caption = {**words["caption"], **WORDS["figures"]["all"]}
-        return fill(words["title"], self.values), sentences(caption, self.values), fill(words["alt"], self.values)
+    def words(self, name: str) -> tuple[str, str, str, str]:
+        """Title, caption, alt text and finding, of the figure's name."""
+        words, every = WORDS["figures"][name], WORDS["figures"]["all"]
+        parts = ({**words.get(part, {}), **every.get(part, {})} for part in ("caption", "finding"))
+        caption, finding = (sentences(part, self.values).strip() for part in parts)
+        return fill(words["title"], self.values), caption, fill(words["alt"], self.values), finding

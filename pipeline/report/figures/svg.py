@@ -36,6 +36,7 @@ class Drawing:
     title: str
     caption: str
     alt: str
+    finding: str
     svg: str
     width: float
     height: float

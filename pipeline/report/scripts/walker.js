@@ -71,6 +71,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   const row = (name, value, unit) => { const dd = make("dd", "", value); if (unit) dd.append(" ", make("span", "unit", unit)); return [make("dt", "", name), dd]; };
   function facts() {
+    find("units").parentElement.hidden = gait.walker.keys.units !== "SI";
     const u = units(), list = make("dl"), { walker, step } = gait, angle = gait.start[0];
     list.append(...row("slope γ", brief(gait.slope, 6), `rad = ${brief(gait.slope * 180 / Math.PI, 4)}°`), ...row("stance angle θ*", brief(angle, 6), `rad = ${brief(angle * 180 / Math.PI, 4)}°`));
     if (!step.fall) {
@@ -83,7 +84,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     shares.replaceChildren();
     if (gait.losses) {
       const { normal, tangential, kneestrike } = gait.losses, total = normal + tangential + kneestrike;
-      shares.append(make("b", "", `Lost in a step: ${brief(total * u.energy, 4)} ${u.E}`));
+      shares.append(make("b", "", `Energy lost per step: ${brief(total * u.energy, 4)} ${u.E}`));
       for (const [name, loss] of [["heelstrike, normal", normal], ["heelstrike, tangential", tangential], ...(walker.kneed ? [["kneestrike", kneestrike]] : [])]) {
         const line = make("p", "share"), bar = make("i");
         bar.style.width = `${100 * loss / total}%`;
@@ -93,7 +94,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     }
     const broken = find("violations");
     broken.replaceChildren();
-    if (gait.violations) broken.append(make("b", "", gait.violations.length ? "Violates: " : "Violates no assumption"), gait.violations.join(", "));
+    if (gait.violations) broken.append(make("b", "", gait.violations.length ? "Assumption violated: " : "No assumption violated"), gait.violations.join(", "));
     find("command").textContent = gait.command ?? "";
   }
 
@@ -116,7 +117,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     time = share * durationOf(motion.steps[0]);
     other = second = null;
     facts();
-    find("title").textContent = gait.free ? `A motion of walker ${nameOf(gait)}` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)} step of walker ${nameOf(gait)}`;
+    find("title").textContent = gait.free ? `A motion of the ${nameOf(gait)} walker` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)}-step gait of the ${nameOf(gait)} walker`;
     spot = drawPortrait(find("phase"), motion, inkOf(gait));
     circle();
     slider();
@@ -211,7 +212,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
     const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
-    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : wish.slope || map ? "No gait is stored here." : "The address names no gait of this page.");
+    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : wish.slope || map ? "No gait is stored for this cell." : "The address names no gait of this page.");
     if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
     if (found && options.dock) {

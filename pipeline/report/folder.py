@@ -1,0 +1,223 @@
+"""The folder of a report: pages and their data, an index and a ledger of them, and what each says of the others."""
+
+import contextlib
+import fcntl
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pandas as pd
+
+from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.report import entry, ledger, paper
+from gaitsweep.pipeline.report.entry import Entry
+from gaitsweep.pipeline.report.paper import PAPER
+from gaitsweep.pipeline.report.words import spaced, with_unit
+
+#: How every page begins, whatever its title.
+_PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
+
+#: Suffix of drafts, by which a report finds those of a killed one; random, so that no other file has it.
+_DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
+
+#: Size limit of all thumbnails on the index [byte].
+_MAX_THUMBNAIL_BYTES = 170_000
+
+#: Places of a page for what depends on other pages.
+_PLACE = re.compile(r"<!--((?:pages|around|finding)(?::[\w-]+)?)-->.*?<!--/-->", re.S)
+
+#: Pages that a page lists beside itself, and data of the ledger.
+_MAX_LISTED, _LEDGER = 40, "csv/ledger.csv"
+
+
+@contextlib.contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """Hold the folder while its pages are combined: of two reports into it, one waits for the other.
+
+    Drafts there are left from a report that was killed, and are removed.
+    """
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            for draft in [*out.glob(f".*.{_DRAFT}"), *out.glob(f"csv/.*.{_DRAFT}")]:
+                draft.unlink()
+        yield
+    finally:
+        os.close(folder)
+
+
+def combine(
+    environment: jinja2.Environment, out: Path, pages: dict[str, tuple[str, dict[str, str]]], only: bool
+) -> None:
+    """Write pages and their data, fill in what depends on others, and write the index and ledger of all pages there."""
+    texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
+    previous, current = entry.read_all(out), {name: record for name in texts for record in entry.read(texts[name])}
+    kept = {name: record for name, record in previous.items() if name not in texts and not only}
+    entries = sorted((kept | current).values(), key=lambda record: record.order)
+    _check_own(out, pages, {name for record in previous.values() for name in record.files})
+    for _, files in pages.values():
+        for name, text in files.items():
+            _publish(out / name, text)
+    report = _Report(environment, entries)
+    texts = {name: text for name, text in texts.items() if name not in current or not current[name].text}
+    for name in kept.keys() & {f"{record.slug}.html" for record in report.shown}:
+        texts[name] = (out / name).read_text(encoding="utf-8")
+    for name, text in texts.items():
+        _publish(out / name, report.filled(text, (kept | current).get(name)))
+    wanted = {*(f"{record.slug}.html" for record in report.shown), *(name for r in entries for name in r.files)}
+    for record in previous.values():
+        entry.remove(out, record, wanted)
+    _publish(out / "ledger.html", report.page("ledger"))
+    if report.claims:
+        _publish(out / _LEDGER, csv_text(ledger.table(report.ledger)))
+    else:
+        (out / _LEDGER).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # no data, or other files there
+        (out / "csv").rmdir()
+    _publish(out / "index.html", report.page("index"))
+
+
+class _Report:
+    """All pages of a folder, and what each of them says of the others."""
+
+    def __init__(self, environment: jinja2.Environment, entries: list[Entry]) -> None:
+        self.environment, self.entries = environment, entries
+        self.shown = [record for record in entries if not record.text]
+        self.claims = {str(row["id"]): row for record in entries for row in record.claims}
+        self.ledger, self.figures = ledger.families(entries), ledger.figures(entries)
+        self.parts: Any = environment.get_template("parts.html").module
+
+    def page(self, name: str) -> str:
+        """The index or the ledger."""
+        lines = next((record.lines for record in self.shown if record.lines), [])
+        text = self.environment.get_template(f"{name}.html").render(
+            sections=self.sections,
+            ledger=self.ledger,
+            tally=ledger.tally(self.ledger),
+            signs=ledger.sign,
+            absent=PAPER["absent"] if any(record.section for record in self.shown) else {},
+            behind=[record for record in self.entries if record.text],
+            entries=[vars(record) for record in self.entries if record.text and name == "ledger"],
+            held={record.slug: self._held(record) for record in self.shown},
+            thumbnails=_thumbnails(self.shown),
+            lines=lines,
+        )
+        return self.filled(text, None)
+
+    @property
+    def sections(self) -> dict[str, list[Entry]]:
+        """Pages by section of the index: those of the paper, then all others."""
+        titles = PAPER["sections"] | {"": "Other studies" if any(r.section for r in self.shown) else "Studies"}
+        groups = {title: [r for r in self.shown if r.section == name] for name, title in titles.items()}
+        return {title: members for title, members in groups.items() if members}
+
+    def _held(self, record: Entry) -> dict[str, int]:
+        """Number of claims that a page's figures show, by verdict, the best first."""
+        ids = dict.fromkeys(id for figure in record.figures for id in self.figures[record.slug, figure["name"]])
+        rows = ledger.tally(self.ledger)
+        counts = {verdict: sum(row.id in ids for row in members) for verdict, members in rows.items()}
+        return {verdict: count for verdict, count in counts.items() if count}
+
+    def filled(self, text: str, record: Entry | None) -> str:
+        """A page with its places for what depends on other pages filled in."""
+
+        def fill(place: re.Match[str]) -> str:
+            kind, _, name = place[1].partition(":")
+            return f"<!--{place[1]}-->{self._part(kind, name, record)}<!--/-->"
+
+        return _PLACE.sub(fill, text)
+
+    def _part(self, kind: str, name: str, record: Entry | None) -> str:
+        if kind == "pages":
+            return str(self.parts.pages(self._near(record), record))
+        if record is None:
+            return ""
+        if kind == "around":
+            k = self.shown.index(record)
+            around = [self.shown[i] if 0 <= i < len(self.shown) else None for i in (k - 1, k + 1)]
+            return str(self.parts.around(*around))
+        figure = next((figure for figure in record.figures if figure["name"] == name), None)
+        if figure is None:
+            return ""
+        study = record.name if record.section else ""
+        rows = [self.claims[id] for id in self.figures[record.slug, name]]
+        verdicts = [(row["id"], spaced(row.get("verdict", "")), ledger.sign(row.get("verdict", ""))) for row in rows]
+        return str(self.parts.finding(paper.finding(study, name, self.claims) or figure["finding"], verdicts))
+
+    def _near(self, record: Entry | None) -> dict[str, list[Entry]]:
+        """Pages that a page lists beside itself: all, or of many those around it."""
+        k = self.shown.index(record) if record else 0
+        near = self.shown[max(0, k - _MAX_LISTED // 2) : max(0, k - _MAX_LISTED // 2) + _MAX_LISTED]
+        groups = {title: [r for r in members if r in near] for title, members in self.sections.items()}
+        return {title: members for title, members in groups.items() if members}
+
+
+def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: set[str]) -> None:
+    """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
+    for name in (*pages, "index", "ledger"):
+        paths.check_own(out / f"{name}.html", _PAGE)
+    if (out / "csv").is_symlink() or not (out / "csv").is_dir():
+        paths.check_own(out / "csv", rb"(?!)")
+    if not (out / "ledger.html").exists():
+        paths.check_own(out / _LEDGER, rb"(?!)")
+    for _, files in pages.values():
+        for name in files.keys() - listed:
+            paths.check_own(out / name, re.escape(files[name].partition("\n")[0].encode()))
+
+
+def _thumbnails(entries: list[Entry]) -> dict[str, str]:
+    """The first figures of the studies, the smallest first, up to the size limit of the index."""
+    room, thumbnails = _MAX_THUMBNAIL_BYTES, {}
+    for record in sorted((record for record in entries if record.thumbnail), key=lambda record: len(record.thumbnail)):
+        room -= len(record.thumbnail)
+        if room > 0:
+            thumbnails[record.slug] = record.thumbnail
+    return thumbnails
+
+
+def csv_text(
+    frame: pd.DataFrame, units: Mapping[str, str] | None = None, known: dict[bytes, list[str]] | None = None
+) -> str:
+    """A frame as CSV, with units in its head; `known` keeps the entries of columns that other frames may have too."""
+    columns = [_entries(column, {} if known is None else known) for _, column in frame.items()]
+    units = {**(units or {}), **{name: unit for name, unit in frame.attrs.get("units", {}).items() if unit}}
+    heads = [with_unit(str(c), unit if (unit := units.get(str(c), "1")) != "1" else "") for c in frame.columns]
+    return "".join(",".join(row) + "\n" for row in [map(_word, heads), *zip(*columns, strict=True)])
+
+
+def _entries(column: pd.Series, known: dict[bytes, list[str]]) -> list[str]:
+    """What a column has in a CSV file: nothing where its number or word is missing."""
+    if column.dtype.kind in "iuf":
+        key = column.dtype.str.encode() + column.to_numpy().tobytes()
+        if key not in known:
+            known[key] = ["" if x != x else repr(x) for x in column.tolist()]
+        return known[key]
+    return ["" if no else _word(str(word)) for word, no in zip(column, column.isna(), strict=True)]
+
+
+def _word(word: str) -> str:
+    """A word in a CSV file, within quotes if it holds a sign of the format.
+
+    One that a spreadsheet would evaluate as a formula is told to be text.
+    """
+    word = f"'{word}" if word[:1] in ("=", "+", "-", "@", "\t", "\r") else word
+    return '"' + word.replace('"', '""') + '"' if re.search('[,"\n\r]', word) else word
+
+
+def _publish(path: Path, text: str) -> None:
+    """Replace a file at once: a reader sees the old text or the new."""
+    draft = paths.of(path, _DRAFT)
+    try:
+        path.parent.mkdir(exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
+    except OSError as error:
+        error.filename = str(path)  # not the draft, unknown to the reader
+        raise
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
