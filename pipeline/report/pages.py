@@ -248,8 +248,9 @@ def _page(source: Source, slug: str) -> Page:
     added = {"fits/scaling": "residuals", "overlay": "measured"}
     wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
     drawings: list[Drawing] = []
+    told: set[str] = set()
     for name in wanted:
-        drawing = draw(source, name, slug, small=not drawings)  # the index shows the first
+        drawing = draw(source, name, slug, not drawings, told)  # the index shows the first
         title = paper.words(source).get(name, {}).get("title")
         drawings += [replace(drawing, title=title or drawing.title)] if drawing else []
     tables: dict[str, Any] = {

@@ -13,7 +13,7 @@ from gaitsweep.pipeline.report.figures import FIGURES, design_maps, draw, famili
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
-from gaitsweep.pipeline.report.figures.style import GAIT_COLOURS, MUTED, choose_rows, set_log, style
+from gaitsweep.pipeline.report.figures.style import COLOURS, MUTED, choose_rows, set_log, style
 from gaitsweep.pipeline.report.figures.svg import TARGETS
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import WORDS, plain, sentences
@@ -67,7 +67,7 @@ def _drawn(sketch):
         x, y = (np.asarray(values, float) for values in drawn.get_data())
         there = np.isfinite(x) & np.isfinite(y)
         for run in np.split(np.arange(len(x)), np.flatnonzero(np.diff(there)) + 1):
-            if there[run[0]] and drawn.get_color() in GAIT_COLOURS.values():
+            if there[run[0]] and drawn.get_color() in COLOURS.values():
                 yield x[run], y[run]
 
 
@@ -237,16 +237,14 @@ def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, li
     assert ("6 of 9 lines are drawn." in sketch.words("bifurcation")[1]) == (lines == 9)
 
 
-def test_branches_of_one_label_have_its_colour_and_one_entry_in_the_legend(tmp_path):
+def test_branches_of_one_label_have_one_colour_and_one_entry_in_the_legend(tmp_path):
     slope = np.linspace(0.01, 0.05, 30)
     rows = {"branch": np.repeat([0, 1], 30), "slope": np.tile(slope, 2), "stance_angle": np.append(slope, 2 * slope)}
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
     archive = write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"branches": rows | {"gait": ["long"] * 60}})
-    (legend,) = FIGURES["locus"](read(archive)).figure.legends
-    keys = {
-        line.get_color(): words.get_text() for line, words in zip(legend.get_lines(), legend.get_texts(), strict=True)
-    }
-    assert keys == {GAIT_COLOURS["long"]: "long step"}
+    sketch = FIGURES["locus"](read(archive))
+    assert [key.get_label() for key in sketch.keys] == ["long step"]
+    assert {line.get_color() for line in sketch.panels[0].lines if len(line.get_xdata()) > 1} == {COLOURS["line0"]}
 
 
 @pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])

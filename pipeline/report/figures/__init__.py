@@ -48,11 +48,11 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
 }
 
 
-def draw(source: Source, name: str, salt: str, small: bool = True) -> Drawing | None:
+def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str] | None = None) -> Drawing | None:
     """Draw one figure of a study; None if the archive lacks its data or there is no figure of that name.
 
     `salt` makes the SVG's identifiers differ from those of other figures on the page; `small` asks for a version for
-    the index.
+    the index; `told` are the legends of earlier figures of the page, which this one does not repeat.
     """
     function = FIGURES.get(name)
     if function is None:
@@ -65,6 +65,7 @@ def draw(source: Source, name: str, salt: str, small: bool = True) -> Drawing | 
         sketch = function(source)
         if sketch is None:
             return None
+        sketch.draw_legend(set() if told is None else told)
         add_degrees(sketch.figure)
         sketch.values["steps"] = source.steps if source.steps > 1 else None
         return render(sketch, name, salt, small)

@@ -8,7 +8,7 @@ from gaitsweep.pipeline.report.figures import landmarks
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
     DOTTED,
-    GAIT_COLOURS,
+    LINE,
     MAX_PANELS,
     PRINTED,
     RASTER,
@@ -37,7 +37,7 @@ def bifurcation(source: Source) -> Sketch | None:
     tips = {"slope": "γ (rad)", "stance_angle": "θ* of one step (rad)", "period": "period"}
     for axes, (at, rows) in zip(sketch.panels, lines, strict=True):
         size, name = 0.9 if len(rows) > 10_000 else 2, axis_values(at)
-        ink = RASTER["long"] if raster else GAIT_COLOURS["long"]
+        ink = RASTER["long"] if raster else LINE
         axes.plot(rows["slope"], rows["stance_angle"], ".", ms=size, mew=0, color=ink, rasterized=raster)
         set_heading(axes, (shorten(name) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
         of_walker = landmarks.rows(source, str(at.get("walker", source.walker)))

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Arc, Circle
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, PAPER, SECOND
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import fill, shorten
 
@@ -143,7 +143,7 @@ def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mappi
         if not np.isfinite(mass) or mass <= 0:
             continue
         size = 0.11 * height * np.sqrt(mass / total)
-        axes.add_patch(Circle((at.real, at.imag), size, color=colour("long"), alpha=0.75, lw=0, zorder=4))
+        axes.add_patch(Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4))
         if gyration > 0:
             axes.add_patch(Circle((at.real, at.imag), gyration, fill=False, color=MUTED, lw=0.7, ls=(0, (2, 2))))
         letter = part[0]
@@ -182,9 +182,9 @@ def conditions(source: Source) -> Sketch | None:
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
         draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
-            axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=colour("short"), lw=1.2, ls=(0, (4, 1.5)))
+            axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
         for at, size in ((thigh, 5), (shank, 5)):
-            axes.plot(at.real, at.imag, "o", color=colour("long"), ms=size, zorder=5)
+            axes.plot(at.real, at.imag, "o", color=LINE, ms=size, zorder=5)
         axes.plot(centre.real, centre.imag, "P", color=INK, ms=8, mec=PAPER, zorder=6)
         axes.set_xlim(-0.4 * height, 0.4 * height)
         axes.set_ylim(-0.04 * height, 1.12 * height)

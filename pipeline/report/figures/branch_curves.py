@@ -42,7 +42,7 @@ def locus(source: Source) -> Sketch | None:
     panels, is_measured = sketch.panels, False
     for k, (at, frame) in enumerate(chosen):
         axes = panels[0 if together else k]
-        sketch.pieces += _draw_branches(axes, frame, k if together else 0)
+        sketch.pieces += _draw_branches(axes, frame, k)
         _mark_branch(sketch, axes, source, frame, at)
         is_measured = measured.draw(axes, source, "stance_angle", at) or is_measured
         _draw_special(sketch, axes, rows_at(special, at), source.line_command(frame))
@@ -99,7 +99,7 @@ def _mark(kind: str) -> dict[str, Any]:
 
 
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
-    """Draw the branches of a line, each gait in the colour of its label; the rows drawn."""
+    """Draw the branches of a line, each gait in the dashes of its label; the rows drawn."""
     pieces: list[pd.DataFrame] = []
     edges = frame["slope"].min(), frame["slope"].max()
     by_branch = frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.body import Body, draw_leg
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MUTED, colour, evenly, set_heading, write_at
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, evenly, set_heading, write_at
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, plain, shorten, with_unit
 
@@ -89,7 +89,7 @@ def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
     for leg, (early, late) in {"heavy": (first, second), "light": (second, first)}.items():
         for part in ("thigh", "shank") if kneed else ("thigh",):
             t, angle = np.concatenate([time, period + time]), np.concatenate([early[part], late[part]])
-            width, ink = (2.2, colour(step.gait)) if leg == "heavy" else (0.9, MUTED)
+            width, ink = (2.2, LINE) if leg == "heavy" else (0.9, MUTED)
             axes.plot(t, angle, color=ink, lw=width, ls="-" if part == "thigh" else (0, (4, 1.4)))
             pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
             if leg == "heavy":
@@ -134,7 +134,7 @@ def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 4) -> None:
             st, th, sh = (float(np.interp(t, frame["time"], frame[c])) for c in ("theta_st", "theta_th", "theta_sh"))
             hip = complex(body.hip(st))
             hip += (number * moments + k) * apart - hip.real
-            heavy = {"color": colour(step.gait), "lw": 2.0, "zorder": 4}
+            heavy = {"color": LINE, "lw": 2.0, "zorder": 4}
             light = {"color": INK, "lw": 0.8, "zorder": 3}
             draw_leg(axes, body, hip, st, st, **(heavy if number == 0 else light))
             draw_leg(axes, body, hip, th, sh, **(light if number == 0 else heavy))

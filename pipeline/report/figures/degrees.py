@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.style import MUTED
+from gaitsweep.pipeline.report.figures.style import MUTED, RULE
 from gaitsweep.pipeline.report.words import plain
 
 _UNIT = "(rad)"
@@ -50,4 +50,4 @@ def _add(axes: Axes, which: str) -> None:
     )
     getattr(second, f"set_{which}ticks")(ticks, [f"{plain(tick, 3)}°" for tick in ticks])
     second.tick_params(colors=MUTED, labelsize=8, length=2)
-    second.spines[:].set_visible(False)
+    second.spines["top" if which == "x" else "right"].set(visible=True, color=RULE)

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells
-from gaitsweep.pipeline.report.figures.style import choose_rows
+from gaitsweep.pipeline.report.figures.style import choose_rows, hatch, on_map
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, plain, shorten, spaced, with_unit
 
@@ -69,9 +69,10 @@ def design(source: Source) -> Sketch | None:
         row[0].set_ylabel(f"{shorten(names[k], 22)}: " * bool(names[k]) + _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
-        axes.xaxis.set_major_locator(MaxNLocator(3))
+        axes.xaxis.set_major_locator(MaxNLocator(5))
         _add_bar(sketch.figure, picture, list(column))
     ends = [(spaced(c), table[c].min(), table[c].max()) for c in MAPPED]
+    ranges = "; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends)
     return sketch.finish(
         table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
         down=down,
@@ -79,7 +80,8 @@ def design(source: Source) -> Sketch | None:
         circles=_named(source, down, along) if is_marked else "",
         blank=True,
         more=more,
-        ranges="; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends),
+        ranges=ranges,
+        Ranges=ranges[0].upper() + ranges[1:],
     )
 
 
@@ -90,11 +92,12 @@ def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
     low, high = (low, high) if low <= high else (0.0, 1.0)
     scale: Any = {"cmap": "cividis", "vmin": low, "vmax": high, "rasterized": True}
     picture = axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **scale)
-    axes.grid(False)
+    hatch(axes)
     if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
         inner = np.ma.masked_invalid(z.to_numpy())
         levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(inner.min(), inner.max())
-        drawn = axes.contour(z.columns, z.index, inner, levels=levels, colors="#ffffff", linewidths=0.7)
+        inks = [on_map(level, low, high) for level in levels]
+        drawn = axes.contour(z.columns, z.index, inner, levels=levels, colors=inks, linewidths=0.7)
         curves = [max(parts, key=len) for parts in drawn.allsegs if sum(map(len, parts))]
         # Labels in the middle of the curves, where they fit, not in a row.
         middles = [curve[int(len(curve) * (0.4 + 0.2 * (k % 2)))] for k, curve in enumerate(curves) if _fits(curve, z)]

@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from gaitsweep.pipeline.report.figures import landmarks, measured
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
 from gaitsweep.pipeline.report.figures.style import (
-    DASHES,
+    COLOURS,
     DOTTED,
     INK,
     MUTED,
     PAPER,
     SAMPLES,
     colour,
+    dash,
     draw_gait,
     end_labels,
     set_heading,
@@ -58,6 +59,7 @@ def linear(source: Source) -> Sketch | None:
     is_measured = measured.draw(axes, source, "stance_angle")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
+    label_lines(axes, sketch.pieces, [line.label for line in lines], _line_titles(source, lines))
     return _finish(sketch, source, _line_titles(source, lines), is_measured)
 
 
@@ -78,8 +80,27 @@ def _draw_families(sketch: Sketch, source: Source, lines: list[Line]) -> list[tu
                 sketch.mark_gaits(axes, points, f"{gait} step · {names[k]}", line.command, tips, group=k)
                 sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
             if starts:
-                labels.append((*min(starts), names[k], colour(gait)))
+                labels.append((*min(starts), names[k], colour(k)))
     return labels
+
+
+def label_lines(
+    axes: Axes,
+    pieces: list[pd.DataFrame],
+    lines: list[str],
+    names: list[str],
+    x: str = "slope",
+    y: str = "stance_angle",
+) -> None:
+    """Write the name of each line at the right end of one of its curves; a line alone needs none."""
+    ends = []
+    for k, (line, name) in enumerate(zip(lines, names, strict=True)):
+        rows = pd.concat([piece[piece["line"] == line] for piece in pieces], ignore_index=True)
+        rows = rows[np.isfinite(rows[x]) & np.isfinite(rows[y])]
+        if len(rows):
+            ends.append((*rows[[x, y]].iloc[int(rows[x].argmax())], name, colour(k)))
+    if 1 < len(lines) <= len(COLOURS):
+        end_labels(axes, ends, "right")
 
 
 def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool, **sentences: Any) -> Sketch:
@@ -87,7 +108,7 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
     (axes,) = sketch.panels
     data = pd.concat(sketch.pieces, ignore_index=True)
     axes.set_xlabel("slope γ (rad)")
-    set_heading(axes, f"{_letter(source, axes.get_xscale())}stance angle θ* (rad)")
+    set_heading(axes, "stance angle θ* (rad)")
     sketch.gait_keys(data)
     if sentences.get("fitted"):
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
@@ -95,10 +116,9 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
         sketch.printed_key()
     if is_measured:
         sketch.dot_key(**measured.KEY)
-    sketch.line_keys(names, axes)
     return sketch.finish(
         data,
-        lines=names if len(names) > 2 else [],
+        lines=names,
         names=_line_names(names),
         stable=(data["stable"] == 1).any(),
         most=data["stance_angle"].max(),
@@ -106,12 +126,6 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
         gaits=", ".join(data["gait"].unique()),
         **sentences,
     )
-
-
-def _letter(source: Source, scale: str) -> str:
-    """Letter of the panel where a study shows the families on both kinds of axes, as the paper's figure 11 does."""
-    shown = [name for name in source.figures if name in ("linear", "loglog")]
-    return f"({'ab'[shown.index('linear' if scale == 'linear' else 'loglog')]}) " if len(shown) == 2 else ""
 
 
 def _line_titles(source: Source, lines: list[Line]) -> list[str]:
@@ -217,7 +231,7 @@ def residuals(source: Source) -> Sketch | None:
                 law = row.amplitude * used["slope"] ** row.exponent
                 used = used.assign(residual=used["stance_angle"] / law - 1)
                 percent = 100 * used["residual"]
-                axes.plot(used["slope"], percent, color=colour(gait), lw=1.2, ls=DASHES[k % len(DASHES)])
+                axes.plot(used["slope"], percent, color=colour(k), lw=1.2, ls=dash(gait))
                 regime = getattr(row, "regime", "")
                 label = f"{gait} step · {line.label} · {regime} slopes"
                 tips = {"slope": "γ (rad)", "percent": "residual (%)"}
@@ -232,4 +246,5 @@ def residuals(source: Source) -> Sketch | None:
     axes.set_xlabel("slope γ (rad)")
     set_heading(axes, "relative residual of the stance angle (%)")
     sketch.gait_keys(data[["gait"]])
+    sketch.line_keys([line.label for line in source.lines])
     return sketch.finish(data, 4, worst=100 * data["residual"].abs().max())

@@ -23,6 +23,7 @@ def exponents(source: Source) -> Sketch | None:
     rows = [(str(row["walker"]), gait, row) for _, row in table.iterrows() for gait in ("short", "long")]
     sketch = Sketch(60 + 24 * len(rows), 1, 2, sharey=True)
     data = []
+    walkers = list(dict.fromkeys(walker for walker, _, _ in rows))
     for axes, (of, laws) in zip(sketch.panels, _LAWS.items(), strict=True):
         name = "θ* ∝ γᵖ" if of == "angle" else "P ∝ vᵖ"
         set_heading(axes, f"p of {name}")
@@ -30,8 +31,8 @@ def exponents(source: Source) -> Sketch | None:
             axes.axvline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
         for k, (walker, gait, row) in enumerate(rows):
             for when, marker in _RANGES.items():
-                value, fill = float(row[f"{gait}_{of}_{when}"]), PAPER if when == "small" else colour(gait)
-                axes.plot([value], [-k], marker, color=colour(gait), mfc=fill, ms=6)
+                value, ink = float(row[f"{gait}_{of}_{when}"]), colour(walkers.index(walker))
+                axes.plot([value], [-k], marker, color=ink, mfc=PAPER if when == "small" else ink, ms=6)
                 data.append({"walker": walker, "gait": gait, "law": name, "slopes": when, "exponent": value})
                 shown = {f"p of {name}": [value], "slopes": [when]}
                 sketch.mark(axes, [value], [-k], f"{walker}, {gait} step", shown)

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from gaitsweep.pipeline.report.figures import fields
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells, parameters
-from gaitsweep.pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, set_heading, set_log
+from gaitsweep.pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, hatch, set_heading, set_log
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
@@ -53,7 +53,7 @@ def heatmap(source: Source) -> Sketch | None:
             sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
             picture = axes.pcolormesh(*sides, z, cmap="cividis", vmin=low, vmax=high, rasterized=True)
             _draw_stability_border(axes, part, x, y)
-            axes.grid(False)
+            hatch(axes)
             title = ", ".join(filter(None, (f"{gait} step", name)))
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
             columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in part]
@@ -95,7 +95,8 @@ def _draw_stability_border(axes: Axes, part: xr.Dataset, x: np.ndarray, y: np.nd
         return
     radius = part["spectral_radius"].values
     if np.nanmin(radius, initial=np.inf) < 1 < np.nanmax(radius, initial=-np.inf):
-        axes.contour(x, y, np.ma.masked_invalid(radius), levels=[1.0], colors="#ffffff", linewidths=1.6)
+        for ink, width in (("#101418", 3.0), ("#ffffff", 1.4)):
+            axes.contour(x, y, np.ma.masked_invalid(radius), levels=[1.0], colors=ink, linewidths=width)
 
 
 def _set_scales(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:

@@ -1,14 +1,16 @@
 """Quantities of gaits other than the stance angle: multipliers, losses, heelstrike, power and speed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from gaitsweep.pipeline.report.figures import measured
+from gaitsweep.pipeline.report.figures.families import label_lines
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin
+from gaitsweep.pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin, write_at
 from gaitsweep.pipeline.report.source import RATES, Source
 from gaitsweep.pipeline.report.words import WORDS, spaced, with_unit
 
@@ -28,7 +30,9 @@ class Quantity:
     guides: Mapping[str, str] = field(default_factory=dict)
 
     def value(self, frame: pd.DataFrame) -> pd.Series:
-        """What is drawn, of each row of a frame."""
+        """What is drawn, of each row of a frame; power over m g √(g l) follows from the dimensionless speed."""
+        if self.abscissa == "froude_speed":
+            return frame["froude_speed"] * np.sin(frame["slope"])
         first, *others = (frame[name].fillna(0.0) if "knee" in name else frame[name] for name in self.reads)
         is_loss = self.reads[0] == "loss_normal"
         return 1 - first / sum(others, start=first) if is_loss else first
@@ -42,6 +46,8 @@ QUANTITIES = {
 def draw(name: str, source: Source) -> Sketch | None:
     """Plot a quantity of every gait against slope or speed."""
     quantity = QUANTITIES[name]
+    if quantity.abscissa == "speed" and "froude_speed" in source.grid:
+        quantity = replace(quantity, heading="power P/(m g √(g l))", reads=("froude_speed",), abscissa="froude_speed")
     lines = [line for line in source.lines if set(quantity.reads) <= set(line.data)]
     if not any(np.isfinite(line.data[quantity.reads[0]]).any() for line in lines):
         return None
@@ -64,30 +70,27 @@ def draw(name: str, source: Source) -> Sketch | None:
         return None
     for value, words in ((float(at), words) for at, words in quantity.guides.items()):
         axes.axhline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
-        place = {"xycoords": axes.get_yaxis_transform(), "xytext": (0, 3), "textcoords": "offset points"}
-        axes.annotate(words, (0.005, value), fontsize=8, color=MUTED, **place)  # type: ignore[arg-type]
+        how: Any = {"fontsize": 8, "color": MUTED, "zorder": 6, "xycoords": axes.get_yaxis_transform()}
+        write_at(axes, words, (0.005, value), (0, 3), **how)
     _name_axes(sketch, source, quantity)
     data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
     sketch.gait_keys(data)
-    sketch.line_keys(names)
+    label_lines(axes, sketch.pieces, names, names, quantity.abscissa, "value")
     # Shares of several losses are drawn, which no measurement of one of them can be compared with.
     is_read = quantity.abscissa == "slope" and len(quantity.reads) == 1
     if is_read and measured.draw(axes, source, quantity.reads[0]):
         sketch.dot_key(**measured.KEY)
     finite = data["value"][np.isfinite(data["value"])]
     ends = {"low": finite.min(), "high": finite.max()}
-    return sketch.finish(data, 4, names if len(names) > 2 else [], heading=quantity.heading, count=len(names), **ends)
+    return sketch.finish(data, 4, names, heading=quantity.heading, count=len(names), **ends)
 
 
 def _name_axes(sketch: Sketch, source: Source, quantity: Quantity) -> None:
-    mixed = len(set(source.grid["walker_units"].values.tolist())) > 1 if "walker_units" in source.grid else False
     (axes,) = sketch.panels
     if quantity.abscissa == "slope":
         axes.set_xlabel("slope γ (rad)")
         set_heading(axes, quantity.heading)
         return
-    across, upward = (
-        "each walker's units" if mixed else source.units(v) for v in (quantity.abscissa, quantity.reads[0])
-    )
-    axes.set_xlabel(with_unit(f"{quantity.abscissa} v", across))
+    across, upward = (source.units(v) for v in (quantity.abscissa, quantity.reads[0]))
+    axes.set_xlabel(with_unit("speed v" if quantity.abscissa == "speed" else spaced(quantity.abscissa), across))
     set_heading(axes, with_unit(quantity.heading, upward))

@@ -7,12 +7,12 @@ import pandas as pd
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
-    DASHES,
     DOTTED,
-    GAIT_COLOURS,
     INK,
+    LINE,
     MARKERS,
     MUTED,
+    PRINTED,
     set_heading,
     set_log,
 )
@@ -24,7 +24,7 @@ _TITLES = {
     "slope_transition": ("crossing of asymptotes", "γ at the transition (rad)"),
     "local_exponent": ("local exponent", "local exponent"),
 }
-_INKS = (GAIT_COLOURS["short"], MUTED, GAIT_COLOURS["other1"])
+_INKS = (LINE, MUTED, PRINTED)
 
 
 def transition_ladder(source: Source) -> Sketch | None:
@@ -68,7 +68,7 @@ def _draw_columns(sketch: Sketch, axes: Any, table: pd.DataFrame, stem: str) -> 
     for k, column in enumerate(columns):
         rest = spaced(column.removeprefix(stem)).strip()
         name = f"{words.partition(' of ')[0]}, {rest}" if rest else words
-        how: Any = {"color": _INKS[k % 3], "lw": 1, "ls": DASHES[k % len(DASHES)], "marker": MARKERS[k % 5], "ms": 4.5}
+        how: Any = {"color": _INKS[k % 3], "lw": 1, "marker": MARKERS[k % 5], "ms": 4.5}
         axes.plot(table["foot_mass_ratio"], table[column], label=name, **how)
         values = {"ρ": table["foot_mass_ratio"], tip: table[column]}
         sketch.mark(axes, table["foot_mass_ratio"], table[column], name, values)

@@ -7,13 +7,12 @@ from matplotlib.ticker import MaxNLocator
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
-    DASHES,
     DOTTED,
-    GAIT_COLOURS,
     INK,
     MARKERS,
     MUTED,
     PAPER,
+    colour,
     set_heading,
     set_log,
     write_at,
@@ -23,7 +22,6 @@ from gaitsweep.pipeline.report.words import axis_values, plain, print_units, sho
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
-_INKS = tuple(GAIT_COLOURS.values())
 #: Factor of the slope over which the walkers of a census at one slope are spread.
 _ABREAST = 1.5
 
@@ -40,8 +38,7 @@ def census(source: Source) -> Sketch | None:
     every, reached = source.line_groups(table), coverage[coverage["converged"] > 0]
     tips = {"γ (rad)": "slope", "θ* (rad)": "stance_angle", "hits": "hits" if "hits" in table else "slope"}
     for k, (at, rows) in enumerate(every):
-        name, ink, marker = axis_values(at) or source.walker, _INKS[k % 4], MARKERS[k % 8]
-        dash = DASHES[k // 4 % len(DASHES)]
+        name, ink, marker = axis_values(at) or source.walker, colour(k), MARKERS[k % 8]
         # Walkers at one slope stand side by side, one alone at its slope.
         beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
         for passes_once, fill in ((1, ink), (0, PAPER)):
@@ -51,9 +48,9 @@ def census(source: Source) -> Sketch | None:
         command = source.line_command(rows)
         sketch.mark(top, place, rows["stance_angle"], name, values, command=command, slopes=rows["slope"])
         seen = rows_at(reached, at)
-        below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, ls=dash, lw=1.1, marker=marker, ms=4)
+        below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, lw=1.1, marker=marker, ms=4)
         if k < len(MARKERS):
-            sketch.key(shorten(name), ink, ls=dash, marker=marker, ms=5)
+            sketch.key(shorten(name), ink, marker=marker, ms=5)
     set_heading(top, "stance angle θ* of every gait found (rad)")
     set_heading(below, "upper bound on guesses that lead to missed gaits (%)")
     below.set_ylim(bottom=0)
@@ -78,8 +75,8 @@ def cascade(source: Source) -> Sketch | None:
                 continue
             distance, number, k = np.diff(slopes), np.arange(1, len(slopes)), len(sketch.pieces)
             name = ", ".join(filter(None, (axis_values(at), f"period {family}")))
-            ink, marker, dash = _INKS[k % 4], MARKERS[k % 5], DASHES[k % len(DASHES)]
-            axes.semilogy(number, np.abs(distance), marker, color=ink, ms=5, ls=dash, lw=0.9)
+            ink, marker = colour(k), MARKERS[k % 5]
+            axes.semilogy(number, np.abs(distance), marker, color=ink, ms=5, ls="-", lw=0.9)
             law = np.abs(distance[-1]) * FEIGENBAUM ** (number[-1] - number)
             axes.semilogy(number, law, color=MUTED, lw=1, ls=DOTTED)
             sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
@@ -109,12 +106,11 @@ def curves(source: Source) -> Sketch | None:
     sketch = Sketch(330)
     (axes,) = sketch.panels
     table = table if "kind" in table else table.assign(kind="curve")
-    kinds = {str(kind): (_INKS[k % 4], DASHES[k % len(DASHES)]) for k, kind in enumerate(table["kind"].unique())}
+    kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
     for at, rows in source.line_groups(table):
         for number, curve in rows.groupby("curve", sort=False):
             kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
-            ink, dash = kinds[kind]
-            axes.plot(curve["slope"], curve["value"], color=ink, lw=1.5, ls=dash)
+            axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
             label = ", ".join(filter(None, (axis_values(at), f"{spaced(kind)}, curve {number}")))
             base = source.line_command(curve.drop(columns=key, errors="ignore"))
             places = curve[["slope", "value"]].to_numpy(float).tolist()
@@ -125,8 +121,8 @@ def curves(source: Source) -> Sketch | None:
     axes.set_xlabel("slope γ (rad)")
     set_heading(axes, with_unit(symbol(key), unit))
     touches = _mark_touches(source, axes, key)
-    for kind, (ink, dash) in kinds.items():
-        sketch.key(f"{spaced(kind)}s", ink, lw=1.5, ls=dash)
+    for kind, ink in kinds.items():
+        sketch.key(f"{spaced(kind)}s", ink, lw=1.5)
     named = " and ".join(f"{spaced(kind)}s" for kind in kinds).capitalize()
     return sketch.finish(
         table, 4, Kinds=named, kinds=", ".join(kinds), key=key, count=len(touches), touches="; ".join(touches)

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gaitsweep.pipeline.report.figures.style import DASHES, INK, MUTED, PRINTED, canvas, colour
+from gaitsweep.pipeline.report.figures.style import COLOURS, INK, PRINTED, canvas, colour, dash
 from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten
 
 #: What a gait's columns are called under the pointer.
@@ -67,6 +67,7 @@ class Sketch:
         self.marks: list[Marks] = []
         self.maps: list[Panel] = []
         self.keys: list[Any] = []
+        self.columns = 3
         self.pieces: list[pd.DataFrame] = []
         self.data = pd.DataFrame()
         self.values: dict[str, Any] = {}
@@ -96,19 +97,14 @@ class Sketch:
         """Add the colours of the gaits in some rows to the legend, and how stable ones are drawn if there are any."""
         for gait in rows["gait"].unique():
             if gait:
-                self.key(shorten(f"{gait} step"), colour(gait), lw=1.4)
+                self.key(shorten(f"{gait} step"), lw=1.4, ls=dash(gait))
         if "stable" in rows and (rows["stable"] == 1).any():
             self.key("stable", lw=2.6)
 
-    def line_keys(self, names: Sequence[str], axes: Axes | None = None) -> None:
-        """Add the dashes of lines to the legend, or to one of a panel; if they are too many to tell, none."""
-        if not 1 < len(names) <= len(DASHES):
-            return
-        keys = [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]
-        if axes is None:
-            self.keys += keys
-        else:
-            axes.legend(handles=keys, loc="lower right", handlelength=3)
+    def line_keys(self, names: Sequence[str]) -> None:
+        """Add the colours of lines to the legend; if they are too many to tell, none."""
+        for k, name in enumerate(names if 1 < len(names) <= len(COLOURS) else ()):
+            self.key(shorten(name), colour(k), lw=2.2)
 
     def printed_key(self) -> None:
         """Add the marks of printed numbers to the legend."""
@@ -117,13 +113,12 @@ class Sketch:
     def finish(
         self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
     ) -> "Sketch":
-        """Draw the legend, and keep the figure's data and the values of its words.
+        """Keep the figure's data and the values of its words; its legend has some columns.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
         not `every` line is `drawn`, some are `omitted`.
         """
-        if self.keys:
-            self.figure.legend(handles=self.keys, loc="outside upper left", ncols=columns)
+        self.columns = columns
         self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
         known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
         if "slope" in self.data:
@@ -132,6 +127,12 @@ class Sketch:
             known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
         self.lines, self.values = list(lines), known | values
         return self
+
+    def draw_legend(self, told: set[str]) -> None:
+        """Draw the legend, without what a page has told already; that of this figure is told from then on."""
+        if keys := [key for key in self.keys if key.get_label() not in told]:
+            self.figure.legend(handles=keys, loc="outside upper left", ncols=self.columns)
+        told |= {str(key.get_label()) for key in keys}
 
     def words(self, name: str) -> tuple[str, str, str, str]:
         """Title, caption, alt text and finding, of the figure's name."""

@@ -19,24 +19,26 @@ from gaitsweep.pipeline.report.words import axis_values, plain, shorten, supersc
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480
 
-#: Colours as drawn. On the page each is a CSS variable with a light and a dark value.
+#: Colours as drawn, those of walkers in their order. On the page each is a CSS variable, with a light and a dark value.
 INK, MUTED, RULE, PAPER = "#1b1d20", "#5d6268", "#dfe2e6", "#fefefd"
-GAIT_COLOURS = {"long": "#1f6fb2", "short": "#c04a08", "other1": "#7a4fa3", "other2": "#2a7a54"}
-#: What the paper prints.
-PRINTED = GAIT_COLOURS["other1"]
+COLOURS = {
+    "line0": "#1f6fb2", "line1": "#c04a08", "line2": "#2a7a54",
+    "line3": "#8a6a00", "line4": "#a3246b", "line5": "#7a4fa3",
+}  # fmt: skip
+LINE, SECOND, _, _, _, PRINTED = COLOURS.values()  # the last one: what the paper prints
 VARIABLES = {
     INK: "ink",
     MUTED: "muted",
     RULE: "rule",
     PAPER: "paper",
-    **{colour: gait for gait, colour in GAIT_COLOURS.items()},
+    **{colour: name for name, colour in COLOURS.items()},
 }
 
 #: Colours in raster images, which cannot follow the page: legible on light and dark backgrounds.
 RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
 
-#: Dash patterns that distinguish lines of one gait; the first is solid.
-DASHES: tuple[Any, ...] = ("-", (0, (6, 1.6)), (0, (2, 1.4)), (0, (7, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (10, 3)))
+#: Dash patterns that distinguish the gaits of a walker, by their labels; another gait is dotted.
+_DASHES: dict[str, Any] = {"long": "-", "": "-", "short": (0, (6, 1.6)), "other1": (0, (7, 1.5, 1.5, 1.5))}
 
 #: Dashes of laws, borders and guides.
 DOTTED = (0, (1, 2))
@@ -65,9 +67,14 @@ def canvas(height: float, width: float = WIDTH) -> Figure:
     return figure
 
 
-def colour(gait: str) -> str:
-    """Colour of a gait's label; ink for labels without a colour."""
-    return GAIT_COLOURS.get(gait, INK)
+def colour(k: int) -> str:
+    """Colour of the k-th walker, or line, of a study."""
+    return tuple(COLOURS.values())[k % len(COLOURS)]
+
+
+def dash(gait: str) -> Any:
+    """Dash pattern of a gait's label."""
+    return _DASHES.get(gait, (0, (2, 1.4)))
 
 
 def _is_narrow(low: float, high: float) -> bool:
@@ -114,7 +121,7 @@ def draw_gait(
     axes: Axes, curve: pd.DataFrame, gait: str, k: int = 0, group: int | None = None, x: str = "slope",
     y: str = "stance_angle",
 ) -> None:  # fmt: skip
-    """Draw line k where it has a gait's label: thin, and thick where it is stable; a point by itself as a dot.
+    """Draw line k, in its colour, where it has a gait's label: thin, and thick where it is stable; one point as a dot.
 
     It goes one point beyond, so that a new label leaves no gap. `group` is the number of the line that the page
     highlights as one.
@@ -122,13 +129,13 @@ def draw_gait(
     has_label = curve["gait"] == gait
     across, upward = curve[x], curve[y].where(has_label | has_label.shift(fill_value=False))
     is_stable = (curve["stable"] == 1).to_numpy() if "stable" in curve else np.zeros(len(curve), bool)
-    dash = DASHES[k % len(DASHES)]
-    thick = dash if dash == "-" else (0, tuple(length / 2.2 for length in dash[1]))
-    how: Any = {"color": colour(gait), "gid": None if group is None else f"line-{group}"}
+    thin = dash(gait)
+    thick = thin if thin == "-" else (0, tuple(length / 2.2 for length in thin[1]))
+    how: Any = {"color": colour(k), "gid": None if group is None else f"line-{group}"}
     # The thin line extends one point into the thick one, so that there is no gap between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
-    axes.plot(across, upward.mask(inside), lw=1.1, ls=dash, **how)
+    axes.plot(across, upward.mask(inside), lw=1.1, ls=thin, **how)
     axes.plot(across, upward.where(is_stable), lw=2.6, ls=thick, **how)
     # A line of one point is invisible.
     alone = upward.notna() & upward.shift().isna() & upward.shift(-1).isna()
@@ -138,8 +145,20 @@ def draw_gait(
 
 
 def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **how: Any) -> None:
-    """Write words beside a point, at a distance from it [pt]."""
-    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, **how})
+    """Write words beside a point, at a distance from it [pt], on ground that hides curves."""
+    ground = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, "bbox": ground, **how})
+
+
+def hatch(axes: Axes) -> None:
+    """Hatch the ground of a map: its cells without a value differ from every colour, on light and dark pages."""
+    axes.grid(False)
+    axes.patch.set(visible=True, facecolor="none", edgecolor=MUTED, hatch="////", linewidth=0)
+
+
+def on_map(level: float, low: float, high: float) -> str:
+    """Ink of a contour on the colour map: light on its dark half, dark on its light half."""
+    return "#ffffff" if level < low + 0.55 * (high - low) else "#101418"
 
 
 def set_heading(axes: Axes, text: str) -> None:
@@ -179,16 +198,27 @@ def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list
     """Rows of maps, one for each value of some axes: those drawn, what tells each from the others, and a sentence."""
     rows, keys = evenly(every, MAX_ROWS), [key for key in every[0] if any(at[key] != every[0][key] for at in every)]
     names = [axis_values({key: at[key] for key in keys}) for at in rows]
+    if len(every) == 2:
+        return rows, names, f"Top: {names[0]}; bottom: {names[1]}."
     head = "Rows" if len(rows) == len(every) else f"Rows, {len(rows)} of {len(every)}"
     return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
-def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: float = 11) -> None:
-    """Write names to the left of curves that start at (x, y); names that would overlap share one line."""
-    (left, right), log = axes.get_xlim(), axes.get_xscale() == "log"
-    axes.set_xlim(left * (left / right) ** 0.2 if log else left - 0.2 * (right - left), right)
+def end_labels(
+    axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str = "left", gap: float = 11
+) -> None:
+    """Write names beside the ends (x, y) of curves, in their inks; those of one ink that would overlap share a line."""
+    sign, (left, right), log = 1 if side == "right" else -1, axes.get_xlim(), axes.get_xscale() == "log"
+    left, right = (np.log(left), np.log(right)) if log else (left, right)
+
+    def widen(room: float) -> None:
+        wide = room * (right - left)
+        ends = np.array([left - wide * (side == "left"), right + wide * (side == "right")])
+        axes.set_xlim(*(np.exp(ends) if log else ends))
+
+    widen(0.2)
     placed: list[tuple[float, float, float, list[str], str]] = []
-    for x, y, name, ink in sorted(labels, key=lambda item: (item[3], item[1])):
+    for x, y, name, ink in sorted(labels, key=lambda item: item[1]):
         height = axes.transData.transform((x, y))[1]
         if placed and abs(height - placed[-1][0]) < gap and placed[-1][4] == ink:
             placed[-1][3].append(name)
@@ -196,14 +226,14 @@ def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: flo
             placed.append((height, x, y, [name], ink))
     order = [name for _, _, name, _ in labels]
     longest = max((len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0)
-    room = min(0.6, max(0.2, (5 * longest + 8) / (0.8 * WIDTH)))
-    axes.set_xlim(left * (left / right) ** room if log else left - room * (right - left), right)
+    widen(min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH))))
     lowest = -np.inf
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
         lift = max(0.0, lowest + gap - height)
         lowest = height + lift
-        text, how = shorten(_merge_names(sorted(names, key=order.index))), {"ha": "right", "va": "center"}
-        write_at(axes, text, (x, y), (-5, lift), color=ink, annotation_clip=False, **how)
+        text = shorten(_merge_names(sorted(names, key=order.index)))
+        how = {"ha": "left" if sign > 0 else "right", "va": "center", "bbox": None}
+        write_at(axes, text, (x, y), (5 * sign, lift), color=ink, annotation_clip=False, **how)
 
 
 def _merge_names(names: list[str]) -> str:

@@ -103,7 +103,7 @@ function makeStage(svg) {
   const actors = [0, 1].map(second => {
     const group = draw("g", world, second ? { opacity: 0.55 } : {}), dashes = second ? "7 4" : "none";
     const leg = (ink, width) => draw("path", group, { fill: "none", stroke: ink, "stroke-width": width, "stroke-linecap": "round", "stroke-linejoin": "round", "stroke-dasharray": dashes });
-    return { group, light: leg("var(--ink)", 2.2), heavy: leg("var(--long)", 4.5), hip: draw("circle", group, { r: 5, fill: "var(--ink)" }), spark: draw("circle", group, { r: 9, fill: "none", stroke: "var(--bad)", "stroke-width": 2.5 }) };
+    return { group, light: leg("var(--ink)", 2.2), heavy: leg("var(--line0)", 4.5), hip: draw("circle", group, { r: 5, fill: "var(--ink)" }), spark: draw("circle", group, { r: 9, fill: "none", stroke: "var(--bad)", "stroke-width": 2.5 }) };
   });
   let scale = STAGE.tall;
   return { show(motions, time) {

@@ -2,7 +2,6 @@
 // slider along its branch, pushes, a second gait at the same slope. Its selection is the page's, and stands in the address.
 
 const EARTH = Math.sqrt(1 / 9.81), STILL = matchMedia("(prefers-reduced-motion: reduce)");
-const INKS = { long: "var(--long)", short: "var(--short)" };
 const panel = document.querySelector(".motion");
 
 /** Select what an address, a mark, a cell or a row names; the page's figures and tables hear of it by the event `gait`. */
@@ -19,7 +18,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   let gait = null, motion = null, other = null, second = null, spot = () => {}, time = 0, playing = false, before = 0, drawn = 0, docked = false;
 
   const realTime = () => gait.walker.keys.units === "SI" ? gait.walker.time : EARTH;
-  const inkOf = item => INKS[item.label] ?? "var(--other1)";
+  const inkOf = ({ line }) => `var(--line${Math.max(0, LINES.indexOf(line)) % 6})`;
   const say = text => { find("said").textContent = text; };
   const units = () => find("units").value === "own" && gait.walker.keys.units === "SI"
     ? { time: gait.walker.time, s: "s", speed: gait.walker.speed, v: "m/s", energy: gait.walker.energy, E: "J", length: gait.walker.leg, l: "m" }
@@ -117,7 +116,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     time = share * durationOf(motion.steps[0]);
     other = second = null;
     facts();
-    find("title").textContent = gait.free ? `A motion of the ${nameOf(gait)} walker` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)}-step gait of the ${nameOf(gait)} walker`;
+    find("title").textContent = gait.free ? `A motion of ${nameOf(gait)}` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)}-step gait of ${nameOf(gait)}`;
     spot = drawPortrait(find("phase"), motion, inkOf(gait));
     circle();
     slider();
@@ -127,7 +126,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (write) history.replaceState(null, "", writeAddress(gait));
     tellPage(gait);
   }
-  const nameOf = ({ at }) => [at.walker, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
+  const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
   const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
 
   // Along the branch: every place between two nodes is a gait, found anew.
