@@ -1,4 +1,4 @@
-"""Cells of tables: texts, each number with the exact value that it rounds and the digits that its error leaves."""
+"""Cells of tables: texts, each number with the exact value that it rounds."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -47,7 +47,7 @@ _KINDS = WORDS["kinds"]
 
 
 def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
-    """Make the cells of one column of a frame, each number with the digits that fit it."""
+    """Make the cells of one column of a frame: six digits for each number, or those that tell two ends apart."""
     column = frame[name]
     if name in _KINDS["coded"]:
         return [Cell(spaced(v)) for v in column]
@@ -60,9 +60,6 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
         width = np.abs((frame["high"] - frame["low"]) / column)
         return [cell(float(v), digits=_digits(w)) for v, w in zip(column, width, strict=True)]
-    error = _error(name, frame)
-    if error is not None:
-        return [_located(v, e) for v, e in zip(column.to_numpy(), error, strict=True)]
     decimals = _decimals(column.to_numpy())
     if decimals is None:
         return [cell(float(v)) for v in column]
@@ -70,33 +67,9 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     return [Cell(text, float(v)) if text else cell(float(v)) for text, v in zip(texts, column, strict=True)]
 
 
-def _error(name: str, frame: pd.DataFrame) -> np.ndarray | None:
-    """Error of each number of a column, in its unit, where the table has one."""
-    if name in ("slope", "value") and "error_bound" in frame:
-        return np.asarray(frame["error_bound"] * frame[name].abs(), float)
-    if name == "slope" and {"low", "high"} <= set(frame.columns):
-        return 0.5 * np.asarray(frame["high"] - frame["low"], float)
-    if name == "exponent" and "standard_error" in frame:
-        return np.asarray(frame["standard_error"], float)
-    return None
-
-
 def _digits(width: float) -> int:
     """Significant digits with which the two ends of an interval of that relative width differ in the last two."""
     return int(np.clip(np.ceil(-np.log10(width)) + 1, 6, 15)) if width > 0 else 6
-
-
-def _located(value: float, error: float) -> Cell:
-    """A number with the digits that its error leaves, and the error of the last one: 0.01508844(2)."""
-    if not (np.isfinite(value) and np.isfinite(error) and 0 < error < abs(value)):
-        return cell(float(value))
-    power = max(int(np.floor(np.log10(error))), int(np.floor(np.log10(abs(value)))) - 14)
-    digit = int(np.ceil(round(error / 10.0**power, 6)))
-    if digit > 9:
-        power, digit = power + 1, 1
-    if power >= 0 or abs(value) < 1e-4:
-        return cell(float(value), digits=int(np.floor(np.log10(abs(value)))) - power + 1)
-    return Cell(f"{value:.{-power}f}({digit})".replace("-", "−"), float(value))
 
 
 def _decimals(values: np.ndarray) -> int | None:

@@ -1,6 +1,7 @@
 """The tables of a report: cells of text, each number with the exact value that it rounds."""
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,8 +26,12 @@ _MAX_REASONS = 200
 #: Answers for one gait of a point, least serious first; a failure outranks them all.
 _WEIGHTS = ("no_gait", "fell", "converged")
 
-#: Rows of the longest table that a page shows unfolded.
-_OPEN_ROWS = 20
+#: Rows of the longest table that a page shows unfolded, those shown of one that is longer than `MAX_ROWS`, and columns
+#: shown before all are asked for.
+_OPEN_ROWS, _EXCERPT, MAX_COLUMNS = 20, 12, 6
+
+#: Columns that stand last.
+_LAST = WORDS["kinds"]["last"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class Table:
     name: str = ""
     frame: pd.DataFrame | None = None
     gaits: list[str] = field(default_factory=list)
+    most: int = MAX_COLUMNS
 
     @property
     def numeric(self) -> list[bool]:
@@ -66,10 +72,10 @@ def from_frame(
 ) -> Table:
     """Make a table of a frame.
 
-    Located numbers have the digits that their error leaves, with the error of the last digit in parentheses; errors and
-    bounds have two digits; the other numbers of a column have the same number of decimals where they are comparable.
-    `whole` is the frame with all rows, for the CSV file called after `name`.
+    Errors and bounds have two digits, comparable numbers of a column the same number of decimals.
+    Columns that tell little stand last. `whole` is the frame with all rows, for the CSV file called after `name`.
     """
+    frame = frame[sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and frame[c].nunique() == 1))]
     whole = frame if whole is None else whole
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
     units = frame.attrs.get("units", {})
@@ -85,10 +91,13 @@ def named(
     whole: pd.DataFrame | None = None,
 ) -> Table:  # fmt: skip
     """Make a table of the first rows of a frame, with the words of its name and the number of rows left out."""
-    words, left = WORDS["tables"].get(name, {}), len(frame) - most
-    notes = [words.get("note", ""), note, f"{left} more are in the {where}." if left > 0 else ""]
+    words = WORDS["tables"].get(name, {})
+    most = most if len(frame) <= most else _EXCERPT
+    left = len(frame) - most
+    notes = [words.get("note", ""), note, f"{grouped(left)} more rows are in the {where}." if left > 0 else ""]
     caption, whole = words.get("caption", spaced(name).replace("/", ": ")), frame if whole is None else whole
-    return from_frame(caption, frame.head(most), " ".join(filter(None, notes)), name.replace("/", "-"), whole)
+    file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
+    return from_frame(caption, frame.head(most), " ".join(filter(None, notes)), file, whole)
 
 
 def fits(source: Source) -> list[Table]:
@@ -131,7 +140,7 @@ def special_points(source: Source) -> Table | None:
     if frame is None:
         return None
     table = named("special_points", frame, 2 * MAX_ROWS)
-    return replace(table, gaits=addresses(source, frame.head(2 * MAX_ROWS)))
+    return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
 
 
 def points(source: Source) -> pd.DataFrame:

@@ -245,7 +245,7 @@ def _bare(source: Source, slug: str) -> Page:
 
 
 def _page(source: Source, slug: str) -> Page:
-    added = {"fits/scaling": "residuals", "overlay": "measured"}
+    added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
     wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
     drawings: list[Drawing] = []
     told: set[str] = set()
@@ -266,6 +266,8 @@ def _page(source: Source, slug: str) -> Page:
     every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
     frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
     frames |= {"absent": listed} if len(absent) else {}
+    # Longer ones are in the archive, which reads faster.
+    frames = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
     known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
     files = {f"csv/{slug}-{name}.csv": folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}

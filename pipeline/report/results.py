@@ -39,7 +39,14 @@ def _transposed(name: str, frame: pd.DataFrame) -> Table:
         values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
         rows.append([cell(head(column)), *values])
     meanings = frame["description"] if "description" in frame else [""] * len(frame)
-    return Table(WORDS["tables"][name]["caption"], ["", *map(str, frame["walker"])], rows, "", ["", *meanings])
+    return Table(
+        WORDS["tables"][name]["caption"],
+        ["", *map(str, frame["walker"])],
+        rows,
+        "",
+        ["", *meanings],
+        most=1 + len(meanings),
+    )
 
 
 def _printed_cells(name: str, frame: pd.DataFrame) -> Table:

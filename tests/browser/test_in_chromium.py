@@ -176,9 +176,9 @@ def test_a_claim_has_an_address(visit):
 def test_a_table_is_sorted_by_a_click_on_its_heading(visit):
     browser = visit("transition")
     table = "document.querySelectorAll('table.archive')[0]"
-    column = f"[...{table}.tBodies[0].rows].map(row => Number(row.cells[5].querySelector('data').value))"
+    column = f"[...{table}.tBodies[0].rows].map(row => Number(row.cells[4].querySelector('data').value))"
     before = ask(browser, column)
-    button = browser.execute_script(f"return {table}.tHead.rows[0].cells[5].querySelector('button')")
+    button = browser.execute_script(f"return {table}.tHead.rows[0].cells[4].querySelector('button')")
     button.click()
     assert ask(browser, column) == sorted(before) != before
     button.click()

@@ -487,11 +487,9 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
     assert sum(len(target["rows"]) for target in drawing.targets) <= 260
 
 
-def test_a_number_has_the_digits_that_its_error_leaves():
+def test_numbers_have_six_digits_and_errors_two():
     frame = pd.DataFrame({"slope": [0.0150884379411195, 0.02, 1e-6], "error_bound": [1.3e-14, 0.03, 1e-3]})
-    texts = [c.text for c in cells.column_cells("slope", frame)]
-    # The error is relative: 2e-16, below what a double of that size holds, and 6e-4.
-    assert texts[0] == "0.0150884379411195(2)" and texts[1] == "0.0200(6)" and texts[2].startswith("10⁻⁶")
+    assert [c.text for c in cells.column_cells("slope", frame)] == ["0.0150884", "0.02", "10⁻⁶"]
     assert [c.value for c in cells.column_cells("slope", frame)] == list(frame["slope"])
     assert [c.text for c in cells.column_cells("error_bound", frame)] == ["1.3 × 10⁻¹⁴", "0.03", "0.001"]
 
@@ -508,7 +506,6 @@ def test_the_ends_of_an_interval_are_told_apart():
     frame = pd.DataFrame({"low": [0.0182933977], "high": [0.0182933982], "slope": [0.018293398]})
     low, high = (cells.column_cells(name, frame)[0].text for name in ("low", "high"))
     assert low != high and "(" not in low
-    assert cells.column_cells("slope", frame)[0].text == "0.0182933980(3)"
 
 
 def test_what_is_drawn_in_radians_has_second_axes_in_degrees():

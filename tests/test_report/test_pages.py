@@ -134,7 +134,7 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
         "figure10": figure10,
         "figure9": {"walker": ["D", "C"], "l_t": [0.5, 0.35]},
         "accumulation": {"family": ["1"], "slope": [0.0190401]},
-        "falls": {"slope": np.linspace(0.01, 0.02, 30), "cause": ["fell forward"] * 30},
+        "limits": {"slope": np.linspace(0.01, 0.02, 30), "cause": ["no more"] * 30},
     }
     text = '# Section 7: doublings\n# and falls.\nname = "figure7-more"\nwalker = ["D", "C"]'
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
@@ -148,7 +148,7 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
         "Accumulation points of the period doublings",
     ):
         assert words in found.text
-    assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
+    assert "<summary>limits</summary>" in source and found.text.count("no more") == 30
     assert ">l_t<" in source and "Solver: 1 of 1 curve complete" in found.text
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
@@ -552,7 +552,7 @@ def test_an_absent_number_stands_where_numbers_stand(tmp_path):
     pages.write([write(tmp_path / "gap.nc", text, status, {}, {"E": POINT}, tables)], tmp_path)
     html = (tmp_path / "gap.html").read_text(encoding="utf-8")
     assert '<th scope="col" class="num">ratio' in html and '<td class="num">–</td>' in html
-    assert '<th scope="col">family' in html and "<td>–</td>" in html
+    assert '<th scope="col" class="">family' in html and '<td class="">–</td>' in html
 
 
 def test_the_slopes_of_converged_gaits_are_those_where_gaits_converged(tmp_path):

@@ -41,6 +41,7 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "design": design_maps.design,
     **{name: partial(quantities.draw, name) for name in quantities.QUANTITIES},
     "measured": measured.measured,
+    "lyapunov": bifurcation.lyapunov,
     "exponents": laws.exponents,
     "census": searches.census,
     "cascade": searches.cascade,

@@ -10,15 +10,21 @@ from gaitsweep.pipeline.report.figures.style import (
     DOTTED,
     LINE,
     MAX_PANELS,
+    MUTED,
     PRINTED,
     RASTER,
     SHAPES,
+    colour,
     evenly,
     set_heading,
+    set_log,
     thin,
 )
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import axis_values, shorten
+from gaitsweep.pipeline.report.words import axis_values, shorten, spaced
+
+#: Tables of orbits and what is drawn of each.
+_OF_ORBITS = {"lyapunov": "exponent", "survival": "lifetime"}
 
 
 def bifurcation(source: Source) -> Sketch | None:
@@ -78,3 +84,30 @@ def _widen(axes: Axes, printed: pd.DataFrame) -> None:
     left, right = axes.get_xlim()
     width = right - left
     axes.set_xlim(min(left, values.min() - 0.15 * width), max(right, values.max() + 0.25 * width))
+
+
+def lyapunov(source: Source) -> Sketch | None:
+    """Plot the largest Lyapunov exponent of orbits against slope and, where they fall, how long they walk."""
+    table, survival = (source.table(name, "slope", of) for name, of in _OF_ORBITS.items())
+    if table is None or not np.isfinite(table["exponent"]).any():
+        return None
+    table = table[table["index"] == 0] if "index" in table else table
+    lives = survival is not None and np.isfinite(survival["lifetime"]).any()
+    sketch = Sketch(330 if lives else 230, 1 + lives, sharex=True)
+    sketch.panels[0].axhline(0, color=MUTED, lw=0.9)
+    titles = ("largest Lyapunov exponent per step", "steps before a fall, on average")
+    lines = [axis_values(at) or source.walker for at, _ in source.line_groups(table)]
+    for axes, title, frame, column in zip(sketch.panels, titles, (table, survival), _OF_ORBITS.values(), strict=False):
+        set_heading(axes, title)
+        for k, (at, rows) in enumerate(source.line_groups(frame)):
+            seen = thin(rows[np.isfinite(rows[column])], 400)
+            axes.plot(seen["slope"], seen[column], ".", color=colour(k), ms=2.5)
+            command, tips = source.line_command(rows), {"slope": "γ (rad)", column: spaced(column)}
+            sketch.mark_gaits(axes, seen, lines[k], command, tips, y=column)
+            sketch.pieces.append(rows[["slope", column]].assign(line=axis_values(at)))
+    if lives:
+        set_log(sketch.panels[1], "y")
+    sketch.panels[-1].set_xlabel("slope γ (rad)")
+    sketch.line_keys(lines)
+    chaotic = table[table["exponent"] > 0]["slope"]
+    return sketch.finish(first=chaotic.min() if len(chaotic) else None, last=chaotic.max() if len(chaotic) else None)

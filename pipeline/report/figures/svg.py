@@ -19,7 +19,7 @@ from gaitsweep.pipeline.report.figures.style import VARIABLES, spread_evenly
 from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
-TARGETS = 240
+TARGETS = 200
 
 #: Dots that a picture on the index may have as vectors; more are left out there.
 _MAX_DOTS = 1500
@@ -212,8 +212,15 @@ def _frame(axes: Axes, height: float) -> dict[str, Any]:
     box, sides = axes.get_window_extent(), {}
     for side in "xy":
         is_log = getattr(axes, f"get_{side}scale")() == "log"
-        sides[side] = {"limits": rounded(getattr(axes, f"get_{side}lim")()), "log": is_log}
+        sides[side] = {"limits": rounded(getattr(axes, f"get_{side}lim")()), "log": is_log, "title": _title(axes, side)}
     return {"box": [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)], **sides}
+
+
+def _title(axes: Axes, side: str) -> str:
+    """Title of an axis: its own, the heading above it, or that of all panels."""
+    figure: Any = axes.figure
+    own = getattr(axes, f"get_{side}label")() or (axes.get_title(loc="left") if side == "y" else "")
+    return str(own or getattr(figure, f"get_sup{side}label")())
 
 
 def _slopes(mark: Marks, inside: np.ndarray) -> list[float | None]:

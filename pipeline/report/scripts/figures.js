@@ -48,6 +48,11 @@ for (const plot of document.querySelectorAll(".plot")) {
       for (const part of parts) if (Number(part.dataset.line) === line) part.style.display = away.has(line) ? "none" : "";
       highlight(line);
     });
+    // A second click within a moment shows this line alone, or all of them again.
+    button.addEventListener("dblclick", () => {
+      const alone = buttons.every(other => other === button || away.has(Number(other.dataset.line)));
+      for (const other of buttons) if (away.has(Number(other.dataset.line)) !== (other !== button && !alone)) other.click();
+    });
   }
 
   function hide() { highlight(null); dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
@@ -168,7 +173,8 @@ for (const plot of document.querySelectorAll(".plot")) {
     ["x", "y"].forEach((side, k) => {
       const { limits, log } = one[side], from = k ? box[3] : box[0], to = k ? box[1] : box[2];
       const value = pixel => { const t = Math.min(1, Math.max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
-      const [low, high] = seen[k].map(value), rough = (high - low) / 5, ten = 10 ** Math.floor(Math.log10(rough)), step = ten * [1, 2, 5, 10].find(n => n * ten >= rough), ticks = [];
+      const [low, high] = seen[k].map(value), step = niceStep((high - low) / 5), ticks = [];
+      if (one[side].title) numbers.append(make("b", side, one[side].title));
       // As many digits as tell a number from the next.
       const digits = tick => Math.min(15, Math.ceil(Math.log10(abs(tick) / step)) + 1);
       if (log && high > 8 * low) for (let n = Math.floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
@@ -209,8 +215,9 @@ for (const plot of document.querySelectorAll(".plot")) {
     event.preventDefault();
     look(view.w * Math.exp(event.deltaY * (event.ctrlKey ? 0.01 : 0.002)), pointer(event));
   }, { passive: false });
-  const fingers = new Map();
-  let moved = false;
+  const fingers = new Map(), box = plot.appendChild(make("span", "box"));
+  let moved = false, wanted = null;
+  box.hidden = true;
   svg.addEventListener("pointerdown", event => { fingers.set(event.pointerId, event); moved = false; });
   addEventListener("pointermove", event => {
     const last = fingers.get(event.pointerId);
@@ -224,11 +231,26 @@ for (const plot of document.querySelectorAll(".plot")) {
       view.x -= dx / scale();
       view.y -= dy / scale();
       look(view.w);
+    } else if (event.pointerType === "mouse") {
+      // A box drawn over the whole picture is what is seen next.
+      const [a, b] = [last, event].map(pointer), w = Math.max(abs(a[0] - b[0]), abs(a[1] - b[1]) * width / height);
+      wanted = { x: (a[0] + b[0] - w) / 2, y: (a[1] + b[1] - w * height / width) / 2, w };
+      put(box, [Math.min(a[0], b[0]), Math.min(a[1], b[1])]);
+      box.style.width = `${abs(a[0] - b[0]) * scale()}px`;
+      box.style.height = `${abs(a[1] - b[1]) * scale()}px`;
+      moved = true;
+      return;
     } else return;
     moved = true;
     fingers.set(event.pointerId, event);
   });
-  for (const end of ["pointerup", "pointercancel"]) addEventListener(end, event => fingers.delete(event.pointerId));
+  for (const end of ["pointerup", "pointercancel"]) addEventListener(end, event => {
+    fingers.delete(event.pointerId);
+    if (wanted?.w > 4) { Object.assign(view, wanted); look(wanted.w); }
+    wanted = null;
+    box.hidden = true;
+  });
+  svg.addEventListener("dblclick", () => look(width));
 
   plot.addEventListener("pointermove", event => {
     if (pinned || fingers.size || event.target.closest(".tools, .legend")) return;

@@ -16,6 +16,9 @@ function make(tag, name, text) {
 const minusSign = text => text.replace(/-/g, "−");
 const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(abs(value) >= 1e-4 && abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
 
+/** A step of one, two or five times a power of ten, no less than a length. */
+const niceStep = rough => { const ten = 10 ** Math.floor(Math.log10(rough)); return ten * [1, 2, 5, 10].find(n => n * ten >= rough * 0.999); };
+
 /** State of a phase at a time: its cubic Hermite polynomial between two samples. */
 function sampleAt({ samples }, t) {
   let low = 0, high = samples.length - 1;
@@ -147,7 +150,11 @@ function drawCircle(svg, gaits) {
   const centre = 110, unit = 78, add = (tag, attributes, text) => draw(tag, svg, attributes, text);
   add("path", { d: `M12 ${centre}H208M${centre} 12V208`, stroke: "var(--rule)", "stroke-width": 1 });
   add("circle", { cx: centre, cy: centre, r: unit, fill: "none", stroke: "var(--muted)", "stroke-width": 1.5 });
-  add("text", { x: centre + unit + 3, y: centre + 14, "font-size": 12, fill: "var(--muted)" }, "1");
+  const say = (x, y, text, anchor = "start") => add("text", { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
+  say(8, 14, "multipliers λ");
+  say(212, centre - 6, "Re", "end");
+  say(centre + 5, 24, "Im");
+  for (const v of [-1, 1]) { say(centre + v * (unit + 3), centre + 14, minusSign(String(v)), v < 0 ? "end" : "start"); say(centre + 5, centre - v * (unit + 7) + 5, v < 0 ? "−i" : "i"); }
   for (const { gait, ink, second } of gaits) for (const [re, im] of gait.multipliers ?? []) {
     const size = hypot(re, im), far = size > 1.28, [x, y] = far ? [re / size * 1.28, im / size * 1.28] : [re, im], at = { cx: centre + unit * x, cy: centre - unit * y };
     add("circle", { ...at, r: 5.5, fill: second ? "none" : ink, stroke: ink, "stroke-width": second ? 2 : 1, "data-multiplier": `${re} ${im}` });
@@ -156,15 +163,20 @@ function drawCircle(svg, gaits) {
 }
 
 /** The phase portrait of a motion's steps: rate against angle of both legs. `place` puts a point of it on the picture. */
-function drawPortrait(svg, motion, ink) {
+function drawPortrait(svg, motion, ink, time = 1, unit = "") {
   svg.replaceChildren();
   const curves = motion.steps.slice(0, 12).map(step => [0, 1].map(leg => step.phases.flatMap(({ samples }) => samples.map(([, x]) => [x[leg], x[x.length / 2 + leg]]))));
   const all = curves.flat(2), ends = i => [Math.min(...all.map(p => p[i])), Math.max(...all.map(p => p[i]))], [[left, right], [low, high]] = [ends(0), ends(1)];
   const place = p => [18 + 184 * (p[0] - left) / (right - left || 1), 190 - 158 * (p[1] - low) / (high - low || 1)], [x0, y0] = place([0, 0]);
   draw("path", svg, { d: `M12 ${y0}H208M${x0} 26V196`, stroke: "var(--rule)", "stroke-width": 1 });
   for (const pair of curves) for (const points of pair) draw("path", svg, { d: pathOf(points, place), fill: "none", stroke: ink, "stroke-width": curves.length > 1 ? 1 : 1.8 });
-  draw("text", svg, { x: 10, y: 16, "font-size": 12, fill: "var(--muted)" }, "rate");
-  draw("text", svg, { x: 208, y: 212, "font-size": 12, fill: "var(--muted)", "text-anchor": "end" }, "angle of the leg");
+  const say = (x, y, text, anchor = "start") => draw("text", svg, { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
+  say(8, 14, `rate of the legs (rad${unit ? `/${unit}` : ""})`);
+  say(212, 216, "angle (rad)", "end");
+  // Ticks along the axes: rates in the units of time that are shown.
+  const ticks = (from, to) => { const step = niceStep((to - from) / 3), all = []; for (let n = Math.ceil(from / step); n * step <= to; n++) if (n) all.push(n * step); return all; };
+  for (const v of ticks(left, right)) { const [x] = place([v, 0]); draw("path", svg, { d: `M${x} ${y0 - 3}v6`, stroke: "var(--muted)" }); say(x, 203, brief(v, 2), "middle"); }
+  for (const v of ticks(low / time, high / time)) { const [, y] = place([0, v * time]); draw("path", svg, { d: `M${x0 - 3} ${y}h6`, stroke: "var(--muted)" }); say(x0 + 8, y + 4, brief(v, 2)); }
   const dot = draw("circle", svg, { r: 5, fill: ink, stroke: "var(--wash)", "stroke-width": 1.5 });
   return point => { const [x, y] = place(point); dot.setAttribute("cx", x); dot.setAttribute("cy", y); };
 }

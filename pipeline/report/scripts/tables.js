@@ -23,6 +23,21 @@ for (const table of document.querySelectorAll("table.archive")) {
   });
 }
 
+// All columns of a table and all digits of its numbers, on request.
+for (const scroll of document.querySelectorAll(".scroll")) {
+  const numbers = [...scroll.querySelectorAll("data")].filter(data => data.value.length > data.textContent.length), more = scroll.querySelectorAll("th.more").length;
+  if (!more && !numbers.length) continue;
+  const button = make("button", "save", `All ${more ? "columns and " : ""}digits`), texts = numbers.map(data => data.textContent);
+  button.type = "button";
+  button.setAttribute("aria-pressed", false);
+  button.addEventListener("click", () => {
+    const whole = scroll.classList.toggle("whole");
+    button.setAttribute("aria-pressed", whole);
+    numbers.forEach((data, k) => { data.textContent = whole ? minusSign(data.value) : texts[k]; });
+  });
+  scroll.after(button);
+}
+
 // Rows of gaits that this page can start: a button in the first cell.
 for (const row of document.querySelectorAll("tr[data-gait]")) {
   const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.start[0]) : null;
@@ -35,6 +50,29 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
   row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
     Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.start[0])) < 1e-3));
+}
+
+// Ledger: on a narrow screen claims are folded.
+document.querySelector("main").classList.add("folding");
+for (const claim of document.querySelectorAll(".claim")) {
+  const button = make("button", "unfold", "▾");
+  button.type = "button";
+  button.setAttribute("aria-label", `Show claim ${claim.id}`);
+  button.setAttribute("aria-expanded", false);
+  button.addEventListener("click", () => button.setAttribute("aria-expanded", claim.classList.toggle("open")));
+  claim.querySelector("h3").append(button);
+}
+
+// Commands: a button copies one.
+for (const code of document.querySelectorAll("pre > code, .command > code, .how > code")) {
+  const button = make("button", "copy", "Copy"), place = code.closest("pre") ?? code;
+  button.type = "button";
+  button.addEventListener("click", () => {
+    getSelection().selectAllChildren(code);
+    button.textContent = document.execCommand("copy") ? "Copied" : "Selected";
+    setTimeout(() => { button.textContent = "Copy"; }, 1500);
+  });
+  if (place === code) code.after(button); else place.before(button);
 }
 
 // Ledger: filter by words and verdict.

@@ -117,7 +117,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     other = second = null;
     facts();
     find("title").textContent = gait.free ? `A motion of ${nameOf(gait)}` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)}-step gait of ${nameOf(gait)}`;
-    spot = drawPortrait(find("phase"), motion, inkOf(gait));
+    portrait();
     circle();
     slider();
     outcome();
@@ -127,6 +127,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     tellPage(gait);
   }
   const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
+  const portrait = () => { const { time: one, s } = units(); spot = drawPortrait(find("phase"), motion, inkOf(gait), one, s === "s" ? s : ""); };
   const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
 
   // Along the branch: every place between two nodes is a gait, found anew.
@@ -176,7 +177,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     motion = motion.pushed(time, [-size, -size]);
     second = null;
     outcome();
-    spot = drawPortrait(find("phase"), motion, inkOf(gait));
+    portrait();
     if (!playing && !STILL.matches) play(true);
     frame();
   }
@@ -226,7 +227,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   button("push").addEventListener("click", () => push(1));
   button("pull").addEventListener("click", () => push(-1));
   button("reset").addEventListener("click", () => show(gait));
-  find("units").addEventListener("change", () => { facts(); frame(); });
+  find("units").addEventListener("change", () => { facts(); portrait(); frame(); });
   find("slide").addEventListener("input", event => slideTo(Number(event.target.value)));
   find("scrub").addEventListener("input", event => {
     play(false);
