@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
         from gaitsweep.pipeline.report import pages
 
         with _pages_counted(len(options.archives)) as tell:
-            index = pages.write(options.archives, options.out, options.only, tell)
+            index = pages.write(options.archives, options.out, options.only, tell, options.bundle)
     except OSError as error:
         raise unwritten(options.out, error) from error
     finally:

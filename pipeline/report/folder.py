@@ -51,7 +51,11 @@ def locked(out: Path) -> Iterator[None]:
 
 
 def combine(
-    environment: jinja2.Environment, out: Path, pages: dict[str, tuple[str, dict[str, str]]], only: bool
+    environment: jinja2.Environment,
+    out: Path,
+    pages: dict[str, tuple[str, dict[str, str]]],
+    only: bool = False,
+    bundle: bool = False,
 ) -> None:
     """Write pages and their data, fill in what depends on others, and write the index and ledger of all pages there."""
     texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
@@ -79,6 +83,22 @@ def combine(
     with contextlib.suppress(OSError):  # no data, or other files there
         (out / "csv").rmdir()
     _publish(out / "index.html", report.page("index"))
+    if bundle or (out / "bundle.html").exists():
+        names = ["index", "ledger", *(record.slug for record in report.shown)]
+        texts = {name: _bundled((out / f"{name}.html").read_text(encoding="utf-8"), names) for name in names}
+        _publish(out / "bundle.html", environment.get_template("bundle.html").render(texts=texts))
+
+
+def _bundled(text: str, names: list[str]) -> str:
+    """A page as a bundle holds it: without what all share and its record, its links to others as the bundle's."""
+    text = re.sub(r"<style>.*?</style>", "<style></style>", text, count=1, flags=re.S)
+    for left in (
+        r'<meta http-equiv="Content-Security-Policy"[^>]*>',
+        r'<script type="application/json" id="entry">.*?</script>',
+    ):
+        text = re.sub(left, "", text, count=1, flags=re.S)
+    text = text[: text.rindex("<script>")] + "<script></script>\n</body>\n</html>"
+    return re.sub(r'href="([\w-]+)\.html(#|")', lambda m: f'href="?{m[1]}{m[2]}' if m[1] in names else m[0], text)
 
 
 class _Report:
@@ -158,7 +178,7 @@ class _Report:
 
 def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: set[str]) -> None:
     """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
-    for name in (*pages, "index", "ledger"):
+    for name in (*pages, "index", "ledger", "bundle"):
         paths.check_own(out / f"{name}.html", _PAGE)
     if (out / "csv").is_symlink() or not (out / "csv").is_dir():
         paths.check_own(out / "csv", rb"(?!)")

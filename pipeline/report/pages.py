@@ -33,7 +33,7 @@ _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).paren
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
 
 #: Names of pages that belong to no study.
-_RESERVED = ("index", "ledger")
+_RESERVED = ("index", "ledger", "bundle")
 
 #: Units of columns of figures that are no variables of a grid.
 _UNITS = dict.fromkeys(("slope", "stance_angle", "angle", "flip", "next flip", "distance"), "rad")
@@ -69,7 +69,11 @@ class Page:
 
 
 def write(
-    archives: Iterable[Path], out: Path, only: bool = False, tell: Callable[[int], object] = lambda made: None
+    archives: Iterable[Path],
+    out: Path,
+    only: bool = False,
+    tell: Callable[[int], object] = lambda made: None,
+    bundle: bool = False,
 ) -> Path:
     """Write the report of some archives into a folder: their pages, and the index and ledger of all pages there.
 
@@ -84,6 +88,8 @@ def write(
         Delete the other pages of earlier reports.
     tell : callable
         Told the number of pages made, after each.
+    bundle : bool
+        Write `bundle.html` too, which holds all pages of the folder; one that is there is kept up to date.
 
     Returns
     -------
@@ -102,7 +108,7 @@ def write(
     out.mkdir(parents=True, exist_ok=True)
     pages = _in_processes(sources, _slugs(sources), tell)
     with folder.locked(out):
-        folder.combine(_environment(), out, pages, only)
+        folder.combine(_environment(), out, pages, only, bundle)
     return out / "index.html"
 
 
@@ -336,16 +342,22 @@ def _environment() -> jinja2.Environment:
     )
     environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "sort_keys": True, "separators": (",", ":")}
     script = _script()
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment.globals.update(
         style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"),
         script=script,
-        digest=digest,
+        digest=_digest(script),
+        digest_of=_digest,
+        opener=(_SCRIPTS / "bundle.js").read_text(encoding="utf-8"),
         known=list(FIGURES),
         paper=PAPER,
     )
     environment.filters.update(plain=plain, grouped=grouped)
     return environment
+
+
+def _digest(script: str) -> str:
+    """Hash of a script, by which a page's security policy names it."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _script() -> str:

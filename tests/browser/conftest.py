@@ -43,6 +43,14 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def archives_bundled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bundle of a report, alone in a folder."""
+    archives = synthetic.everything(tmp_path_factory.mktemp("archive"))
+    index = pages.write(archives, tmp_path_factory.mktemp("reports"), bundle=True)
+    return index.with_name("bundle.html").rename(tmp_path_factory.mktemp("alone") / "bundle.html")
+
+
+@pytest.fixture(scope="session")
 def walking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a report of computed archives, whose gaits walk."""
     folder = tmp_path_factory.mktemp("walking")

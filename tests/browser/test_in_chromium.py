@@ -202,3 +202,91 @@ def test_a_line_is_highlighted_and_hidden_from_the_legend(visit, chains):
     assert set(ask(browser, f"{shown}.map(part => part.dataset.line)")) == every
     chains(browser).move_to_element(one(browser, "h1")).perform()
     assert one(browser, "#loglog .plot").get_attribute("class") == "plot"
+
+
+def test_a_box_zooms_and_keeps_axes_and_titles_and_a_double_click_resets(visit, chains):
+    browser = visit("transition", anchor="#loglog")
+    plot = one(browser, "#loglog .picture svg")
+    view = "document.querySelector('#loglog svg').getAttribute('viewBox').split(' ').map(Number)"
+    whole = ask(browser, view)
+    drag = chains(browser).move_to_element_with_offset(plot, -60, -60).click_and_hold()
+    drag.move_by_offset(40, 30).move_by_offset(60, 40).perform()
+    assert one(browser, "#loglog .box").is_displayed()
+    chains(browser).release().perform()
+    assert ask(browser, view)[2] < 0.5 * whole[2]
+    titles = [b.text for b in browser.find_elements("css selector", "#loglog .numbers-on-edges b")]
+    assert titles == ["slope γ (rad)", "stance angle θ* (rad)"]
+    assert len(browser.find_elements("css selector", "#loglog .numbers-on-edges span")) > 3
+    chains(browser).double_click(plot).perform()
+    assert ask(browser, view) == whole
+
+
+def test_a_double_click_shows_a_line_alone_and_again_all_of_them(visit, chains):
+    browser = visit("tuned-walkers", anchor="#loglog")
+    pressed = "[...document.querySelectorAll('#loglog .legend button')].map(b => b.getAttribute('aria-pressed'))"
+    button = one(browser, "#loglog .legend button:nth-child(2)")
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", button)
+    chains(browser).double_click(button).perform()
+    shown = ask(browser, pressed)
+    assert shown[1] == "true" and set(shown[:1] + shown[2:]) == {"false"}
+    chains(browser).double_click(button).perform()
+    assert set(ask(browser, pressed)) == {"true"}
+
+
+def test_a_table_shows_six_columns_and_digits_and_all_on_request(visit):
+    browser = visit("transition", anchor="#fits")
+    seen = """[...document.querySelectorAll('#fits table')].map(table =>
+        [...table.tHead.rows[0].cells].filter(cell => getComputedStyle(cell).display !== 'none').length)"""
+    before, digits = ask(browser, seen), "document.querySelector('#fits td.num data').textContent.length"
+    assert max(before) == 6
+    one(browser, "#fits .scroll + .save").click()
+    assert ask(browser, seen)[0] > 6
+    long = (
+        "Math.max(...[...document.querySelectorAll('#fits table:first-of-type data')].map(d => d.textContent.length))"
+    )
+    assert ask(browser, long) > 12
+    one(browser, "#fits .scroll + .save").click()
+    assert ask(browser, seen) == before and ask(browser, digits) < 12
+
+
+def test_a_button_copies_the_command(visit):
+    browser = visit("transition", anchor="#reproduce")
+    button = one(browser, "#reproduce .copy")
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", button)
+    button.click()
+    assert button.text in ("Copied", "Selected")
+    assert ask(browser, "getSelection().toString()").startswith("gaitsweep run transition.toml")
+
+
+def test_claims_are_folded_on_a_phone_and_open_at_their_address(visit):
+    browser = visit("ledger", 390)
+    shown = "[...document.querySelectorAll('.claim')].filter(c => c.querySelector('.how').offsetParent).map(c => c.id)"
+    assert ask(browser, shown) == []
+    one(browser, "#E2 .unfold").click()
+    assert ask(browser, shown) == ["E2"]
+    assert ask(visit("ledger", 390, anchor="#E4"), shown) == ["E4"]
+    assert len(ask(visit("ledger"), shown)) == 4
+
+
+def test_beside_a_page_stand_the_others(visit):
+    browser = visit("transition")
+    links = browser.find_elements("css selector", "header.top nav a")
+    assert all(link.is_displayed() for link in links) and len(links) == 7
+    wide = ask(browser, "document.querySelector('main').getBoundingClientRect().right")
+    assert wide == ask(browser, "document.documentElement.clientWidth")
+    narrow = visit("transition", 390).find_elements("css selector", "header.top nav a")
+    assert sum(link.is_displayed() for link in narrow) == 2
+
+
+def test_all_pages_are_in_one_file(opened, archives_bundled):
+    browser = opened(archives_bundled)
+    assert one(browser, "h1").text == "Gait sweeps of passive dynamic walkers"
+    browser.get(one(browser, ".cards a").get_attribute("href"))
+    assert "?" in browser.current_url and one(browser, "svg .axis, .plot svg")
+    browser.get(f"{archives_bundled.as_uri()}?ledger#E4")
+    assert one(browser, ".claim:target h3").text.startswith("E4")
+    link = one(browser, "#E4 .how a").get_attribute("href")
+    browser.get(link)
+    assert one(browser, f"#{link.partition('#')[2]} .plot").is_displayed()
+    assert ask(browser, "document.querySelectorAll('.plot .tools').length") > 0  # the page's own script ran
+    assert [entry["message"] for entry in browser.get_log("browser")] == []

@@ -130,6 +130,21 @@ def test_neighbours_lead_to_each_other(report):
         assert text.count('aria-current="page"') == (name not in ("index.html", "ledger.html"))
 
 
+def test_a_bundle_holds_all_pages_and_is_kept_up_to_date(tmp_path):
+    out = tmp_path / "out"
+    pages.write([_figure5(tmp_path)], out)
+    assert not (out / "bundle.html").exists()
+    pages.write([_behind(tmp_path)], out, bundle=True)
+    texts = lambda: json.loads(re.search(r'id="bundle">(.*?)</script>', (out / "bundle.html").read_text())[1])["texts"]  # noqa: E731
+    assert set(texts()) == {"index", "ledger", "figure5"} and "as 3.35" in texts()["figure5"]
+    assert 'href="?ledger#E4"' in texts()["figure5"] and "ledger.html" not in texts()["figure5"]
+    pages.write([_behind(tmp_path, value=3.0)], out)
+    assert "as 3," in texts()["figure5"]
+    (out / "bundle.html").write_text("mine")
+    with pytest.raises(pages.folder.paths.ArchiveError):
+        pages.write([], out)
+
+
 def test_heads_and_cells_that_are_formulas_are_text():
     frame = pages.pd.DataFrame({"=cmd|' /C calc'!A0": ["@x", "-1+1"], "slope": [-0.1, 0.2]})
     assert folder.csv_text(frame, {"slope": "rad"}) == "'=cmd|' /C calc'!A0,slope (rad)\n'@x,-0.1\n'-1+1,0.2\n"
