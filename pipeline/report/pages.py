@@ -365,13 +365,14 @@ def _script() -> str:
     text = "\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES)
     text = re.sub(r"^\s*(//[^\n]*|/\*\*.*?\*/)\n", "", text, flags=re.M | re.S)
     text = "\n".join(_tightened(line.strip()) for line in text.splitlines())
+    text = re.sub(r";\n(?=\})", "", text)  # before the end of a block there is none
     text = re.sub(r"(?<=[;{,])\n", "", text)  # a line that ends so goes on
     return f'"use strict";\n(() => {{\n{text.strip()}\n}})();'
 
 
 def _tightened(line: str) -> str:
     """A line of script without the spaces beside its signs, except within quotes; nested templates are left."""
-    if "'" in line or line.count("`") not in (0, 2):
+    if "'" in line or line.count("`") % 2 or re.search(r"\$\{[^}]*`", line):
         return line
     parts = re.split(r'("(?:[^"\\]|\\.)*"|`[^`]*`)', line)
     return "".join(

@@ -479,3 +479,45 @@ def test_no_serious_accessibility_finding_while_a_gait_walks(walk, scheme):
     serious = [f"{v['id']}: {v['nodes'][0]['html'][:120]}" for v in found["violations"]
                if v["impact"] in ("serious", "critical")]  # fmt: skip
     assert serious == []
+
+
+@pytest.mark.parametrize(("page", "keys"), [("map", ["slope", "R"]), ("ratios", ["slope", "foot_mass_ratio"])])
+def test_sliders_over_the_keys_of_a_map_lead_to_archived_gaits(walk, page, keys):
+    browser = walk(page)
+    labels = [label.text.split(" = ")[0] for label in browser.find_elements("css selector", "[data-part=keys] label")]
+    assert sorted(labels) == sorted(keys)
+    for k in range(2):
+        before = ask(browser, "location.hash")
+        told = browser.execute_script(
+            """const range = document.querySelectorAll("[data-part=keys] input")[arguments[0]];
+            range.value = Number(range.value) - 2; range.dispatchEvent(new Event("input"));
+            return [range.parentElement.textContent, location.hash];""", k
+        )  # fmt: skip
+        assert told[1] != before
+        name, value = told[0].strip().split(" = ")
+        at = dict(part.split("=") for part in told[1].lstrip("#").split("&"))
+        assert float(at[name]) == pytest.approx(float(value), rel=1e-3)
+        assert "polynomial of degree" in browser.find_element("css selector", "[data-part=fit]").text
+        assert browser.find_elements("css selector", "#motion .ring, .ring:not([hidden])")
+
+
+def test_a_slider_over_lines_of_one_key_leads_to_the_same_branch(walk):
+    browser = walk("curves")
+    script = """const range = document.querySelector("[data-part=keys] input"), seen = [];
+        for (let i = 0; i <= Number(range.max); i++) { range.value = i; range.dispatchEvent(new Event("input"));
+          seen.push([range.parentElement.textContent, document.querySelector("[data-part=title]").textContent]); }
+        return seen;"""
+    seen = browser.execute_script(script)
+    assert [words.strip() for words, _ in seen] == [f"foot_mass_ratio = {value}" for value in (0.02, 0.05, 0.1)]
+    assert len({title.split(" gait")[0] for _, title in seen}) == 1
+
+
+def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
+    browser = walk("map")
+    words = browser.find_element("css selector", "[data-part=fit]").text
+    degree, error = re.fullmatch(
+        r"θ\* along (?:slope|R): polynomial of degree (\d), error at most (\S+) rad", words
+    ).groups()
+    assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
+    dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")
+    assert dots in (30, 31)

@@ -120,6 +120,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     portrait();
     circle();
     slider();
+    keySliders();
     outcome();
     companions();
     frame();
@@ -148,6 +149,54 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
       if (found) { say(""); show(found, { keep: true }); } else say("No gait was found at this place of the branch.");
     });
     wanted = place;
+  }
+
+  // Sliders over keys: cells of a map, or lines that differ in one key. What walks is always an archived gait.
+  function sidesOf({ map, cell, line, at, slope, start, free, label }) {
+    if (map) return map.free ? [] : [map.x, map.y].map((side, k) => {
+      const wish = i => ({ map, cell: cell.map((old, j) => j === k ? i : old) });
+      return { ...side, at: cell[k], wish, angle: i => cellOf(map, wish(i).cell).start?.[0] };
+    });
+    const family = LINES.filter(one => one.branches.length && one.at.walker === at.walker), name = Object.keys(at).filter(key => key !== "walker" && new Set(family.map(one => one.at[key])).size > 1);
+    if (free || !line || name.length !== 1) return [];
+    const lines = family.sort((a, b) => a.at[name] - b.at[name]), up = label === "long" ? 1 : -1;
+    // Of another line the gait of nearly that slope whose angle is the larger, or the smaller, as the label says.
+    const far = node => 4 * abs(Math.log(node[0] / slope)) - up * Math.max(-1, Math.min(1, Math.log(node[1] / start[0])));
+    const nodes = lines.map(one => one.branches.flat().reduce((best, node) => far(node) < far(best) ? node : best));
+    return [{ name: name[0], values: lines.map(one => one.at[name]), at: lines.indexOf(line), angle: i => nodes[i][1], wish: i => ({ at: lines[i].at, slope: nodes[i][0], start: nodes[i].slice(1) }) }];
+  }
+  let moved = 0;
+  function keySliders() {
+    const sides = sidesOf(gait), box = find("keys"), names = sides.map(side => side.name).join();
+    if (box.dataset.names !== names) {
+      box.dataset.names = names;
+      moved = 0;
+      box.replaceChildren(...sides.map(() => { const label = make("label"), range = make("input"); range.type = "range"; label.append(make("span"), " ", range); return label; }));
+    }
+    sides.forEach((side, k) => {
+      const [label, range] = box.children[k].children;
+      label.textContent = `${side.name} = ${brief(side.values[side.at], 4)}`;
+      range.max = side.values.length - 1;
+      range.value = side.at;
+      range.oninput = () => { moved = k; select(side.wish(Number(range.value)), { keep: true }); };
+    });
+    alongKey(sides[moved]);
+  }
+  /** Stance angles along a key: archived gaits, their polynomial of the least squares, and the largest error it makes. */
+  function alongKey(side) {
+    const chart = find("curve"), found = side ? side.values.map((value, i) => [side.log ? Math.log(value) : value, side.angle(i), i]).filter(([, angle]) => angle > 0) : [], n = found.length;
+    chart.replaceChildren();
+    chart.style.display = n > 3 ? "" : "none";
+    find("fit").textContent = "";
+    if (n < 4) return;
+    const xs = found.map(([x]) => x), ys = found.map(([, y]) => y), [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)], degree = Math.min(7, n - 2);
+    const basis = x => { const u = 2 * (x - left) / (right - left) - 1, all = [1, u]; while (all.length <= degree) all.push(2 * u * all.at(-1) - all.at(-2)); return all.slice(0, degree + 1); };
+    const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
+    const value = x => sum(basis(x).map((b, i) => b * share[i])), error = Math.max(...xs.map((x, k) => abs(value(x) - ys[k])));
+    const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
+    draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
+    for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
+    find("fit").textContent = `θ* along ${side.name}: polynomial of degree ${degree}, error at most ${brief(error, 2)} rad`;
   }
 
   // A second gait of the line at the same slope, beside the first.
@@ -256,7 +305,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   addEventListener("DOMContentLoaded", () => {
     const given = followAddress();
     if (given?.found) return;
-    const first = LINES.map(line => readAddress(line.first)).find(Boolean) ?? lead;
+    const first = MAPS.some(map => !map.free) && lead || LINES.map(line => readAddress(line.first)).find(Boolean) || lead;
     if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
     if (!gait) panel.hidden = !docked;
   });
