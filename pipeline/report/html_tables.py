@@ -75,8 +75,10 @@ def from_frame(
     Errors and bounds have two digits, comparable numbers of a column the same number of decimals.
     Columns that tell little stand last. `whole` is the frame with all rows, for the CSV file called after `name`.
     """
-    frame = frame[sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and frame[c].nunique() == 1))]
     whole = frame if whole is None else whole
+    frame = frame[
+        sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1))
+    ]
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
     units = frame.attrs.get("units", {})
     shown = {str(c): column_cells(str(c), frame) for c in frame.columns}

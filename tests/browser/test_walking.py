@@ -139,7 +139,7 @@ def test_a_click_on_a_curve_makes_that_gait_walk_and_marks_it_everywhere(walk, c
     assert f"foot_mass_ratio={found['foot_mass_ratio']}" in part(browser, "command").text
     assert ask(browser, "document.querySelectorAll('.ring:not([hidden])').length") == 2
     assert len(browser.find_elements("css selector", "[data-part=circle] [data-multiplier]")) == 3
-    assert "Lost in a step" in part(browser, "losses").text and "Violates" in part(browser, "violations").text
+    assert "Energy lost per step" in part(browser, "losses").text and "ssumption" in part(browser, "violations").text
     # The radius beside it is that of the figure of multipliers at the same slope.
     shown = float(part(browser, "facts").text.split("max |λ|")[1].split()[0])
     others = [r for c in data(browser, "multipliers", "marks") if c["label"].startswith(curve["label"].split(" · ")[0])
@@ -170,7 +170,7 @@ def test_a_selection_can_be_sent(walk, chains):
 def test_an_address_that_names_no_gait_says_so_and_shows_another(walk, address):
     browser = walk("branches", anchor=address)
     assert "no gait" in wait(browser, "document.querySelector('[data-part=said]').textContent").lower()
-    assert "step of walker C" in part(browser, "title").text
+    assert "step gait of walker C" in part(browser, "title").text
     assert [entry["message"] for entry in browser.get_log("browser")] == []
 
 
@@ -188,7 +188,7 @@ def test_a_row_of_a_table_walks(walk):
 def test_the_end_of_a_branch_walks(walk):
     browser = walk("ends")
     rows = browser.find_elements("css selector", "tr[data-gait]")
-    row = next(row for row in rows if "kneestrike at heelstrike" in row.text)
+    row = next(row for row in rows if "kneestrike and heelstrike coincide" in row.text)
     browser.execute_script("arguments[0].querySelector('.walk-it').click()", row)
     assert wait(browser, HASH)
     end = dict(pair.split("=") for pair in row.get_attribute("data-gait").split("&"))
@@ -207,7 +207,7 @@ def test_a_branch_is_slid_along_through_its_folds(walk, keys):
         labels.add(part(browser, "title").text.split()[0])
         slopes.append(float(part(browser, "facts").text.split("slope γ")[1].split()[0]))
     turns = sum((b - a) * (c - b) < 0 for a, b, c in zip(slopes, slopes[1:], slopes[2:], strict=False))
-    assert labels == {"Long", "Short"}
+    assert labels == {"Long-step", "Short-step"}
     assert turns >= 1
     assert part(browser, "said").text == ""
     one(browser, ".motion").send_keys(keys.ARROW_LEFT)
@@ -402,7 +402,7 @@ def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
     for side, edge in (("x", "left"), ("y", "top")):
         shown = ask(
             browser,
-            f"""[...document.querySelectorAll('#loglog .numbers-on-edges .{side}')].map(
+            f"""[...document.querySelectorAll('#loglog .numbers-on-edges span.{side}')].map(
             node => [parseFloat(node.style.{edge}), Number(node.textContent.replace('−', '-'))])""",
         )
         values = [value for _, value in sorted(shown)]
@@ -428,7 +428,7 @@ def test_numbers_on_the_edges_of_a_narrow_figure_differ(walk):
     plot = one(browser, "#bifurcation .plot")
     for _ in range(6):
         plot.send_keys("+")
-        shown = ask(browser, """[...document.querySelectorAll('#bifurcation .numbers-on-edges .x')].map(
+        shown = ask(browser, """[...document.querySelectorAll('#bifurcation .numbers-on-edges span.x')].map(
             node => [parseFloat(node.style.left), Number(node.textContent)])""")  # fmt: skip
         values = [value for _, value in sorted(shown)]
         # Evenly spaced on the picture, evenly spaced as numbers.

@@ -366,11 +366,22 @@ def test_eight_walkers_are_drawn_and_of_more_the_caption_says_how_many(tmp_path)
     for count, said in ((8, ""), (9, "8 of 9 walkers are drawn.")):
         names = [f"w{k}" for k in range(count)]
         text = f'name = "many"\nwalker = {names}\n[axes]\nslope = [0.01]'
-        source = read(write(tmp_path / f"{count}.nc", text, {}, {}, dict.fromkeys(names, KNEED)))
+        walkers = {name: KNEED | {"c_t": 0.02 * k} for k, name in enumerate(names)}
+        source = read(write(tmp_path / f"{count}.nc", text, {}, {}, walkers))
         for name in ("walker", "conditions"):
             drawing = draw(source, name, "test")
             assert drawing.data["walker"].nunique() == 8 and drawing.caption.endswith(said)
             assert ("are drawn" in drawing.caption) == bool(said)
+
+
+def test_walkers_that_look_alike_are_drawn_once_under_their_names(tmp_path):
+    walkers = {"free": KNEED, "locked": KNEED | {"knees": False}, "heavier": KNEED | {"m_h": 9.0}}
+    text = f'name = "alike"\nwalker = {list(walkers)}\n[axes]\nslope = [0.01]'
+    source = read(write(tmp_path / "a.nc", text, {}, {}, walkers))
+    sketch = FIGURES["walker"](source)
+    assert [axes.get_title() for axes in sketch.panels] == ["free, locked", "heavier"]
+    assert set(sketch.data["walker"]) == {"free, locked", "heavier"}
+    assert FIGURES["conditions"](source).data["walker"].tolist() == list(walkers)
 
 
 def _present(panels):

@@ -1,5 +1,6 @@
 """Geometry of a walker's legs, and drawings of walkers to scale."""
 
+import textwrap
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from matplotlib.patches import Arc, Circle
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, PAPER, SECOND
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import fill, shorten
+from gaitsweep.pipeline.report.words import fill
 
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 #: Walkers drawn at most, and in one row.
@@ -85,6 +86,19 @@ def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
     return {name: (body, table) for name, (body, table) in bodies.items() if body is not None}
 
 
+def _alike(bodies: Mapping[str, tuple[Body, dict[str, Any]]]) -> dict[str, tuple[Body, dict[str, Any]]]:
+    """Bodies that differ in a picture, under the names of all walkers that look alike."""
+    looks: dict[tuple[float, ...], list[str]] = {}
+    for name, (body, table) in bodies.items():
+        leg, mass = body.length + body.radius, sum(_number(table, key) for key in ("m_t", "m_s", "m_h")) or 1.0
+        lengths = [
+            round(_number(table, key) / leg, 2) for key in ("l_t", "R", "w_t", "c_t", "r_t", "w_s", "c_s", "r_s")
+        ]
+        masses = [round(_number(table, key) / mass, 2) for key in ("m_t", "m_s", "m_h")]
+        looks.setdefault((*lengths, *masses, round(body.eps_T, 2)), []).append(name)
+    return {", ".join(names): bodies[names[0]] for names in looks.values()}
+
+
 def _sketch(bodies: Collection[str], of_few: float) -> Sketch:
     """A panel for each walker, with its name as the title; more than six stand in two rows.
 
@@ -97,7 +111,7 @@ def _sketch(bodies: Collection[str], of_few: float) -> Sketch:
         axes.set_aspect("equal")
         axes.axis("off")
     for axes, name in zip(sketch.panels, bodies, strict=False):
-        axes.set_title(shorten(name, 48 // across), pad=2)
+        axes.set_title("\n".join(textwrap.wrap(name, 48 // across + 2, max_lines=3, placeholder="…")), pad=2)
     return sketch
 
 
@@ -105,12 +119,13 @@ def _finish(sketch: Sketch, source: Source, bodies: Collection[str], data: pd.Da
     """Say which walkers are drawn."""
     every, names = len(source.walkers), ", ".join(f"walker {name}" for name in bodies)
     varied = ", ".join(source.varied)
-    return sketch.finish(data, names=names, varied=varied, drawn=len(bodies), every=every, **values)
+    known: dict[str, Any] = {"names": names, "varied": varied, "drawn": len(bodies), "every": every}
+    return sketch.finish(data, **(known | values))
 
 
 def walker(source: Source) -> Sketch | None:
     """Draw each walker to scale: links, feet, masses as discs in proportion, radii of gyration as rings."""
-    bodies = _bodies(source)
+    bodies = _alike(_bodies(source))
     if not bodies:
         return None
     sketch, rows = _sketch(bodies, 270), []
@@ -118,7 +133,9 @@ def walker(source: Source) -> Sketch | None:
         _draw_walker(sketch, axes, name, body, table)
         rows += [{"walker": name, "parameter": key, "value": value} for key, value in table.items()]
     s, each = ("s", ", each to its own scale") if len(bodies) > 1 else ("", "")
-    return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
+    return _finish(
+        sketch, source, bodies, pd.DataFrame(rows), s=s, each=each, drawn=min(_MAX_WALKERS, len(source.walkers))
+    )
 
 
 def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> None:

@@ -150,7 +150,7 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
         fits = rows_at(table, {"foot_mass_ratio": line.set.get("foot_mass_ratio", np.nan)})
         for row in fits[np.isfinite(fits["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
-            ink: Any = {"color": INK, "lw": 0.6, "zorder": 4}
+            ink: Any = {"color": INK, "lw": 0.6, "zorder": 1.6}
             below, above = np.array([line.data["slope"].values.min(), 3 * cross]), np.array([cross / 30, right])
             axes.plot(below, row.fitted_amplitude * below**row.fitted_exponent, **ink)
             axes.plot(above, row.fitted_cube_root * above ** (1 / 3), **ink)

@@ -204,7 +204,6 @@ for (const plot of document.querySelectorAll(".plot")) {
     const tools = plot.appendChild(make("div", "tools"));
     for (const [sign, words, act] of [["+", "Zoom in", () => look(view.w / 1.6)], ["−", "Zoom out", () => look(view.w * 1.6)], ["⤢", "Whole figure", () => look(width)]]) {
       const button = tools.appendChild(make("button", "", sign));
-      button.type = "button";
       button.title = words;
       button.setAttribute("aria-label", words);
       button.addEventListener("click", act);
@@ -319,7 +318,6 @@ for (const plot of document.querySelectorAll(".plot")) {
     image.src = asData(picture());
   }]] : []) {
     const button = make("button", "save", name);
-    button.type = "button";
     button.addEventListener("click", act);
     file.append(" ", button);
   }

@@ -10,6 +10,7 @@ function draw(tag, parent, attributes, text) {
 function make(tag, name, text) {
   const node = document.createElement(tag);
   if (name) node.className = name;
+  if (tag === "button") node.type = tag;
   if (text !== undefined) node.textContent = text;
   return node;
 }
@@ -152,7 +153,7 @@ function drawCircle(svg, gaits) {
   add("circle", { cx: centre, cy: centre, r: unit, fill: "none", stroke: "var(--muted)", "stroke-width": 1.5 });
   const say = (x, y, text, anchor = "start") => add("text", { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
   say(8, 14, "multipliers λ");
-  say(212, centre - 6, "Re", "end");
+  say(212, centre + 30, "Re", "end");
   say(centre + 5, 24, "Im");
   for (const v of [-1, 1]) { say(centre + v * (unit + 3), centre + 14, minusSign(String(v)), v < 0 ? "end" : "start"); say(centre + 5, centre - v * (unit + 7) + 5, v < 0 ? "−i" : "i"); }
   for (const { gait, ink, second } of gaits) for (const [re, im] of gait.multipliers ?? []) {

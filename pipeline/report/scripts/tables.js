@@ -7,8 +7,7 @@ for (const table of document.querySelectorAll("table.archive")) {
   const exact = cell => { const data = cell.querySelector("data"); return data ? Number(data.value) : NaN; };
   [...table.tHead.rows[0].cells].forEach((head, k) => {
     if (!head.textContent.trim()) return;
-    const button = document.createElement("button");
-    button.type = "button"; button.className = "sort";
+    const button = make("button", "sort");
     button.append(...head.childNodes);
     head.append(button);
     button.addEventListener("click", () => {
@@ -28,7 +27,6 @@ for (const scroll of document.querySelectorAll(".scroll")) {
   const numbers = [...scroll.querySelectorAll("data")].filter(data => data.value.length > data.textContent.length), more = scroll.querySelectorAll("th.more").length;
   if (!more && !numbers.length) continue;
   const button = make("button", "save", `All ${more ? "columns and " : ""}digits`), texts = numbers.map(data => data.textContent);
-  button.type = "button";
   button.setAttribute("aria-pressed", false);
   button.addEventListener("click", () => {
     const whole = scroll.classList.toggle("whole");
@@ -43,7 +41,6 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
   const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.start[0]) : null;
   if (!place || place.apart > NEAR) continue;
   const button = make("button", "walk-it", "▸");
-  button.type = "button";
   button.title = "Show this gait walking";
   button.setAttribute("aria-label", `Show the gait at slope ${wish.slope} walking`);
   row.cells[0].prepend(button, " ");
@@ -56,7 +53,6 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
 document.querySelector("main").classList.add("folding");
 for (const claim of document.querySelectorAll(".claim")) {
   const button = make("button", "unfold", "▾");
-  button.type = "button";
   button.setAttribute("aria-label", `Show claim ${claim.id}`);
   button.setAttribute("aria-expanded", false);
   button.addEventListener("click", () => button.setAttribute("aria-expanded", claim.classList.toggle("open")));
@@ -66,7 +62,6 @@ for (const claim of document.querySelectorAll(".claim")) {
 // Commands: a button copies one.
 for (const code of document.querySelectorAll("pre > code, .command > code, .how > code")) {
   const button = make("button", "copy", "Copy"), place = code.closest("pre") ?? code;
-  button.type = "button";
   button.addEventListener("click", () => {
     getSelection().selectAllChildren(code);
     button.textContent = document.execCommand("copy") ? "Copied" : "Selected";
