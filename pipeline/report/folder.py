@@ -5,6 +5,7 @@ import fcntl
 import os
 import re
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Size limit of all thumbnails on the index [byte].
 _MAX_THUMBNAIL_BYTES = 170_000
+#: Room that a page takes on the index without a picture [byte].
+_CARD_BYTES = 150
 
 #: Places of a page for what depends on other pages.
 _PLACE = re.compile(r"<!--((?:pages|around|finding)(?::[\w-]+)?)-->.*?<!--/-->", re.S)
@@ -107,6 +110,7 @@ class _Report:
     def __init__(self, environment: jinja2.Environment, entries: list[Entry]) -> None:
         self.environment, self.entries = environment, entries
         self.shown = [record for record in entries if not record.text]
+        self.places = {record.slug: k for k, record in enumerate(self.shown)}
         self.claims = {str(row["id"]): row for record in entries for row in record.claims}
         self.ledger, self.figures = ledger.families(entries), ledger.figures(entries)
         self.parts: Any = environment.get_template("parts.html").module
@@ -128,7 +132,7 @@ class _Report:
         )
         return self.filled(text, None)
 
-    @property
+    @cached_property
     def sections(self) -> dict[str, list[Entry]]:
         """Pages by section of the index: those of the paper, then all others."""
         titles = PAPER["sections"] | {"": "Other studies" if any(r.section for r in self.shown) else "Studies"}
@@ -157,7 +161,7 @@ class _Report:
         if record is None:
             return ""
         if kind == "around":
-            k = self.shown.index(record)
+            k = self.places[record.slug]
             around = [self.shown[i] if 0 <= i < len(self.shown) else None for i in (k - 1, k + 1)]
             return str(self.parts.around(*around))
         figure = next((figure for figure in record.figures if figure["name"] == name), None)
@@ -170,9 +174,9 @@ class _Report:
 
     def _near(self, record: Entry | None) -> dict[str, list[Entry]]:
         """Pages that a page lists beside itself: all, or of many those around it."""
-        k = self.shown.index(record) if record else 0
-        near = self.shown[max(0, k - _MAX_LISTED // 2) : max(0, k - _MAX_LISTED // 2) + _MAX_LISTED]
-        groups = {title: [r for r in members if r in near] for title, members in self.sections.items()}
+        first = max(0, (self.places[record.slug] if record else 0) - _MAX_LISTED // 2)
+        near = {r.slug for r in self.shown[first : first + _MAX_LISTED]}
+        groups = {title: [r for r in members if r.slug in near] for title, members in self.sections.items()}
         return {title: members for title, members in groups.items() if members}
 
 
@@ -191,7 +195,7 @@ def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: 
 
 def _thumbnails(entries: list[Entry]) -> dict[str, str]:
     """The first figures of the studies, the smallest first, up to the size limit of the index."""
-    room, thumbnails = _MAX_THUMBNAIL_BYTES, {}
+    room, thumbnails = _MAX_THUMBNAIL_BYTES - _CARD_BYTES * len(entries), {}
     for record in sorted((record for record in entries if record.thumbnail), key=lambda record: len(record.thumbnail)):
         room -= len(record.thumbnail)
         if room > 0:
