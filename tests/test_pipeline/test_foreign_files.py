@@ -239,6 +239,14 @@ def test_a_report_replaces_only_what_a_report_has_made(tmp_path, name, make, kin
     assert state(tmp_path / name) == before
 
 
+def test_a_report_writes_no_data_through_a_link_to_another_folder(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "csv").symlink_to("elsewhere")
+    with pytest.raises(ArchiveError, match="csv is a link"):
+        folder.combine(pages._environment(), tmp_path, {"toy": ("<!doctype html>", {"csv/toy-x.csv": "a\n1\n"})})
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
 def test_data_that_a_killed_report_left_are_replaced(tmp_path):
     (tmp_path / "csv").mkdir()
     (tmp_path / "csv" / "toy-x.csv").write_text("slope,period\n3,4\n")

@@ -13,7 +13,7 @@ from gaitsweep.pipeline.report.figures import FIGURES, design_maps, draw, famili
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
-from gaitsweep.pipeline.report.figures.style import COLOURS, MUTED, choose_rows, set_log, style
+from gaitsweep.pipeline.report.figures.style import COLOURS, MUTED, choose_rows, hatch, on_map, set_log, style
 from gaitsweep.pipeline.report.figures.svg import TARGETS
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import WORDS, plain, sentences
@@ -382,6 +382,55 @@ def test_walkers_that_look_alike_are_drawn_once_under_their_names(tmp_path):
     assert [axes.get_title() for axes in sketch.panels] == ["free, locked", "heavier"]
     assert set(sketch.data["walker"]) == {"free, locked", "heavier"}
     assert FIGURES["conditions"](source).data["walker"].tolist() == list(walkers)
+
+
+def test_power_is_drawn_without_dimensions_where_the_speed_is_archived_so(tmp_path):
+    dims, slopes = ("slope", "gait"), np.array([0.01, 0.02])
+    grid = {"stance_angle": (dims, np.full((2, 1), 0.2)), "spectral_radius": (dims, np.full((2, 1), 0.5)),
+            "froude_speed": (dims, np.array([[0.1], [0.3]])), "power": (dims, np.array([[7.0], [9.0]])),
+            "speed": (dims, np.array([[0.5], [0.6]]))}  # fmt: skip
+    text = 'name = "p"\nwalker = "A"\n[axes]\nslope = [0.01, 0.02]'
+    coords = {"slope": slopes, "gait": np.array(["long"], object)}
+    sketch = FIGURES["power"](read(write(tmp_path / "p.nc", text, grid, coords, {"A": POINT})))
+    # P = m g v sin γ.
+    assert np.allclose(sketch.data["value"], [0.1 * np.sin(0.01), 0.3 * np.sin(0.02)], rtol=1e-14)
+    (axes,) = sketch.panels
+    assert axes.get_xlabel() == "speed v/√(gl)" and "P/(m g √(g l))" in axes.get_title(loc="left")
+
+
+def test_contours_are_dark_on_the_light_half_of_a_map_and_cells_without_a_gait_are_hatched():
+    assert on_map(0.1, 0, 1) == "#ffffff" and on_map(0.9, 0, 1) == "#101418"
+    axes = Figure().subplots()
+    hatch(axes)
+    assert axes.patch.get_hatch() and axes.patch.get_linewidth() == 0
+
+
+def test_a_page_tells_each_legend_once(sources):
+    told = set()
+    first, second = (draw(sources["transition"], name, "x", told=told) for name in ("loglog", "linear"))
+    assert first.svg.count(">long step<") == 1 and second.svg.count(">long step<") == 0
+    assert draw(sources["transition"], "linear", "x").svg.count(">long step<") == 1
+
+
+def test_the_largest_exponent_and_the_survival_of_orbits_are_drawn(tmp_path):
+    slopes = np.array([0.015, 0.018, 0.019])
+    exponents = {"slope": np.repeat(slopes, 2), "index": [0, 1] * 3, "exponent": [-0.2, -1, 0.1, 5, 0.3, -1]}
+    lives = {"slope": slopes, "lifetime": [np.inf, np.inf, 40.0]}
+    text = 'name = "o"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.015, 0.018, 0.019]'
+    tables = {"lyapunov": exponents, "survival": lives}
+    sketch = FIGURES["lyapunov"](read(write(tmp_path / "o.nc", text, {}, {}, {"D": POINT}, tables)))
+    top, below = sketch.panels
+    assert top.lines[1].get_ydata().tolist() == [-0.2, 0.1, 0.3] and below.lines[0].get_ydata().tolist() == [40.0]
+    assert sketch.words("lyapunov")[3] == "Exponents are positive at slopes from 0.018 to 0.019 rad."
+
+
+def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
+    n = 80
+    frame = pd.DataFrame({"walker": ["C"] * n, "branch": range(n), "slope": np.linspace(0, 1, n), "period": [2.0] * n})
+    table = html_tables.named("special_points", frame)
+    assert table.heads == ["γ", "walker", "T", "branch"]
+    assert len(table.rows) == 12 and "68 more rows are in the archive." in table.note
+    assert list(table.frame) == list(frame)
 
 
 def _present(panels):

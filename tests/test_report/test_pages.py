@@ -455,6 +455,13 @@ def test_the_csv_file_of_a_large_study_has_the_failures_first_and_is_counted(tmp
         assert note in page and "lists 20\u202f000 of the 21\u202f000 points" in page
 
 
+def test_data_of_more_rows_than_a_spreadsheet_reads_well_is_left_to_the_archive(tmp_path, monkeypatch):
+    monkeypatch.setattr(html_tables, "MAX_LISTED", 1)
+    pages.write([_small(tmp_path, "long")], tmp_path / "out")
+    assert not (tmp_path / "out" / "csv" / "long-linear.csv").exists()
+    assert "Its 2 rows are in the archive." in Page(tmp_path / "out" / "long.html").text
+
+
 def test_each_point_may_have_its_own_reason(archives):
     n = 40_000
     words = np.array([f"Reason {i}." for i in range(n)], object)
