@@ -617,4 +617,4 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
     axes.loglog(data.slope, data.slope)
     source = types.SimpleNamespace(table=lambda name, *columns: {"fits/transition": table}.get(name))
     words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
-    assert words.endswith("cross for heavy at γ = 0.0002 rad, light at γ = 0.0001 rad.")
+    assert words == "They cross at 0.0002 (heavy) and 0.0001 (light)."

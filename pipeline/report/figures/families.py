@@ -163,14 +163,13 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
             if not words:
                 x = cross / 8
                 write_at(axes, "p = 1/3", (x, row.fitted_cube_root * x ** (1 / 3)), (-4, 5), ha="right")
-            words.append(f"{name} at γ = {plain(cross, 4)} rad")
+            words.append(f"{plain(cross, 3)} ({name.partition(' (')[0]})")
     axes.set_xlim(left, right)
     ratio = source.table("fits/transition_ratio", "fitted_lines", "predicted")
-    sentence = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
+    sentence = f"They cross at {' and '.join(words)}"
     if ratio is not None and ratio["fitted_lines"].notna().all():
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
-        ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))
-        sentence += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
+        sentence += f", ratio {fitted}; the 3/2 law gives {predicted}"
     return f"{sentence}." if words else ""
 
 

@@ -95,4 +95,4 @@ def note(table: pd.DataFrame) -> str:
     kept = f" (of {tuned} with exact tuning)" if tuned else ""
     parts = [f"the slopes that the rounding of the printed parameters allows{kept}"] if has_rounding(table) else []
     parts += [f"of {exact}, whose parameters are exact, the bracket in which the slope is located"] if exact else []
-    return f"From, to: {'; '.join(parts)}."
+    return f"Rounding range: {'; '.join(parts)}."

@@ -8,7 +8,7 @@
 const { abs, cos, exp, hypot, sin } = Math;
 const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
-const VIOLATIONS = ["scuff", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
+const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
 
 const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
