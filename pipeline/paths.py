@@ -1,6 +1,7 @@
-"""Files beside an archive: journal, lock, records, and drafts of each."""
+"""Files beside an archive: journal, lock, records; drafts of files, and how these are replaced."""
 
 import contextlib
+import os
 import re
 import secrets
 import stat
@@ -77,6 +78,19 @@ SECRET = secrets.token_hex(16)
 def of(file: Path, secret: str = SECRET) -> Path:
     """Path of the draft of a file."""
     return file.with_name(f".{file.name}.{secret}")
+
+
+def publish(file: Path, data: bytes, secret: str = SECRET) -> None:
+    """Replace a file at once: a reader sees the old content or the new. Errors name the file, not its draft."""
+    draft = of(file, secret)
+    try:
+        draft.write_bytes(data)
+        os.replace(draft, file)
+    except OSError as error:
+        error.filename = str(file)
+        raise
+    finally:
+        discard(file, secret)
 
 
 def discard(file: Path, secret: object = SECRET) -> None:

@@ -62,7 +62,7 @@ def _claims_of(path: Path) -> list[str]:
 
 def _table(path: Path) -> dict[str, dict[str, Any]]:
     """The ledger of an archive by claim, NaN as None; empty if it cannot be read."""
-    from gaitsweep.pipeline.api import load
+    from gaitsweep.pipeline.api.studies import load
 
     try:
         read.probe([path])

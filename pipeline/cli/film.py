@@ -3,7 +3,6 @@
 import argparse
 import io
 import math
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from gaitsweep.pipeline import paths, terminal
-from gaitsweep.pipeline.api import gaits
 from gaitsweep.pipeline.api.steps import simulate
+from gaitsweep.pipeline.api.studies import gaits
 from gaitsweep.pipeline.errors import StudyError, unwritten
 from gaitsweep.pipeline.study import files
 
@@ -64,10 +63,10 @@ def run(options: argparse.Namespace) -> int:
     end = str(motion["reason"].item()) if int(motion["steps_taken"]) < options.steps else ""
     try:
         if options.strip:
-            _publish(options.out, _strip(body, poses, options.slope, options.out.suffix[1:].lower()))
+            paths.publish(options.out, _strip(body, poses, options.slope, options.out.suffix[1:].lower()))
         else:
             pictures = _pictures(body, poses, options.slope, words, end)
-            _publish(options.out, _film(pictures, len(poses), _FILMS[options.out.suffix.lower()]))
+            paths.publish(options.out, _film(pictures, len(poses), _FILMS[options.out.suffix.lower()]))
     except OSError as error:
         raise unwritten(options.out, error) from error
     print(options.out)
@@ -195,13 +194,3 @@ def _strip(body: Any, poses: list[Pose], slope: float, kind: str) -> bytes:
         undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
         figure.savefig(stream, format=kind, dpi=300, metadata=undated)
     return stream.getvalue()
-
-
-def _publish(path: Path, data: bytes) -> None:
-    """Replace a file at once."""
-    draft = paths.of(path)
-    try:
-        draft.write_bytes(data)
-        os.replace(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import platform
 import shutil
 import time
@@ -326,8 +325,4 @@ def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: l
 
 
 def _write_record(path: Path, record: dict[str, Any]) -> None:
-    try:
-        paths.of(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-        os.replace(paths.of(path), path)
-    finally:
-        paths.discard(path)
+    paths.publish(path, (json.dumps(record, indent=1) + "\n").encode())

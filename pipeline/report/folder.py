@@ -233,15 +233,5 @@ def _word(word: str) -> str:
 
 
 def _publish(path: Path, text: str) -> None:
-    """Replace a file at once: a reader sees the old text or the new."""
-    draft = paths.of(path, _DRAFT)
-    try:
-        path.parent.mkdir(exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, path)
-    except OSError as error:
-        error.filename = str(path)  # not the draft, unknown to the reader
-        raise
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
+    path.parent.mkdir(exist_ok=True)
+    paths.publish(path, text.encode(), _DRAFT)

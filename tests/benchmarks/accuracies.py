@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.harness import Case, what_more_take
 from benchmarks.planes import PLANES
-from gaitsweep.pipeline import api
+from gaitsweep import run
 
 #: Walkers and the slopes of their lines.
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
@@ -73,10 +73,10 @@ def _error(name: str, problem: str, accuracy: float) -> float:
     study = _study(name, problem, _COMPARED[problem], ["stance_angle"])
     with tempfile.TemporaryDirectory() as folder:
         archive = Path(folder, "error.nc")
-        best = api.run(study, jobs=1, archive=archive, quiet=True)
+        best = run(study, jobs=1, archive=archive, quiet=True)
         if not accuracy:
             return float(best.error_bound.max())
-        own = api.run(study, jobs=1, archive=archive, accuracy=accuracy, quiet=True)
+        own = run(study, jobs=1, archive=archive, accuracy=accuracy, quiet=True)
     return max(float(np.abs(own.stance_angle / best.stance_angle - 1).max()), float(np.finfo(float).eps) / 2)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gaitsweep.pipeline.api import run
+from gaitsweep import run
 from soak.extended_reference import convert
 
 #: Longest tick of a clock of processor time [s].

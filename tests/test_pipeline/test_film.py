@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from gaitsweep.pipeline.api import gaits, simulate
+from gaitsweep import gaits, simulate
 from gaitsweep.pipeline.cli import commands, film
 from gaitsweep.pipeline.report.figures.body import Body
 

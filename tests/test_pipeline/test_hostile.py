@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 from conftest import ROOT
-from gaitsweep.pipeline.api import load
+from gaitsweep import load
 from gaitsweep.pipeline.archive import diff, read, verify, write
 from gaitsweep.pipeline.errors import ArchiveError, GaitsweepError
 from gaitsweep.pipeline.graph.plan import Plan, summary
