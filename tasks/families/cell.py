@@ -47,13 +47,11 @@ _CLEAR = 0.03
 _WIDTH = 0.1
 #: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
 _REACH = 5.0
-#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none; the most by which
-#: they may be away, in ln slope, from where a few lines let them be expected.
+#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none.
 _EVENTS = {
     f"end_{kind}"
     for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
 }
-_ASTRAY = 0.25
 #: The part of a box that is cut off at a face of tuned walkers, the largest slope of balance, over those of the window,
 #: that does not matter, and places along keys at which ends are compared.
 _SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9

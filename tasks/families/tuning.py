@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,8 +11,8 @@ from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.walkers.statics import leg_moment
 
-#: Places along a key at which walkers may be tuned, and the slope at which those are balanced, over others'.
-_PLACES, _TUNED = 9, 1e-9
+#: Places along a key beside which walkers may be tuned, and the slope at which those are balanced, over others'.
+_PLACES, _TUNED = np.linspace(-1, 1, 9), 1e-9
 
 
 @dataclass(frozen=True)
@@ -41,28 +42,31 @@ class Tuning:
         slopes = 2 * moment.real / (walkers.total_mass * walkers.leg + 2 * moment.imag)
         return np.broadcast_to(slopes, len(at))
 
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """The slopes [rad] at places from face to face."""
+        return self.balanced(_PLACES)
+
     @property
     def largest(self) -> float:
         """Largest of the slopes."""
-        return float(np.abs(self.balanced(np.linspace(-1, 1, _PLACES))).max())
+        return float(np.abs(self.slopes).max())
 
     def at_faces(self) -> tuple[bool, bool]:
         """Return whether the walkers at the lower and at the upper face are tuned."""
-        slopes = np.abs(self.balanced(np.linspace(-1, 1, _PLACES)))
-        low, high = slopes[[0, -1]] < _TUNED * slopes.max()
+        low, high = np.abs(self.slopes[[0, -1]]) < _TUNED * self.largest
         return bool(low), bool(high)
 
     def inside(self) -> float | None:
         """Return the first value of the key between the faces at which walkers are tuned [the walker's units]."""
-        places = np.linspace(-1, 1, _PLACES)
-        signs = np.sign(self.balanced(places))
+        signs = np.sign(self.slopes)
         crossing = np.flatnonzero(signs[1:] != signs[:-1])
         if not len(crossing) or any(self.at_faces()):
             return None
         from scipy.optimize import brentq  # as long to import as the solver
 
         k = int(crossing[0])
-        at = brentq(lambda x: self.balanced(np.array([x]))[0], places[k], places[k + 1], xtol=1e-15, rtol=1e-15)
+        at = brentq(lambda x: self.balanced(np.array([x]))[0], *_PLACES[k : k + 2], xtol=1e-15, rtol=1e-15)
         unit = np.full((1, len(self.box.keys)), self.others)
         unit[0, self.axis] = at
         return float(self.box.at(unit)[0, self.axis])
