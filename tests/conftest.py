@@ -20,6 +20,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TOYS = ROOT / "tests" / "test_pipeline"
+#: The command line in a process of its own.
+GAITSWEEP = (sys.executable, "-W", "ignore", "-m", "gaitsweep")
 
 # Signals that are ignored stay so in every process below: tests under `nohup`, or in the background, want them heard.
 for _number in (signal.SIGHUP, signal.SIGTERM):

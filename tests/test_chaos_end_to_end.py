@@ -3,10 +3,11 @@
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from conftest import GAITSWEEP
 
 ROOT = Path(__file__).parent.parent
 ORBIT = """name = "o"
@@ -35,17 +36,7 @@ steps = 60
 def archived(folder, text, *options):
     folder.mkdir()
     (folder / "s.toml").write_text(text)
-    command = [
-        sys.executable,
-        "-W",
-        "ignore",
-        "-m",
-        "gaitsweep",
-        "run",
-        "s.toml",
-        "--quiet",
-        *options,
-    ]
+    command = [*GAITSWEEP, "run", "s.toml", "--quiet", *options]
     done = subprocess.run(
         command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300
     )

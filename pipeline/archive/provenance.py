@@ -117,7 +117,7 @@ def version(package: str) -> str:
 def code_digest() -> str:
     """Digest of the code of `tasks` without docstrings, comments and layout."""
     digest = hashlib.sha256()
-    for file in sorted((Path(__file__).parents[2] / "tasks").rglob("*.py")):
+    for file in sorted((_ROOT / "tasks").rglob("*.py")):
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
         digest.update(" ".join(text.split()).encode())
     return digest.hexdigest()

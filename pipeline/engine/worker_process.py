@@ -49,14 +49,7 @@ class WorkerProcess:
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         self._connection, end = Pipe()
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            _PROGRAM,
-            str(os.getpid()),
-            str(end.fileno()),
-        ]
+        command = [sys.executable, "-P", "-m", _PROGRAM, str(os.getpid()), str(end.fileno())]
         try:  # in its own process group, so that Ctrl-C reaches only the parent
             self.process = subprocess.Popen(
                 command,

@@ -44,10 +44,8 @@ class Entry:
     def order(self) -> tuple[int, bool, bool, list[tuple[int, str]], str]:
         """Sort key in the index: the paper's studies in their order, then pages with pictures, then numbered ones."""
         parts = re.findall(r"\d+|\D+", self.name.lower())
-        numbered, numbers = (
-            bool(parts) and parts[-1].isdigit(),
-            [(int(p), "") if p.isdigit() else (0, p) for p in parts],
-        )
+        numbered = bool(parts) and parts[-1].isdigit()
+        numbers = [(int(p), "") if p.isdigit() else (0, p) for p in parts]
         return self.place, not self.figures, not numbered, numbers, self.slug
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gaitsweep
+from conftest import GAITSWEEP
 from gaitsweep.pipeline.api import studies
 from gaitsweep.pipeline.archive import diff, result_tables
 
@@ -82,17 +83,7 @@ def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, t
     for name in reversed(STUDIES):
         files.append(tmp_path / f"{len(files)}.toml")
         files[-1].write_text(studies._study(mapping(name)).text)
-    command = [
-        sys.executable,
-        "-W",
-        "ignore",
-        "-m",
-        "gaitsweep",
-        "run",
-        *map(str, files),
-        "--quiet",
-        *engine,
-    ]
+    command = [*GAITSWEEP, "run", *map(str, files), "--quiet", *engine]
     subprocess.run([*command, "--fresh"], cwd=tmp_path, check=True, capture_output=True)
     for name, archive in archives.items():
         again = tmp_path / "data" / "archive" / f"{name.replace(' ', '-')}.nc"
