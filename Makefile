@@ -1,4 +1,4 @@
-# make setup | paper | test | check | lint | bench | soak | prove | mutants | tiers | lock
+# make setup | paper | test | check | lint | wheel | bench | soak | prove | mutants | tiers | lock
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # Each of hundreds of processes would compile all modules again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -13,9 +13,8 @@ TIER = not thorough and not soak
 DRAW ?= 1
 N ?= 300
 SECONDS ?= 7000
-STUDIES := $(wildcard data/studies/paper/*.toml)
 
-.PHONY: setup paper test check lint bench soak prove mutants tiers lock clean
+.PHONY: setup paper test check lint wheel bench soak prove mutants tiers lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -37,7 +36,7 @@ $(COMPLETE): $(READY)
 	touch $@
 
 paper: $(READY)
-	$(BIN)/gaitsweep run $(STUDIES)
+	$(BIN)/gaitsweep run paper
 	$(BIN)/gaitsweep report data/archive/*.nc -o reports
 
 test: $(COMPLETE)
@@ -52,6 +51,11 @@ lint: $(COMPLETE)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# What setuptools built before would go into the wheel too.
+wheel: $(READY)
+	rm -rf build dist
+	$(BIN)/uv build --quiet --wheel --no-build-isolation --python $(BIN)/python .
 
 bench: $(COMPLETE)
 	PYTHONPATH=tests $(BIN)/python -m benchmarks -o reports
@@ -81,5 +85,5 @@ lock:
 	  --no-header --no-annotate $(INDEX) --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf .venv mutants data/archive
+	rm -rf .venv build dist mutants data/archive
 	find reports -mindepth 1 ! -name README.md -delete

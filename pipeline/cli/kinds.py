@@ -85,6 +85,16 @@ def decimal_setting(text: str) -> tuple[str, str | bool]:
     return key, value if isinstance(value, bool) else text.partition("=")[2]
 
 
+class Studies(Action):
+    """Collects the files of studies: of those named, of folders, and of those that the package brings."""
+
+    def __call__(self, parser: ArgumentParser, options: Namespace, names: Any, *_: Any) -> None:
+        """Set the files."""
+        from gaitsweep.pipeline.study import files
+
+        setattr(options, self.dest, [file for name in names for file in files.studies(name)])
+
+
 class Settings(Action):
     """Collects names, of walker keys or violations, and their values."""
 

@@ -1,5 +1,6 @@
 """The TOML files of studies and walkers."""
 
+import os
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,8 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.location import Location, clip
 
 _MAX_BASES = 8
+#: Studies that the package brings, in folders.
+_SHIPPED = Path(__file__).parents[2] / "data" / "studies"
 
 
 def read_text(path: Path, shown: str, most: int = 1) -> str:
@@ -28,6 +31,26 @@ def read_text(path: Path, shown: str, most: int = 1) -> str:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise unreadable(shown, error) from error
+
+
+def studies(name: Path) -> list[Path]:
+    """Files of the studies that a name means.
+
+    Parameters
+    ----------
+    name : Path
+        A file, a folder of studies, or, where there is neither, a folder that the package brings (`paper`, `examples`)
+        or one study of it (`paper/figure5`).
+
+    Returns
+    -------
+    list of Path
+        The name itself if it means none.
+    """
+    if os.path.lexists(name):  # unlike `Path.exists`, no error if it is too long
+        return (sorted(name.glob("*.toml")) if os.path.isdir(name) else []) or [name]
+    shipped = (file.relative_to(_SHIPPED) for file in sorted(_SHIPPED.glob("*/*.toml")))
+    return [_SHIPPED / file for file in shipped if name in (file.parent, file.with_suffix(""))] or [name]
 
 
 def unreadable(shown: str, error: Exception) -> StudyError:
