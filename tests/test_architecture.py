@@ -1,6 +1,8 @@
 """Who owns which name, what imports do, and what the package list and the lock say."""
 
+import dataclasses
 import importlib.metadata
+import inspect
 import itertools
 import os
 import re
@@ -9,12 +11,15 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import FunctionType
+from typing import Any, get_args, get_overloads, get_type_hints
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import docstrings
+import gaitsweep
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -85,6 +90,22 @@ def test_importing_any_module_only_defines(tmp_path):
     environment["MPLCONFIGDIR"] = str(tmp_path.parent)  # matplotlib's own
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
     assert not [path for path in tmp_path.rglob("*") if "gaitsweep" in path.name or path.suffix == ".nc"]
+
+
+def holds_any(hint):
+    return hint is Any or any(map(holds_any, [*hint] if isinstance(hint, list) else get_args(hint)))
+
+
+def test_what_is_exported_has_types_and_none_of_them_is_any():
+    exported = (getattr(gaitsweep, name) for name in gaitsweep.__all__)
+    functions = [each for each in exported if isinstance(each, FunctionType)]
+    assert {each.__name__ for each in functions} >= {"gaits", "load", "run", "simulate", "solve", "step_map"}
+    for function in [*functions, *(each for one in functions for each in get_overloads(one))]:
+        hints = get_type_hints(function)
+        assert hints.keys() == {*inspect.signature(function).parameters, "return"}
+        assert not [name for name, hint in hints.items() if holds_any(hint)], function
+        if dataclasses.is_dataclass(hints["return"]):
+            assert not list(filter(holds_any, get_type_hints(hints["return"]).values()))
 
 
 LOCK = (ROOT / "requirements.lock").read_text()

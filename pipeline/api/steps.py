@@ -74,7 +74,9 @@ class StepMap:
 
 
 @in_turn
-def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequence[float], **keys: float) -> StepMap:
+def step_map(
+    walker: str | Path | Mapping[str, object], slope: float, state: Sequence[float] | np.ndarray, **keys: float
+) -> StepMap:
     """Evaluate the step map and its derivatives at a state.
 
     Parameters
@@ -107,9 +109,9 @@ def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequen
 
 @in_turn
 def simulate(
-    walker: str | Path | Mapping[str, Any],
+    walker: str | Path | Mapping[str, object],
     slope: float,
-    state: Sequence[float],
+    state: Sequence[float] | np.ndarray,
     steps: int,
     *,
     motion: bool = False,

@@ -5,7 +5,7 @@ import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import pandas as pd
@@ -23,8 +23,12 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.registry import MAX_STEPS
 
 
+@overload
+def load(archive: str | Path, table: None = None) -> xr.Dataset: ...
+@overload
+def load(archive: str | Path, table: str) -> pd.DataFrame: ...
 @in_turn
-def load(archive: str | Path, table: str | None = None) -> Any:
+def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataFrame:
     """Read an archive, or one of its tables.
 
     Parameters
@@ -102,7 +106,7 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
 
 @in_turn
 def run(
-    wanted: str | Path | Mapping[str, Any],
+    wanted: str | Path | Mapping[str, object],
     jobs: int = 2,
     archive: str | Path | None = None,
     *,
@@ -152,7 +156,7 @@ def run(
     return load(path)
 
 
-def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
+def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
     elif not isinstance(wanted, str | Path):
@@ -187,15 +191,15 @@ def _to_toml(value: Any, key: str) -> str:
 
 @in_turn
 def gaits(
-    walker: str | Path | Mapping[str, Any],
-    slope: Any,
+    walker: str | Path | Mapping[str, object],
+    slope: broadcast.Values,
     *,
     steps: int = 1,
     accuracy: float | None = None,
     variables: Sequence[str] | None = None,
     violation_limits: Mapping[str, float] | None = None,
     tuned: Sequence[str] = (),
-    **keys: Any,
+    **keys: broadcast.Values,
 ) -> xr.Dataset:
     """Solve the gaits of a walker over arrays of slopes and keys, in memory.
 
@@ -253,7 +257,7 @@ def gaits(
 
 @in_turn
 def solve(
-    walker: str | Path | Mapping[str, Any],
+    walker: str | Path | Mapping[str, object],
     slope: float,
     every: bool = False,
     *,

@@ -1,8 +1,8 @@
 """Requests from Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -12,6 +12,8 @@ from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.tasks.registry import VARIABLES
 
+#: Numbers, of `knees` truth values. So is a pandas.Series, but where pandas has no stubs its name would admit all.
+Values: TypeAlias = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | xr.DataArray
 #: Dimensions and coordinates of results, which no argument may use.
 _RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
 
