@@ -1,7 +1,8 @@
 """Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
 
-`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study and `load` opens its archive. The code
-is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which computes.
+`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study and `load` opens its archive; `schema`
+describes studies to editors. The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
+computes.
 """
 
 import importlib
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         StudyError,
         WorkerError,
     )
+    from gaitsweep.pipeline.study.schema import schema
 
     __version__: str
 
@@ -27,6 +29,7 @@ _ERRORS = "ArchiveError", "BusyError", "DiskFullError", "GaitsweepError", "Stopp
 _HOMES = {
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
     **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
+    "schema": "gaitsweep.pipeline.study.schema",
     **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
 }
 
@@ -42,6 +45,7 @@ __all__ = [
     "gaits",
     "load",
     "run",
+    "schema",
     "simulate",
     "solve",
     "step_map",

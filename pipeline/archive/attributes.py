@@ -8,6 +8,7 @@ import numpy as np
 
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.parse import EXTRA_AXES
 from gaitsweep.pipeline.study.ways import ends
 from gaitsweep.tasks.registry import PROVED, VIOLATIONS, Variable
 
@@ -17,11 +18,6 @@ SOURCE = "gaitsweep: passive dynamic walking in two dimensions, solved numerical
 GAIT = {"long_name": "gait by its character", "units": "1"}
 MULTIPLIER = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
 REASON_TEXT = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
-_LONG_NAMES = {
-    "slope": "slope of the ground",
-    "foot_mass_ratio": "mass of each foot over the total mass",
-    "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)",
-}
 
 
 def put(owner: Any, values: dict[str, Any]) -> None:
@@ -47,7 +43,7 @@ def of_axis(name: str, is_si: bool, checks: Sequence[Mapping[str, Any]] = ()) ->
     Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as JSON, by what `tasks` reports
     of each walker.
     """
-    about = {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
+    about = {"long_name": EXTRA_AXES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
     found = [check["way"] for check in checks if "way" in check]
     if name != "detuning" or not found:
         return about

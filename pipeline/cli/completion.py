@@ -32,7 +32,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
         "cases": "\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
         "walkers": " ".join(walkers),
         "keys": " ".join(keys),
-        "settings": " ".join(f"{key}=" for key in (*keys, *one_link, *EXTRA_AXES[1:], "knees")),
+        "settings": " ".join(f"{key}=" for key in (*keys, *one_link, *[*EXTRA_AXES][1:], "knees")),
     }
     text = Path(__file__).with_suffix(".bash").read_text(encoding="utf-8")
     text = re.sub("@([a-z]+)@", lambda place: filled[place[1]], text)

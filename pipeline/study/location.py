@@ -7,7 +7,8 @@ from numbers import Integral
 
 from gaitsweep.pipeline.errors import StudyError
 
-_LARGEST = 1e300
+#: Largest number that may be given.
+LARGEST = 1e300
 
 
 class Location:
@@ -47,7 +48,7 @@ class Location:
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
-        if abs(value) > _LARGEST:  # a whole number may exceed every double
+        if abs(value) > LARGEST:  # a whole number may exceed every double
             raise self.wrong("must be finite" if value in (math.inf, -math.inf) else "must be at most 1e300", value)
         if math.isnan(value):
             raise self.wrong("must be finite", value)

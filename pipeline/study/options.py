@@ -1,13 +1,13 @@
 """Check the `[options]` of a study: every one known to its kind, and of the right sort."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from gaitsweep.pipeline.study import slopes
-from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.location import LARGEST, Location
 from gaitsweep.tasks import registry
-from gaitsweep.tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, VIOLATIONS
+from gaitsweep.tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, SLOPES, VIOLATIONS
 
 _MAX = 10**6
 
@@ -81,14 +81,39 @@ def listing() -> str:
     return "\n".join(lines)
 
 
+def schema(what: str, keys: tuple[str, ...]) -> dict[str, Any]:
+    """JSON Schema of what an option holds; `keys` are those that an axis may have, but for the slope."""
+    if what in _COUNTS:
+        most, least = _COUNTS[what]
+        return {"type": "integer", "minimum": least, "maximum": most}
+    if what == "limits":
+        limits = {
+            v.name: {"description": f"{v.reason} [{v.unit}]", "type": "number", "minimum": 0, "default": v.limit}
+            for v in VIOLATIONS.values()
+        }
+        return {"type": "object", "properties": limits, "additionalProperties": False}
+    names = one_of(_names(what, keys))
+    return _HOLDS[what][2] | ({"items": names} if what in ("kinds", "keys") else {}) if what in _HOLDS else names
+
+
+def one_of(names: Iterable[str]) -> dict[str, Any]:
+    """JSON Schema of one of several names."""
+    return {"type": "string", "enum": list(names)}
+
+
+def _names(what: str, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of which an option holds one or several."""
+    return {"gait": GAITS, "key": keys, "kinds": FOLLOWED, "keys": keys}.get(what, ())
+
+
 def _check(value: Any, what: str, keys: tuple[str, ...], place: Location) -> None:
     if what in _COUNTS:
         place.count(value, *_COUNTS[what])
     if what in _HOLDS:
-        fits, bound = _HOLDS[what]
+        fits, bound, _ = _HOLDS[what]
         if not fits(value, place):
             raise place.wrong(bound, value)
-    names = {"gait": GAITS, "key": keys, "kinds": FOLLOWED, "keys": keys}.get(what, ())
+    names = _names(what, keys)
     for name in value if what in ("kinds", "keys") else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)
@@ -96,20 +121,36 @@ def _check(value: Any, what: str, keys: tuple[str, ...], place: Location) -> Non
 
 #: Whole numbers that options hold: the largest and the least.
 _COUNTS = {"count": (_MAX, 1), "count or 0": (_MAX, 0), "steps": (MAX_STEPS, 1)}
-#: What else they hold: whether a value fits, and what it must be. That one is no number says its place.
-_HOLDS: dict[str, tuple[Callable[[Any, Location], Any], str]] = {
+_NUMBER = {"type": "number", "minimum": -LARGEST, "maximum": LARGEST}
+#: What else they hold: whether a value fits, what it must be, and the same as JSON Schema. That one is no number says
+#: its place.
+_HOLDS: dict[str, tuple[Callable[[Any, Location], Any], str, dict[str, Any]]] = {
     "counts": (
         lambda x, _: isinstance(x, list) and x and all(type(n) is int and 1 <= n <= _MAX for n in x),
         f"must be a list of whole numbers from 1 to {_MAX:,}",
+        {"type": "array", "minItems": 1, "items": {"type": "integer", "minimum": 1, "maximum": _MAX}},
     ),
-    "number": (lambda x, place: isinstance(place.number(x), float), ""),
-    "positive": (lambda x, place: place.number(x) > 0, "must be above 0"),
-    "slope": (lambda x, place: slopes.is_slope(place.number(x)), slopes.BOUND),
-    "share": (lambda x, place: 0 <= place.number(x) <= 0.5, "must lie in [0, 0.5]"),
+    "number": (lambda x, place: isinstance(place.number(x), float), "", _NUMBER),
+    "positive": (lambda x, place: place.number(x) > 0, "must be above 0", {**_NUMBER, "exclusiveMinimum": 0}),
+    "slope": (
+        lambda x, place: slopes.is_slope(place.number(x)),
+        slopes.BOUND,
+        {"type": "number", "minimum": SLOPES[0], "exclusiveMaximum": SLOPES[1]},
+    ),
+    "share": (
+        lambda x, place: 0 <= place.number(x) <= 0.5,
+        "must lie in [0, 0.5]",
+        {"type": "number", "minimum": 0, "maximum": 0.5},
+    ),
     "range": (
         lambda x, place: isinstance(x, list) and len(x) == 2 and place.number(x[0]) < place.number(x[1]),
         "must be two increasing numbers",
+        {"type": "array", "minItems": 2, "maxItems": 2, "items": _NUMBER},
     ),
-    "kinds": (lambda x, _: isinstance(x, list) and x, f"must be a list of {', '.join(FOLLOWED)}"),
-    "keys": (lambda x, _: isinstance(x, list), "must be a list of keys of a walker"),
+    "kinds": (
+        lambda x, _: isinstance(x, list) and x,
+        f"must be a list of {', '.join(FOLLOWED)}",
+        {"type": "array", "minItems": 1},
+    ),
+    "keys": (lambda x, _: isinstance(x, list), "must be a list of keys of a walker", {"type": "array"}),
 }

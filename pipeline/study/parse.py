@@ -26,18 +26,46 @@ from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KIND
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
-#: Axes that are not keys of a walker.
-EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
-_ONE_LINK = "gaitsweep.tasks.walkers.walker:ONE_LINK"
-#: Largest axis and grid; anything above is taken for a mistake.
-_MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
-_MAX_DIGITS = 15  # decimals of a linear axis
+#: Keys of a study and of its tables, and what each is.
+KEYS = {
+    "name": "name of the study; its archive is data/archive/NAME.nc under the current folder",
+    "kind": "what is computed: gaits at every point of a grid, unless this names something else",
+    "accuracy": "largest error bound wanted, of a grid; omitted: as good as doubles give",
+    "walker": "name of the catalogue, a file relative to the study, a table, or a list of names",
+    "gaits": "labels wanted; omitted: all",
+    "axes": "what is varied: `slope`, and keys of the walker",
+    "want": "what is computed of each gait, fitted, drawn and compared with the paper",
+    "limits": "limits for one point",
+    "options": "options of this kind of study",
+    "figures": "what figures show beside the computed gaits",
+}
+WANTED = {
+    "variables": "variables, or groups of them; omitted: all but the costly ones",
+    "fits": "tasks over the whole study: fitted laws, landmarks",
+    "figures": "figures of the report",
+    "claims": "claims of the paper that are checked",
+}
+LIMITS = {"seconds": "longest time for a point [s], by default 60", "memory": "most memory, by default 2 GiB"}
+#: Axes that are not keys of a walker, and what each is.
+EXTRA_AXES = {
+    "slope": "slope of the ground",
+    "foot_mass_ratio": "mass of each foot over the total mass",
+    "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)",
+}
 _UNITS = {
     "": 1,
     "B": 1,
     **{f"{p}B": 1000**i for i, p in enumerate("kMGT", 1)},
     **{f"{p}iB": 1024**i for i, p in enumerate("KMGT", 1)},
 }
+#: What a name and an amount of memory look like.
+NAME, MEMORY = "[A-Za-z0-9][A-Za-z0-9._-]{0,99}", rf"([0-9]+(?:\.[0-9]+)?) ?({'|'.join(_UNITS)})"
+#: Tolerances of an adaptive slope axis, the longest time [s] and the memory [byte] that limits may name.
+TOLERANCES, MAX_SECONDS, MEMORIES = (1e-6, 0.1), 1e6, (1 << 26, 1 << 50)
+_ONE_LINK = "gaitsweep.tasks.walkers.walker:ONE_LINK"
+#: Largest axis and grid; anything above is taken for a mistake.
+MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
+_MAX_DIGITS = 15  # decimals of a linear axis
 
 
 def kinds() -> tuple[str, ...]:
@@ -83,14 +111,11 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         If anything in it is invalid.
     """
     top = Location(path.name)
-    known = ("name", "kind", "accuracy", "walker", "gaits", "axes", "want", "limits", "options", "figures")
-    for key in table:
-        if key not in known:
-            raise top.unknown(key, known, "key")
+    _table(table, KEYS, top)
     name = table.get("name")
     if name is None:
         raise top.error("A study needs a `name`")
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+    if not isinstance(name, str) or not re.fullmatch(NAME, name):
         allowed = "must be up to 100 letters, digits, dots, dashes or underscores, the first a letter or digit"
         raise top.at("name").wrong(allowed, name)
     kind = table.get("kind", "grid")
@@ -108,7 +133,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     way = top.at("axes", "detuning", "toward")
     given, toward = _toward(table.get("axes"), path, way)
     axes, tolerance = _axes(given, top.at("axes"), kind)
-    chosen = options.check(table.get("options", {}), kind, _axis_keys(), top.at("options"))
+    chosen = options.check(table.get("options", {}), kind, axis_keys(), top.at("options"))
     tuned = chosen.pop("tuned", ())
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
     listed = isinstance(table.get("walker"), list)
@@ -213,7 +238,7 @@ def _toward(axes: object, path: Path, location: Location) -> tuple[object, str |
     return {**axes, "detuning": rest}, other(way["toward"], path.parent, location)
 
 
-def _axis_keys() -> tuple[str, ...]:
+def axis_keys() -> tuple[str, ...]:
     """Names that an axis may have."""
     return (*EXTRA_AXES, *dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"), *dispatch.resolve(_ONE_LINK))
 
@@ -223,8 +248,8 @@ def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
     for key in value:
-        if key not in _axis_keys():
-            raise location.unknown(key, _axis_keys(), "key")
+        if key not in axis_keys():
+            raise location.unknown(key, axis_keys(), "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
     slope, tolerance = value["slope"], 0.0
@@ -244,7 +269,7 @@ def _adaptive(slope: dict[str, Any], location: Location, kind: str) -> tuple[flo
         raise location.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
     window = _table(slope, ("from", "to", "adaptive"), location)
     tolerance = location.at("adaptive").number(window["adaptive"])
-    if not 1e-6 <= tolerance <= 0.1:
+    if not TOLERANCES[0] <= tolerance <= TOLERANCES[1]:
         raise location.at("adaptive").wrong("must lie in [1e-6, 0.1]", tolerance)
     return tolerance, {**{k: v for k, v in window.items() if k != "adaptive"}, "n": 2}
 
@@ -265,7 +290,7 @@ def _values(value: object, location: Location) -> np.ndarray:
         if key not in table:
             raise location.error(f"`{key}` is missing")
     start, stop = location.at("from").number(table["from"]), location.at("to").number(table["to"])
-    n, spacing = location.at("n").count(table["n"], _MAX_VALUES), table.get("spacing", "linear")
+    n, spacing = location.at("n").count(table["n"], MAX_VALUES), table.get("spacing", "linear")
     if spacing not in ("linear", "log"):
         raise location.at("spacing").wrong('must be "linear" or "log"', spacing)
     if start >= stop:
@@ -343,7 +368,7 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
 
 
 def _want(value: object, kind: str, asked: float, location: Location) -> dict[str, tuple[str, ...]]:
-    table = _table(value, ("variables", "fits", "figures", "claims"), location)
+    table = _table(value, WANTED, location)
     wanted = variables(table.get("variables"), location.at("variables"), asked)
     names: dict[str, tuple[str, ...]] = {}
     for key, known in (("fits", registry.FITS), ("figures", FIGURES), ("claims", CLAIMS)):
@@ -367,15 +392,15 @@ def _free_names(value: object, location: Location) -> tuple[str, ...]:
 
 def _limits(table: Mapping[str, Any], top: Location) -> Limits:
     location = top.at("limits")
-    limits = _table(table.get("limits", {}), ("seconds", "memory"), location)
+    limits = _table(table.get("limits", {}), LIMITS, location)
     seconds = location.at("seconds").number(limits.get("seconds", Limits.seconds))
-    if not 0 < seconds <= 1e6:
+    if not 0 < seconds <= MAX_SECONDS:
         raise location.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
     memory = limits.get("memory", Limits.memory)
-    match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
-    if match and match[2] in _UNITS:
+    match = re.fullmatch(MEMORY, memory) if isinstance(memory, str) else None
+    if match:
         memory = int(min(float(match[1]) * _UNITS[match[2]], 1 << 51))
-    if isinstance(memory, bool) or not isinstance(memory, int) or not 1 << 26 <= memory <= 1 << 50:
+    if isinstance(memory, bool) or not isinstance(memory, int) or not MEMORIES[0] <= memory <= MEMORIES[1]:
         raise location.at("memory").wrong(
             'must be at least 64 MiB and at most 1024 TiB, as in "2 GiB"', limits.get("memory")
         )

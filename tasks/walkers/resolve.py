@@ -19,6 +19,8 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 _DERIVED = ("detuning", "foot_mass_ratio")
 #: What a walker's table may hold beside its own keys.
 _MORE = (*_DERIVED, "tuned", "toward")
+#: Feet weigh at least the first, and less than the second, share of a walker's mass.
+FOOT_MASS_RATIOS = 0.0, 0.5
 #: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker (paper, section 5.2 and
 #: figure 8).
 _PARTNERS = {"A": "physical-straight", "C": "physical"}
@@ -50,7 +52,9 @@ def from_table(table: Mapping[str, Any]) -> Walker:
 
 
 #: Keys of straight legs that are zero unless they are given.
-_ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
+ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
+#: Keys that a leg of one link must have beside `l`.
+NEEDED_BY_ONE_LINK = ("m", "c")
 #: Keys of a leg of one link, and those of its thigh and shank that they set; its mass and centre are the thigh's.
 _OF_LINKS = {
     **{"m": ("m_t",), "c": ("c_t", "c_s"), "w": ("w_t", "w_s"), "r": ("r_t", "r_s")},
@@ -77,7 +81,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
         if mixed:
             raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
-        if absent := [key for key in ("m", "c") if key not in given]:
+        if absent := [key for key in NEEDED_BY_ONE_LINK if key not in given]:
             raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
         for key, value in {"l": length, "R": radius, "c": centre}.items():
@@ -88,7 +92,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         shank = {"m_s": 0.0, "c_s": centre - length / 2, "w_s": links.get("w_t", 0.0), "r_s": links.get("r_t", 0.0)}
         halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
-    return {**dict.fromkeys(_ZERO_IF_STRAIGHT, 0.0), **given}
+    return {**dict.fromkeys(ZERO_IF_STRAIGHT, 0.0), **given}
 
 
 def from_catalogue(name: object) -> Walker:
@@ -255,8 +259,8 @@ def _of_feet(walker: Walker, ratio: float, base: str | None) -> dict[str, float]
     """
     if not (walker.point_foot or (base and from_catalogue(base).point_foot)):
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
-    if not 0 <= ratio < 0.5:
-        raise WalkerError("foot_mass_ratio", ratio, "must lie in [0, 0.5)")
+    if not FOOT_MASS_RATIOS[0] <= ratio < FOOT_MASS_RATIOS[1]:
+        raise WalkerError("foot_mass_ratio", ratio, "must lie in [{:g}, {:g})".format(*FOOT_MASS_RATIOS))
     return _masses(walker, ratio)
 
 

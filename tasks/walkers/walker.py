@@ -33,6 +33,39 @@ ONE_LINK = {"l": "length", "c": "length", "r": "length", "m": "mass", "w": "leng
 #: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
 #: overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
+#: Least and largest value of each number by itself; geometry and inertia bound them further. Only `m_t`, and `m` that
+#: sets it, may be infinite.
+BOUNDS = {
+    **dict.fromkeys((*NUMBERS, *ONE_LINK), (-MAX_SIZE, MAX_SIZE)),
+    **dict.fromkeys(("l_t", "l_s", "g", "l"), (MIN_SIZE, MAX_SIZE)),
+    **dict.fromkeys(("m_s", "m_h", "r_t", "r_s", "R", "r"), (0.0, MAX_SIZE)),
+    **dict.fromkeys(("m_t", "m"), (0.0, math.inf)),
+    "eps_T": (-math.pi / 2, math.pi / 2),
+}
+#: What each key is.
+MEANINGS = {
+    "l_t": "length of the thigh, hip to knee",
+    "w_t": "offset of the thigh's centre of mass, backward from the thigh line",
+    "m_t": "mass of each thigh",
+    "r_t": "radius of gyration of the thigh about its own centre of mass",
+    "c_t": "distance of the thigh's centre of mass from the hip, along the thigh",
+    "l_s": "length of the shank, knee to the bottom of the foot",
+    "w_s": "offset of the shank's centre of mass, backward from the shank line",
+    "m_s": "mass of each shank",
+    "r_s": "radius of gyration of the shank about its own centre of mass",
+    "c_s": "distance of the shank's centre of mass from the knee, along the shank",
+    "R": "radius of the foot",
+    "eps_T": "angle from the thigh to the line from hip to foot centre, leg extended [rad]",
+    "m_h": "point mass at the hip",
+    "g": "acceleration of gravity",
+    "knees": "whether the swing leg's knee is free",
+    "units": '"SI", or "1" for any consistent units',
+    "l": "leg of one link: length from the hip to the centre of the foot",
+    "c": "leg of one link: distance of its centre of mass from the hip",
+    "r": "leg of one link: radius of gyration about its centre of mass",
+    "m": "leg of one link: mass of each leg",
+    "w": "leg of one link: offset of its centre of mass, backward",
+}
 _MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
@@ -121,8 +154,8 @@ class Walker:
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
             raise WalkerError("knees", repr(self.knees), "must be true or false")
-        self._refuse("must be > 0", {key: getattr(self, key) <= 0 for key in ("l_t", "l_s", "g")})
-        self._refuse("must be >= 0", {k: getattr(self, k) < 0 for k in ("m_t", "m_s", "m_h", "r_t", "r_s", "R")})
+        self._refuse("must be > 0", {k: getattr(self, k) <= 0 for k in NUMBERS if BOUNDS[k][0] > 0})
+        self._refuse("must be >= 0", {k: getattr(self, k) < 0 for k in NUMBERS if BOUNDS[k][0] == 0})
         if math.isinf(self.m_t):
             # The paper's spelling of walker D: an infinitely heavy hip, so the foot's mass vanishes beside it.
             hip_offset = bool(self.c_t or self.w_t or self.r_t)
@@ -138,7 +171,7 @@ class Walker:
             raise WalkerError(key, getattr(self, key), bound)
 
     def _check_geometry(self) -> None:
-        self._refuse("must lie in (-pi/2, pi/2) rad", {"eps_T": abs(self.eps_T) >= math.pi / 2})
+        self._refuse("must lie in (-pi/2, pi/2) rad", {"eps_T": abs(self.eps_T) >= BOUNDS["eps_T"][1]})
         self._refuse("must leave the walker some mass (m_t, m_s or m_h > 0)", {"m_t": self.total_mass <= 0})
         d, sine = self.l_s - self.R, self.l_t * math.sin(self.eps_T)
         bound = f"must satisfy |l_t sin eps_T| <= |l_s - R| = {abs(d):g} or the leg cannot close"
