@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks import status
 from gaitsweep.tasks.continuation import atlas as atlases
+from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.fixed_points.labels import places
 from gaitsweep.tasks.fixed_points.polish import unmeasured
@@ -16,7 +17,7 @@ from gaitsweep.tasks.fixed_points.search import search, starts
 from gaitsweep.tasks.map_step import map_step
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from gaitsweep.tasks.solve_points import atlas, points, solve
+from gaitsweep.tasks.solve_points import atlas, points, solve, spans
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.tuning import untuned
@@ -47,8 +48,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its keys; `units` of its entries; and
-        `search`, sentences on how the gaits were searched for.
+        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its keys; `units` of its entries;
+        `search`, sentences on how the gaits were searched for; and `absent`, why there is no long or no short one.
 
     Raises
     ------
@@ -84,7 +85,18 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     walker = problem.walker
     records = [_record(_name(place[i]), slope, gaits[i], walker) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in non_anthropomorphic]
-    return _answer(records, walker.si, log)
+    return _answer(records, walker.si, log, _absent(branches, point, slope, [record["gait"] for record in records]))
+
+
+def _absent(branches: list[Branch], point: Mapping[str, Any], slope: float, labels: list[str]) -> list[str]:
+    """Why there is no gait of a label; where branches were lost, what they span does not say it."""
+    are_whole = not any(branch.lost() for branch in branches)
+    pieces = {label: [s for b in branches for s in spans(b, label)] if are_whole else [] for label in GAITS[:2]}
+    return [
+        status.beyond(label, pieces[label], slope) or str(point["reasons"][point["reason"][0, g]])
+        for g, label in enumerate(GAITS[:2])
+        if label not in labels
+    ]
 
 
 def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -92,9 +104,9 @@ def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
 
 
-def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
+def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str], absent: Sequence[str] = ()) -> dict[str, Any]:
     units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
-    return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
+    return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log, "absent": absent}
 
 
 def _solve_cycles(line: dict[str, Any], slope: float, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -204,7 +204,7 @@ def _reasons(branches: list[Branch], searched: str, steps: int = 1) -> list[str]
         return status.reasons(outside, outside)
     lost = sorted(slope for branch in branches for slope in branch.lost())
     long, short = (
-        status.outside(label, [s for b in branches for s in _spans(b, label)], searched, lost) for label in GAITS[:2]
+        status.outside(label, [s for b in branches for s in spans(b, label)], searched, lost) for label in GAITS[:2]
     )
     return status.reasons(long, short)
 
@@ -283,7 +283,7 @@ def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
     return parts
 
 
-def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
+def spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
     """Least and largest slope of each run of a branch's gaits with one label [rad]."""
     has_label = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
     for first, last in branch.pieces():

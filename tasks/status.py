@@ -39,6 +39,16 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: 
     return f"No {label} gait at this slope: the branches found span {spans} ({searched})."
 
 
+def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> str:
+    """Say in few words that a slope lies beyond the pieces with a label; empty if it does not, or there are none."""
+    below, above = [high for _, high in pieces if high < slope], [low for low, _ in pieces if low > slope]
+    if len(below) + len(above) < len(pieces) or not pieces:
+        return ""
+    if below and above:
+        return f"No {label} gait: none between {max(below):.6g} and {min(above):.6g} rad."
+    return f"No {label} gait: none " + (f"above {max(below):.6g} rad." if below else f"below {min(above):.6g} rad.")
+
+
 def absent(label: str, where: str) -> str:
     """Say that a family of walkers has no gait of a label at some keys and slope.
 

@@ -10,6 +10,11 @@ from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.study.single_point import solve
 from gaitsweep.tasks.registry import VARIABLES
 
+#: Rows of a gait unless all variables are asked for.
+_FIRST = (
+    *("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "speed", "cost_of_transport"),
+    *("multipliers", "violations", "error_bound"),
+)
 #: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
 _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 
@@ -28,32 +33,39 @@ def run(options: argparse.Namespace) -> int:
         gaits = [{k: "inf" if v == math.inf else v for k, v in gait.items()} for gait in answer["gaits"]]
         print(json.dumps(gaits, allow_nan=False))
     else:
-        print("\n".join(_lines(answer["gaits"], answer["units"], options.degrees)))
+        print("\n".join([*_lines(answer["gaits"], answer["units"], options), *answer["absent"]]) or "no gait")
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
-def _lines(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees: bool = False) -> Iterator[str]:
+def _lines(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], options: argparse.Namespace) -> Iterator[str]:
     """Gaits at one point, a paragraph each, with units; angles and rates in degrees if asked."""
-    is_empty, has_others = True, False
+    every = options.all_variables
+    digits, of_multipliers = (15, 12) if every else (6, 6)
+    has_others = False
     for gait in all_gaits:
-        is_empty = False
-        width = max(16, *(len(key) for key, value in gait.items() if value is not None))
+        left_out = {"gait", "stable", "status", "contact_mass_matrix", *(() if every else gait.keys() - {*_FIRST})}
+        rows = {key: value for key, value in gait.items() if value is not None and key not in left_out}
+        width = max(16, *map(len, rows))
         yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
-        for key, value in gait.items():
-            if key in ("gait", "stable", "status", "contact_mass_matrix") or value is None:
-                continue
+        for key, value in rows.items():
             if key == "multipliers":
-                value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
+                value = ", ".join(_multiplier(re, im, of_multipliers) for re, im in value)
             elif isinstance(value, float):
                 unit = units.get(key, "1")
-                if in_degrees and (key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))):
+                if options.degrees and (
+                    key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))
+                ):
                     value, unit = math.degrees(value), _DEGREES[unit]
-                value = f"{value:.15g} {unit}".removesuffix(" 1")
+                value = f"{value:.{digits}g} {unit}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
             yield f"  {key:<{width}} {value}"
         has_others = has_others or str(gait["gait"]).startswith("other")
     if has_others:
         yield "Of several gaits under one label that of the largest stance angle has it; others are other1, other2, ..."
-    if is_empty:
-        yield "no gait"
+
+
+def _multiplier(real: float, imaginary: float, digits: int) -> str:
+    """A number, real if no digit that is shown says otherwise."""
+    is_real = abs(imaginary) < 10.0**-digits * abs(real) or not imaginary
+    return f"{real:.{digits}g}" if is_real else f"{real:.{digits}g}{imaginary:+.{digits}g}j"
