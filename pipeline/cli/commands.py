@@ -24,6 +24,12 @@ class _Parser(argparse.ArgumentParser):
 
         raise StudyError(f"{message[:1].upper()}{clip(message[1:], 500)} ({self.prog} --help).")
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        from gaitsweep.pipeline.study.location import Location
+
+        if action.choices is not None and value not in action.choices:
+            raise Location("").unknown(value, action.choices, str(action.metavar or action.dest).lower())
+
     def _print_message(self, message: str, file: Any = None) -> None:
         print(message, end="", file=file or sys.stderr)  # argparse itself says nothing of help that finds no room
 

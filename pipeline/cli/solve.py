@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.study.single_point import solve
 from gaitsweep.tasks.registry import VARIABLES
 
@@ -22,6 +23,8 @@ _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 def run(options: argparse.Namespace) -> int:
     """Print the gaits; the exit code is 1 if one is not converged."""
     slope = math.radians(options.slope) if options.degrees else options.slope
+    if not options.degrees:
+        kinds.check_slope(slope)
     asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
     answer = solve(options.walker, slope, options.set, *asked)
     for line in answer.get("search", []):

@@ -113,10 +113,10 @@ def _check_names(values: Mapping[str, Any], known: Iterable[str], suggested: Ite
     """Raise WalkerError at the first key that is not known."""
     for key in values:
         if key not in known:
-            near = difflib.get_close_matches(key, [name for name in suggested if name != key], 1)
-            raise WalkerError(
-                key, values[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else "")
-            )
+            others = [name for name in suggested if name != key]
+            near = " or ".join(f"`{name}`" for name in difflib.get_close_matches(key, others))
+            hint = f"did you mean {near}?" if near else f"keys: {', '.join(k for k in others if k != 'slope')}"
+            raise WalkerError(key, values[key], f"is not a walker key ({hint})")
 
 
 def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None) -> Walker:
@@ -154,7 +154,7 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
     for key in (k for k in numbers if k in ONE_LINK):
         raise WalkerError(key, numbers[key], "is a key of a leg of one link, whose table has `l`, `m` and `c`")
-    _check_names(numbers, NUMBERS, [*NUMBERS, *_DERIVED, "slope"])
+    _check_names(numbers, NUMBERS, [*NUMBERS, "knees", *_DERIVED, "slope"])
     result = replace(start, **moved, **changes)
     return _retuned(result, tuned) if tuned else result
 

@@ -192,11 +192,26 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             for slope in ("0.٠١", "0.0_1")
         ),
         (["verify", "/dev/null"], "/dev/null is a device, not an archive."),
-        (["completion", 999 * "x"], f"Argument shell: invalid choice: '{'x' * 465}... (gaitsweep completion --help)."),
+        (["completion", 999 * "x"], f"Unknown shell `{'x' * 57}...`, known: bash, zsh."),
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
         (["diff", "s.toml", "none.nc"], "There is no archive none.nc."),
         (["diff", "s.toml", "s.toml"], "s.toml is no netCDF file that can be read."),
-        (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in [1e-18, 0.5) rad; got 0.7."),
+        *(
+            (
+                [command, "--walker", "D", "--slope", "2"],
+                "`slope` must lie in [1e-18, 0.5) rad; got 2.0: degrees? 2 degrees are 0.0349066 rad.",
+            )
+            for command in ("solve", "prove")
+        ),
+        (["solve", "--walker", "D", "--slope", "29"], "`slope` must lie in [1e-18, 0.5) rad; got 29.0."),
+        (
+            ["solve", "--walker", "D", "--slope", "40", "--degrees"],
+            "`slope` must lie in [1e-18, 0.5) rad; got 0.6981317007977318.",
+        ),
+        (
+            ["solve", "--walker", "D", "--slope", "0.01", "--set", "m_q=1"],
+            "`m_q` is not a walker key (did you mean `m_t` or `m_s` or `m_h`?); got 1.0.",
+        ),
         (
             ["solve", "--walker", "Q", "--slope", "0.1"],
             "Unknown name `Q`, known: A, B, C, D, E, F,"
@@ -208,7 +223,8 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
         ),
         (
             ["solve", "--walker", "E", "--slope", "0.01", "--set", "slope=3"],
-            "`slope` is not a walker key; got 3.0.",
+            "`slope` is not a walker key (keys: l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s, r_s, c_s, R, eps_T, m_h, g,"
+            " knees, detuning, foot_mass_ratio); got 3.0.",
         ),
         *(
             (
@@ -225,7 +241,8 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             )
             for command, value in (("solve", "1"), ("solve", "no"), ("prove", "0"))
         ),
-        (["frobnicate"], None),
+        (["sovle"], "Unknown command `sovle`, did you mean `solve`?"),
+        (["frobnicate"], f"Unknown command `frobnicate`, known: {', '.join(commands.COMMANDS)}."),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):
