@@ -1,6 +1,7 @@
 """The command line: `gaitsweep COMMAND`. Each command is a module of its name, imported only if it is given."""
 
 import argparse
+import re
 import sys
 import tomllib
 from collections.abc import Iterable, Sequence
@@ -16,6 +17,8 @@ from gaitsweep.pipeline.errors import StudyError
 #: Purpose and arguments of each command.
 COMMANDS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _SHARED = COMMANDS.pop("shared")
+#: Numbers that are no options; argparse itself takes -1e-3 for one.
+_NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -52,6 +55,7 @@ def parser(wanted: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
         purpose = about["purpose"]
         command = commands.add_parser(name, help=purpose, description=purpose, allow_abbrev=False)
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+        command._negative_number_matcher = _NEGATIVE
         if name in wanted:
             for argument, options in about["arguments"].items():
                 command.add_argument(argument, **_resolved(_SHARED[options] if isinstance(options, str) else options))
@@ -63,8 +67,9 @@ def parser(wanted: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
 
 
 def _resolved(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of an argument, the kinds that they name in their place."""
-    return {key: getattr(kinds, value, value) if key in ("type", "action") else value for key, value in options.items()}
+    """Options of an argument, the kinds that they name in their place, and a list of names as argparse takes it."""
+    named = {key: getattr(kinds, value, value) for key, value in options.items() if key in ("type", "action")}
+    return options | named | ({"metavar": tuple(m)} if isinstance(m := options.get("metavar"), list) else {})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

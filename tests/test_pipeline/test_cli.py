@@ -22,6 +22,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import netCDF4
+import numpy as np
 import pytest
 
 import gaitsweep
@@ -746,6 +747,60 @@ def test_slopes_in_the_words_of_a_search_are_said_to_be_in_radians(capsys):
         assert commands.main(["solve", "--walker", "physical-straight", "--slope", "0.001", *options]) == 0
         told = capsys.readouterr().err
         assert "the branches found span 0.0" in told and ("in rad" in told) == said
+
+
+def test_simulate_tells_steps_and_their_end_in_words_and_to_machines(capsys):
+    def told(*words, code=0):
+        assert commands.main(["simulate", "--walker", "D", "--slope", "0.009", *words]) == code
+        return capsys.readouterr().out
+
+    head, *rows, end = told("--steps", "3", "--push", "1", "-1e-2", "0").splitlines()
+    assert head.split("  ") == ["step", "stance_angle (rad)", "stance_rate", "thigh_rate", "period"]
+    assert rows[0].split() == ["0", "0.200311", "-0.199832", "-0.184009", "3.88246"]
+    assert len(rows) == 4 and rows[1].split()[1:4] == rows[0].split()[1:4] and rows[2].split()[1] != "0.200311"
+    assert end == "All 3 steps end in a heelstrike."
+
+    gait = gaitsweep.gaits("D", 0.009).sel(gait="short")
+    state = [gait[name].item() for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    found = gaitsweep.simulate("D", 0.009, state, 2, pushes={0: (0.0, -1e-3)}, R=0.1)
+    words = ["--steps", "2", "--push", "0", "0", "-1e-3", "--set", "R=0.1", "--json"]
+    by_state = json.loads(told("--state", *map(repr, state), *words), parse_constant=pytest.fail)
+    assert set(by_state) == set(found.variables) and by_state["outcome"] == found.outcome
+    np.testing.assert_array_equal(np.array(by_state["stance_angle"], float), found.stance_angle)
+    assert by_state["kneestrike_time"] == [None] * 3 and None in by_state["stance_angle"]  # it falls
+    short = json.loads(told("--gait", "short", "--steps", "1", "--json"))
+    assert short["stance_angle"][0] == pytest.approx(state[0], rel=1e-12)
+
+    assert told("--push", "0", "0.1", "0").splitlines()[1:] == [
+        "   0            0.200311    -0.199832   -0.184009",
+        "Step 0: fell backward.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--state", "0.2", "-.2", "-1e-1", "--gait", "long"], "Steps begin either at a `--state` or at a `--gait`."),
+        (["--gait", "lnog"], "Unknown name `lnog`, did you mean `long`?"),
+        (["--push", "10", "0", "0"], "`pushes` must name steps from 0 to 9; got 10."),
+        (["--push", "0.5", "0", "0"], "`pushes` must name steps from 0 to 9; got 0.5."),
+        (["--push", "1", "0", "0", "--push", "1", "1", "0"], "`--push` is given twice for step 1."),
+        (["--slope", "2"], "`slope` must lie in [1e-18, 0.5) rad; got 2.0: degrees? 2 degrees are 0.0349066 rad."),
+        (["--set", "R=-1"], "`R` must be >= 0; got -1.0."),
+    ],
+)
+def test_wrong_steps_are_refused_in_a_sentence(capsys, words, said):
+    assert commands.main(["simulate", "--walker", "D", "--slope", "0.009", *words]) == 2
+    assert capsys.readouterr() == ("", f"gaitsweep: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("gait", "said"),
+    [("long", "No long gait: none below 0.0191229 rad."), ("other1", "There is no other1 gait at this slope.")],
+)
+def test_without_a_gait_nothing_is_simulated(capsys, gait, said):
+    assert commands.main(["simulate", "--walker", "physical", "--slope", "0.001", "--gait", gait]) == 1
+    assert capsys.readouterr() == ("", f"gaitsweep: {said}\n")
 
 
 def test_degrees_of_a_rate_without_a_unit_of_time_are_no_angle(capsys):

@@ -1,0 +1,66 @@
+"""`gaitsweep simulate`: steps from a state or a gait, with pushes."""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from gaitsweep.pipeline import terminal
+from gaitsweep.pipeline.api.steps import simulate
+from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.single_point import led, solve
+from gaitsweep.tasks.registry import GAITS
+
+_STATE = ("stance_angle", "stance_rate", "thigh_rate")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the steps and how they end, which may be a fall; the exit code is 1 if there is no gait to begin with."""
+    if options.state and options.gait:
+        raise StudyError("Steps begin either at a `--state` or at a `--gait`.")
+    kinds.check_slope(options.slope)
+    label = options.gait or "long"
+    if label not in GAITS:
+        raise Location("", "gait").unknown(label, GAITS)
+    pushes: dict[Any, list[float]] = {}
+    for step, *change in options.push:
+        if step in pushes:
+            raise StudyError(f"`--push` is given twice for step {step:g}.")
+        pushes[int(step) if step.is_integer() else step] = change
+    walker, keys = led(files.walker(options.walker, Path()), options.set)
+    state = options.state
+    if not state:
+        answer = solve(walker, options.slope, keys, every=False)
+        gait = next((gait for gait in answer["gaits"] if gait["gait"] == label), None)
+        if gait is None:
+            why = [sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")]
+            terminal.say(f"gaitsweep: {why[0] if why else f'There is no {label} gait at this slope.'}")
+            return 1
+        state = [gait[name] for name in _STATE]
+    found = simulate(walker, options.slope, state, options.steps, pushes=pushes, **keys)
+    kinds.show(options, {name: _plain(values) for name, values in found.variables.items()}, _lines(found))
+    return 0
+
+
+def _plain(values: xr.Variable) -> Any:
+    """Values for machines; those after a fall, and kneestrikes without knees, are null."""
+    plain = values.values.astype(object)
+    plain[values.isnull().values] = None
+    return plain.tolist()
+
+
+def _lines(found: xr.Dataset) -> Iterator[str]:
+    """A table of the states with which the steps begin and of their periods, and how the last of them ended."""
+    columns = [found[name] for name in (*_STATE, "period")]
+    heads = ["step", *(f"{c.name} ({c.units})".removesuffix(" (1)") for c in columns)]
+    yield "  ".join(heads)
+    for k in range(int(found.steps_taken) + 1):
+        cells = [str(k), *("" if np.isnan(c[k]) else f"{float(c[k]):.6g}" for c in columns)]
+        yield "  ".join(f"{cell:>{len(head)}}" for cell, head in zip(cells, heads, strict=True)).rstrip()
+    yield str(found.reason.item())
