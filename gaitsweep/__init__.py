@@ -1,14 +1,15 @@
 """Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
 
-`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study and `load` opens its archive; `schema`
-describes studies to editors. The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
-computes.
+`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study, `load` opens its archive, `report` and
+`figure` show it; `schema` describes studies to editors. The code is in the folders `pipeline`, which runs, keeps and
+shows, and `tasks`, which computes.
 """
 
 import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gaitsweep.pipeline.api.reports import figure, report
     from gaitsweep.pipeline.api.steps import simulate, step_map
     from gaitsweep.pipeline.api.studies import gaits, load, run, solve
     from gaitsweep.pipeline.errors import (
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 _ERRORS = "ArchiveError", "BusyError", "DiskFullError", "GaitsweepError", "StoppedError", "StudyError", "WorkerError"
 #: Module of each name; it is imported on use, so that a command loads only what it needs.
 _HOMES = {
+    **dict.fromkeys(("figure", "report"), "gaitsweep.pipeline.api.reports"),
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
     **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
     "schema": "gaitsweep.pipeline.study.schema",
@@ -42,8 +44,10 @@ __all__ = [
     "StudyError",
     "WorkerError",
     "__version__",
+    "figure",
     "gaits",
     "load",
+    "report",
     "run",
     "schema",
     "simulate",

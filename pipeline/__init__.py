@@ -8,6 +8,6 @@ What a notebook uses is exported by `gaitsweep`.
 def __getattr__(name: str) -> object:
     import gaitsweep
 
-    if name in gaitsweep.__all__:
+    if name in gaitsweep.__all__ and name != "report":  # which here is a folder
         return getattr(gaitsweep, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

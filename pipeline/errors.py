@@ -1,6 +1,8 @@
 """One tree of exceptions: each branch is one exit code of the command line."""
 
+import contextlib
 import errno
+import itertools
 import os
 import re
 from pathlib import Path
@@ -18,6 +20,15 @@ class GaitsweepError(Exception):
     def __init__(self, message: str = ""):
         # Names in foreign files may contain line ends or terminal control characters.
         super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
+
+    def _render_traceback_(self) -> list[str]:
+        """What a notebook shows instead of all frames: the line that called gaitsweep, and the sentence."""
+        import traceback
+
+        frames = traceback.extract_tb(self.__traceback__)
+        inside = (f"{Path(__file__).parent.parent}{os.sep}", contextlib.__file__)  # the latter decorates functions
+        own = list(itertools.takewhile(lambda frame: not frame.filename.startswith(inside), frames))
+        return [*traceback.format_list(own[-1:]), f"{type(self).__name__}: {self}"]
 
 
 class StudyError(GaitsweepError):

@@ -134,7 +134,7 @@ def test_the_python_shown_is_python():
     for page in PAGES:
         for block in blocks(page.relative_to(ROOT), "python"):
             compile(block, str(page), "exec")
-    names = ["gaits", "load", "run", "simulate", "solve", "step_map"]
+    names = ["figure", "gaits", "load", "report", "run", "simulate", "solve", "step_map"]
     code = f"import gaitsweep; print(*(getattr(gaitsweep, name).__name__ for name in {names}), *gaitsweep.__all__)"
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
     printed = done.stdout.split()

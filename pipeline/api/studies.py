@@ -60,7 +60,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
             for name in grid.variables:  # how strings lie in this file; a part of them lies otherwise in another
                 grid[name].encoding.pop("char_dim_name", None)
-            return _Grid(grid.data_vars, grid.coords, grid.attrs)
+            return Dataset(grid.data_vars, grid.coords, grid.attrs)
         if table not in tables:
             raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
         columns = dataset(file[table]).load()
@@ -72,8 +72,8 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
     return frame
 
 
-class _Grid(xr.Dataset):
-    """A loaded grid; netCDF has no complex numbers, so its `multipliers` are written as their two parts."""
+class Dataset(xr.Dataset):
+    """A loaded grid, which calls itself as xarray's; netCDF has no complex numbers, so `multipliers` are left out."""
 
     __slots__ = ()
 
@@ -228,9 +228,9 @@ def gaits(
     Returns
     -------
     xarray.Dataset
-        Variables, units and flags as in an archive, with the dimensions to which the arguments broadcast (`dim_0`, …
-        for arrays, their own for DataArrays), then `gait`. Points with a slope or a walker that cannot be have the
-        status `raised`, and the sentence in `reason_text`.
+        Variables, units and flags as in an archive, with the dimensions to which the arguments broadcast (`slope` for
+        an array of slopes in one dimension, `dim_0`, … for other arrays, their own for DataArrays), then `gait`. Points
+        with a slope or a walker that cannot be have the status `raised`, and the sentence in `reason_text`.
 
     Raises
     ------
@@ -252,7 +252,10 @@ def gaits(
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
     limits = options.violation_limits(violation_limits or {}, Location(""))
     walker = files.retuned(broadcast.definition(walker), tuned)
-    return in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
+    found = in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
+    if isinstance(slope, xr.DataArray) or np.ndim(slope) != 1 or not found.slope.dims:
+        return found
+    return found.swap_dims({found.slope.dims[0]: "slope"})
 
 
 @in_turn

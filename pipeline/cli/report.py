@@ -2,37 +2,22 @@
 
 import argparse
 import contextlib
-import sys
 import time
 from collections.abc import Callable, Iterator
 
 from gaitsweep.pipeline import terminal
-from gaitsweep.pipeline.archive import read
-from gaitsweep.pipeline.errors import unwritten
+from gaitsweep.pipeline.api.reports import write
 
 #: Time for which a report says nothing [s].
 _QUIET = 2.0
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make the pages, and print the path of their index."""
-    read.probe(options.archives)
-    for path in options.archives:
-        with read.open_archive(path):
-            pass
-    # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
-    no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
-    try:
-        from gaitsweep.pipeline.report import pages
-
-        with _pages_counted(len(options.archives)) as tell:
-            index = pages.write(options.archives, options.out, options.only, tell, options.bundle)
-    except OSError as error:
-        raise unwritten(options.out, error) from error
-    finally:
-        if no_dask:
-            del sys.modules["dask.array"]
-    print(index)
+    """Make the pages, and print the path of their index, and then that of the page of a single archive."""
+    with _pages_counted(len(options.archives)) as tell:
+        page = write(options.archives, options.out, options.only, options.bundle, tell)
+    index = options.out / "index.html"
+    print(index, *([page] if page != index else []), sep="\n")
     if options.open:
         import webbrowser
 

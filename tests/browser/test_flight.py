@@ -51,7 +51,7 @@ def solved(name, setting, slopes):
     found = gaits(name, slopes, variables=wanted, **setting)
     for i, slope in enumerate(slopes):
         for label in found.gait.values:
-            point = found.isel(dim_0=i).sel(gait=label)
+            point = found.isel(slope=i).sel(gait=label)
             if np.isfinite(point.stance_angle):
                 yield {"slope": float(slope)} | {str(k): point[k].values for k in point.data_vars}
 

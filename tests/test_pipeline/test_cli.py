@@ -915,7 +915,11 @@ def test_report_adds_leaves_only_and_opens(toy, monkeypatch, capsys):
     def pages():
         return {path.stem for path in (toy.folder / "reports").glob("*.html")} - {"index", "ledger"}
 
+    capsys.readouterr()
     assert commands.main(["report", "data/archive/toy.nc"]) == 0 and not opened
+    assert capsys.readouterr().out == "reports/index.html\nreports/toy.html\n"
+    assert commands.main(["report", "data/archive/toy.nc", "data/archive/other.nc", "--only"]) == 0
+    assert capsys.readouterr().out == "reports/index.html\n"
     assert commands.main(["report", "data/archive/other.nc", "--open"]) == 0
     assert pages() == {"toy", "other"} and opened == [(toy.folder / "reports" / "index.html").as_uri()]
     assert capsys.readouterr().err == ""

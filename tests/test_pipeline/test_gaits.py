@@ -54,14 +54,29 @@ def test_it_holds_what_the_archive_of_a_study_holds(study, tmp_path):
 def test_arrays_broadcast_by_the_rules_of_numpy():
     radii = np.array([[0.0], [0.2]])
     answer = gaitsweep.gaits("E", SLOPES, R=radii, m_h=0.1, variables=["period", "multipliers"])
-    assert answer.period.dims == ("dim_0", "dim_1", "gait") and answer.period.shape == (2, 4, 4)
+    assert answer.period.dims == ("dim_0", "slope", "gait") and answer.period.shape == (2, 4, 4)
     assert answer.multiplier_real.dims == (*answer.period.dims, "multiplier")
-    assert answer.R.dims == ("dim_0",) and answer.slope.dims == ("dim_1",) and answer.attrs["m_h"] == 0.1
+    assert answer.R.dims == ("dim_0",) and answer.slope.dims == ("slope",) and answer.attrs["m_h"] == 0.1
     one = gaitsweep.gaits("E", SLOPES[2], R=0.2, m_h=0.1)
     assert one.period.dims == ("gait",) and same(one.period.values, answer.period.values[1, 2])
     pairs = gaitsweep.gaits("E", SLOPES[[2, 0]], R=[0.2, 0.0], m_h=0.1)
     assert same(pairs.period.values, answer.period.values[[1, 0], [2, 0]])
     assert gaitsweep.gaits("E", []).period.shape == (0, 4)
+
+
+def test_an_array_of_slopes_is_an_axis(tmp_path):
+    answer = gaitsweep.gaits("E", list(SLOPES), variables=["period"])
+    assert answer.period.dims == ("slope", "gait") and answer.slope.units == "rad"
+    assert same(answer.period.sel(slope=SLOPES[2]).values, answer.period.values[2])
+    answer.to_netcdf(tmp_path / "answer.nc")
+    assert same(xr.load_dataset(tmp_path / "answer.nc").slope.values, SLOPES)
+    words = np.array(answer.status.flag_meanings.split())[answer.status]  # as docs/python.md shows
+    assert words[0].tolist() == ["converged", "converged", "no_gait", "no_gait"]
+    pairs = gaitsweep.gaits("E", SLOPES[:2], R=[0.1, 0.2], variables=["period"])
+    assert pairs.period.dims == ("slope", "gait") and pairs.R.dims == ("slope",)
+    # Of one slope among several radii, and of slopes in rows and columns, nothing is an axis.
+    assert gaitsweep.gaits("E", [0.01], R=[0.1, 0.2], variables=["period"]).period.dims == ("dim_0", "gait")
+    assert gaitsweep.gaits("E", SLOPES.reshape(2, 2), variables=["period"]).period.dims == ("dim_0", "dim_1", "gait")
 
 
 def test_slopes_may_come_in_any_order_and_twice():

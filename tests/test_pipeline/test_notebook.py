@@ -89,6 +89,45 @@ def test_a_loaded_grid_can_be_written(mine, tmp_path):
     assert xr.load_dataset(tmp_path / "long.nc").gait == "long"
 
 
+def test_a_loaded_grid_calls_itself_a_dataset(mine):
+    found, _path = mine
+    assert repr(found).startswith("<xarray.Dataset>") and "xarray.Dataset" in found._repr_html_()
+
+
+def test_a_report_of_one_archive_is_its_page(mine, tmp_path):
+    _, path = mine
+    page = gaitsweep.report(path, tmp_path / "pages")
+    assert page == tmp_path / "pages" / "mine.html" and page.exists()
+    other = tmp_path / "other.nc"
+    other.write_bytes(path.read_bytes())
+    assert gaitsweep.report([path, str(other)], str(tmp_path / "pages"), only=True) == tmp_path / "pages" / "index.html"
+    with pytest.raises(ArchiveError, match=r"^There is no archive .*none.nc\.$"):
+        gaitsweep.report(tmp_path / "none.nc", tmp_path / "pages")
+    with pytest.raises(ArchiveError, match="^An archive must be a file; got int"):
+        gaitsweep.report([1], tmp_path / "pages")
+
+
+def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
+    _, path = mine
+    figure = gaitsweep.figure(path, "loglog")
+    svg = figure._repr_svg_()
+    assert svg.startswith("<?xml") and "fill: #ffffff" in svg and "var(--" not in svg and "slope" in svg
+    figure.savefig(tmp_path / "loglog.png")
+    with pytest.raises(StudyError, match=r"^Unknown figure `loglgo`, did you mean `loglog`\?$"):
+        gaitsweep.figure(path, "loglgo")
+    with pytest.raises(ArchiveError, match=r"mine.nc has no data for the figure basin\.$"):
+        gaitsweep.figure(path, "basin")
+
+
+def test_an_error_in_a_notebook_has_one_line_of_the_caller_and_a_sentence():
+    with pytest.raises(StudyError) as caught:
+        gaitsweep.gaits("E", 0.7)
+    place, sentence = caught.value._render_traceback_()
+    assert place.endswith('    gaitsweep.gaits("E", 0.7)\n') and place.count("File") == 1 and __file__ in place
+    assert sentence == "StudyError: `slope` must lie in [1e-18, 0.5) rad; got 0.7."
+    assert StudyError("Nowhere.")._render_traceback_() == ["StudyError: Nowhere."]
+
+
 def test_a_sweep_and_a_single_solve_agree(mine):
     found, _ = mine
     slope = float(found.slope[2])

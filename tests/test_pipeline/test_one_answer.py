@@ -34,7 +34,7 @@ def differences(walker, slopes):
     for k, slope in enumerate(slopes.tolist()):
         one, at = (
             {gait["gait"]: gait for gait in solve_one({"walker": walker, "slope": slope})["gaits"]},
-            found.isel(dim_0=k),
+            found.isel(slope=k),
         )
         status = {g: names[int(s)] for g, s in zip(GAITS, at.status.values, strict=True)}
         expected = {g: s for g, s in status.items() if s != "no_gait"}

@@ -187,7 +187,7 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
     R, m_s = plane.R.values[::-1, None, None], plane.m_s.values[:, None]
     answer = gaitsweep.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
     assert (answer.status.values[:, :, 1] == ALL_STATUSES["raised"]).all()
-    answer = answer.isel(dim_0=slice(None, None, -1), dim_2=[2, 0], gait=slice(plane.sizes["gait"]))
+    answer = answer.isel(dim_0=slice(None, None, -1), slope=[2, 0], gait=slice(plane.sizes["gait"]))
     for name in ("stance_angle", "period", "loss_normal", "error_bound", "status", "branch", "piece"):
         np.testing.assert_array_equal(answer[name].values, plane[name].values)
     words = (data.reason_text.values[data.reason.values] for data in (answer, plane))

@@ -244,7 +244,7 @@ def test_gaits_that_no_flip_begins_are_searched_for():
     """The long gait of E has doubled at any slope: its two steps, by the step map, were not found."""
     found = gaitsweep.gaits("E", [1e-6, 0.004, 0.006], steps=2).sel(gait="long")
     np.testing.assert_allclose(found.stance_angle[1:], [0.13273476092302, 0.15360049], rtol=1e-8)
-    for gait in (found.isel(dim_0=i) for i in range(3)):
+    for gait in (found.isel(slope=i) for i in range(3)):
         state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
         steps = [gaitsweep.step_map("E", gait.slope.item(), state)]
         steps.append(gaitsweep.step_map("E", gait.slope.item(), steps[0].state))

@@ -1,0 +1,133 @@
+"""Reports and single figures of archives, from Python and for the command."""
+
+import io
+import sys
+import tomllib
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from gaitsweep.pipeline.api.threads import in_turn
+from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.errors import ArchiveError, unwritten
+from gaitsweep.pipeline.study.location import Location
+
+
+@in_turn
+def report(
+    archives: str | Path | Sequence[str | Path],
+    folder: str | Path = "reports",
+    *,
+    only: bool = False,
+    bundle: bool = False,
+) -> Path:
+    """Write the pages of archives, as the command does.
+
+    Parameters
+    ----------
+    archives : str, Path or sequence of them
+        Archives written by `run`.
+    folder : str or Path
+        Folder to whose pages they are added.
+    only : bool
+        Remove other pages there.
+    bundle : bool
+        Write `bundle.html` too: all pages there in one file.
+
+    Returns
+    -------
+    Path
+        The page of a single archive; of several, or of a study that only feeds the ledger, the index.
+
+    Raises
+    ------
+    ArchiveError
+        If a file is not an archive of gaitsweep, or the folder cannot be written.
+    """
+    several = [archives] if isinstance(archives, str | Path) else archives
+    return write([_path(archive) for archive in several], _path(folder), only, bundle)
+
+
+def write(
+    archives: Sequence[Path], folder: Path, only: bool, bundle: bool, tell: Callable[[int], object] = lambda made: None
+) -> Path:
+    """Write the pages as `report` does; `tell` is told the number of pages made, after each."""
+    read.probe(archives)
+    for path in archives:
+        with read.open_archive(path):
+            pass
+    # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
+    no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
+    try:
+        from gaitsweep.pipeline.report import entry, pages
+
+        index = pages.write(archives, folder, only, tell, bundle)
+        if len(archives) == 1 and (record := provenance.stored(archives[0])):
+            name = tomllib.loads(record["study"])["name"]
+            for page, known in entry.read_all(folder).items():
+                if known.name == name and not known.text:
+                    return folder / page
+        return index
+    except OSError as error:
+        raise unwritten(folder, error) from error
+    finally:
+        if no_dask:
+            del sys.modules["dask.array"]
+
+
+@in_turn
+def figure(archive: str | Path, name: str) -> Figure:
+    """Draw a figure of an archive as its page shows it.
+
+    Parameters
+    ----------
+    archive : str or Path
+        An archive written by `run`.
+    name : str
+        A name of a study's `figures`: `"loglog"`, `"bifurcation"`, `"heatmap"`, …; the study need not want it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To change or to save; a notebook shows it.
+
+    Raises
+    ------
+    StudyError
+        If there is no figure of that name.
+    ArchiveError
+        If the file is not an archive of gaitsweep, or has no data for the figure.
+    """
+    from gaitsweep.pipeline.report import source
+    from gaitsweep.pipeline.report.figures import FIGURES, add_degrees, style
+
+    if name not in FIGURES:
+        raise Location("").unknown(str(name), FIGURES, "figure")
+    path = _path(archive)
+    read_source = source.read(path)
+    with style():
+        sketch = FIGURES[name](read_source)
+        if sketch is None:
+            raise ArchiveError(f"{path} has no data for the figure {name}.")
+        sketch.draw_legend(set())
+        add_degrees(sketch.figure)
+
+    def to_svg() -> str:
+        stream = io.StringIO()
+        with style(), warnings.catch_warnings():
+            # Words stay words: the reader's fonts have the glyphs that the font of the layout lacks.
+            warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
+            sketch.figure.savefig(stream, format="svg", facecolor="white")
+        return stream.getvalue()
+
+    # A notebook shows figures of pyplot only, unless they say how.
+    sketch.figure._repr_svg_ = to_svg  # type: ignore[attr-defined]
+    return sketch.figure
+
+
+def _path(archive: str | Path) -> Path:
+    if not isinstance(archive, str | Path):
+        raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
+    return Path(archive)
