@@ -34,7 +34,7 @@ print(solve(round_feet, 0.009)[["gait", "stance_angle", "period", "stable"]])
 
 # %%
 curves = gaits(round_feet, np.geomspace(1e-3, 0.05, 200), m_h=[[0.0], [0.5]])
-stable_to = curves.slope.where(curves.spectral_radius.sel(gait="long") < 1).max("dim_1")
+stable_to = curves.slope.where(curves.spectral_radius.sel(gait="long") < 1).max("slope")
 print("stable up to", stable_to.values.round(4), "rad without and with a mass at the hip")
 
 # %% [markdown]

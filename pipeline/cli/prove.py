@@ -24,6 +24,8 @@ _LEAST, _MOST = 1e-30, 1e-6
 #: Variables read for every gait, if the archive has them.
 _VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
 _NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
+#: Events of a step in words; strikes are called so.
+_EVENTS = {"legs_pass": "the legs pass", "knee_flexes": "the knee flexes"}
 #: Seed of the draw that `--sample` makes.
 _DRAW = 0
 
@@ -127,15 +129,15 @@ def _item(value: Any) -> Any:
 
 
 def _shown(proof: Mapping[str, Any]) -> str:
-    """One proof on one line."""
-    at = " ".join(
-        f"{k}={v}" for k, v in proof.get("at", {"slope": proof["exact_slope"], "gait": proof["gait"]}).items()
-    )
+    """One proof in words, on one line."""
+    at = {k: v for k, v in proof.get("at", {"slope": proof["exact_slope"]}).items() if k != "gait"}
+    head = ", ".join([f"{proof['gait'].capitalize()} gait", *(f"{key} {value}" for key, value in at.items())])
     if not proof["proved"]:
-        return f"{at}: not proved. {proof['reason']}"
+        return f"{head}: not proved. {proof['reason']}"
     stable = {True: "stable", False: "unstable", None: "stability not shown"}[proof["stable"]]
     middle, radius = proof["box"]["stance_angle"]
+    events = ", then ".join(_EVENTS.get(event, event) for event in proof["events"])
     return (
-        f"{at}: proved, {stable}; stance angle {middle} +- {radius} rad, radius {proof['radius']:.1e},"
-        f" {', '.join(proof['events'])} ({proof['bits']} bits)"
+        f"{head}: proved, {stable}. Stance angle {middle} +- {radius} rad, in a box of relative radius"
+        f" {proof['radius']:.1e} that holds exactly one gait; {events} ({proof['bits']} bits)."
     )
