@@ -6,13 +6,15 @@ import tomllib
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.errors import ArchiveError, unwritten
 from gaitsweep.pipeline.study.location import Location
+
+if TYPE_CHECKING:  # the folder `report` imports matplotlib, with its own settings
+    from matplotlib.figure import Figure
 
 
 @in_turn
@@ -78,7 +80,7 @@ def write(
 
 
 @in_turn
-def figure(archive: str | Path, name: str) -> Figure:
+def figure(archive: str | Path, name: str) -> "Figure":
     """Draw a figure of an archive as its page shows it.
 
     Parameters

@@ -1,7 +1,9 @@
 """`from gaitsweep import load, run, solve`: the command line's results as Datasets and tables."""
 
 import json
+import os
 import pathlib
+import subprocess
 import sys
 import time
 import types
@@ -13,6 +15,7 @@ import pytest
 import xarray as xr
 
 import gaitsweep
+from conftest import ROOT
 from gaitsweep.pipeline.api import studies
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.engine import progress
@@ -117,6 +120,21 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
         gaitsweep.figure(path, "loglgo")
     with pytest.raises(ArchiveError, match=r"mine.nc has no data for the figure basin\.$"):
         gaitsweep.figure(path, "basin")
+
+
+def test_a_figure_is_drawn_with_its_own_settings(mine, tmp_path):
+    """Whatever a `matplotlibrc` of the current folder says."""
+    _, path = mine
+    (tmp_path / "matplotlibrc").write_text("figure.dpi: nonsense\naxes.grid: nonsense\n")
+    code = f"import gaitsweep; print(gaitsweep.figure({str(path)!r}, 'loglog')._repr_svg_()[:5])"
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.stdout, done.stderr) == ("<?xml\n", "")
 
 
 def test_an_error_in_a_notebook_has_one_line_of_the_caller_and_a_sentence():
