@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
+import gaitsweep
 from conftest import ROOT
+from gaitsweep import StudyError
 from gaitsweep.pipeline.cli import commands
 
 RUN = {"check": True, "capture_output": True, "text": True}
@@ -76,12 +79,27 @@ def test_what_lies_in_the_working_folder_comes_before_what_is_shipped(tmp_path, 
 
     monkeypatch.chdir(tmp_path)
     assert planned("paper/figure5") == ["figure5"] and "basin" in planned("paper")
-    assert planned("paper/figure55") == "gaitsweep: There is no file paper/figure55.\n"
+    assert planned("paper/figure55") == "gaitsweep: There is no file paper/figure55; did you mean `paper/figure5`?\n"
+    assert planned("mine") == "gaitsweep: There is no file mine.\n"
     (tmp_path / "paper").mkdir()
-    assert planned("paper") == "gaitsweep: paper is not a file.\n"
+    assert planned("paper") == "gaitsweep: There is no study (*.toml) in the folder paper.\n"
     for name in ("b", "a"):
         text = f'name = "{name}"\nwalker = "D"\naxes = {{ slope = [0.01] }}\n'
         (tmp_path / "paper" / f"{name}.toml").write_text(text)
     assert planned("paper") == ["a", "b"] and planned("paper/figure5") == ["figure5"]
     (tmp_path / "paper" / "figure5").write_text((tmp_path / "paper" / "a.toml").read_text())
     assert planned("paper/figure5") == ["a"]
+
+
+def test_what_is_shipped_has_a_name_in_python_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = gaitsweep.solve("round-foot.toml", 0.01)
+    assert list(found.gait) == ["long", "short"]
+    pd.testing.assert_frame_equal(found, gaitsweep.solve(ROOT / "data" / "walkers" / "round-foot.toml", 0.01))
+    (tmp_path / "round-foot.toml").write_text('[walker]\nbase = "round-foot.toml"\n')
+    with pytest.raises(StudyError, match="based on more than 8"):  # a file of one's own comes first
+        gaitsweep.solve("round-foot.toml", 0.01)
+    with pytest.raises(StudyError, match=r"^paper is a folder of \d+ studies; `run` takes one\.$"):
+        gaitsweep.run("paper")
+    with pytest.raises(StudyError, match="this study is a `cascade`"):  # read, then refused
+        gaitsweep.run("paper/cascade", accuracy=1e-3)

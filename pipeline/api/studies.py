@@ -121,7 +121,8 @@ def run(
     Parameters
     ----------
     wanted : str, Path or mapping
-        A study: its file, its TOML text, or a mapping with the same keys, in which an axis may be an array.
+        A study: its file, its TOML text, a mapping with the same keys, in which an axis may be an array, or one that
+        comes with gaitsweep, such as `"paper/figure5"`.
     jobs : int
         Worker processes.
     archive : str or Path, optional
@@ -162,7 +163,10 @@ def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = N
     elif not isinstance(wanted, str | Path):
         raise StudyError(f"A study must be a file, a text or a mapping; got {type(wanted).__name__}.")
     elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
-        return parse.read(wanted, accuracy)
+        found = files.studies(Path(wanted))
+        if len(found) > 1:
+            raise StudyError(f"{wanted} is a folder of {len(found)} studies; `run` takes one.")
+        return parse.read(found[0], accuracy)
     try:
         table = tomllib.loads(wanted)
     except tomllib.TOMLDecodeError as error:

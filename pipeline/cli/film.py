@@ -13,6 +13,7 @@ import xarray as xr
 from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.api.studies import gaits
+from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.errors import StudyError, unwritten
 from gaitsweep.pipeline.study import files
 
@@ -37,12 +38,13 @@ class Pose(NamedTuple):
 
 def run(options: argparse.Namespace) -> int:
     """Write the film or the strip, and print its path; the exit code is 1 if there is no such gait."""
-    kinds = _STRIPS if options.strip else _FILMS
-    if options.out.suffix.lower() not in kinds:
-        raise StudyError(f"The file must end in {', '.join(kinds)}; got {options.out.name!a}.")
+    endings = _STRIPS if options.strip else _FILMS
+    if options.out.suffix.lower() not in endings:
+        raise StudyError(f"The file must end in {', '.join(endings)}; got {options.out.name!a}.")
     for name, low, high in (("steps", 1, 50), ("push", -10, 10), ("slow", 0.1, 100)):
         if not low <= getattr(options, name) <= high:  # nan
             raise StudyError(f"`--{name}` must lie in [{low}, {high}]; got {getattr(options, name)}.")
+    kinds.check_slope(options.slope)
     walker = files.walker(options.walker, Path())
     found = gaits(walker, options.slope, **options.set)
     labels = [str(gait) for gait in found["gait"].values if np.isfinite(found["stance_angle"].sel(gait=gait))]

@@ -1,5 +1,6 @@
 """The TOML files of studies and walkers."""
 
+import difflib
 import os
 import tomllib
 from collections.abc import Callable, Sequence
@@ -11,8 +12,8 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.location import Location, clip
 
 _MAX_BASES = 8
-#: Studies that the package brings, in folders.
-_SHIPPED = Path(__file__).parents[2] / "data" / "studies"
+#: What the package brings: studies in folders, and walkers.
+_STUDIES, _WALKERS = (Path(__file__).parents[2] / "data" / name for name in ("studies", "walkers"))
 
 
 def read_text(path: Path, shown: str, most: int = 1) -> str:
@@ -45,12 +46,27 @@ def studies(name: Path) -> list[Path]:
     Returns
     -------
     list of Path
-        The name itself if it means none.
+        At least one.
+
+    Raises
+    ------
+    StudyError
+        If a folder has none, or the name is near to one that the package brings.
     """
+    if os.path.isdir(name):
+        found = sorted(name.glob("*.toml"))
+        if not found:
+            raise StudyError(f"There is no study (*.toml) in the folder {clip(str(name), 200)}.")
+        return found
     if os.path.lexists(name):  # unlike `Path.exists`, no error if it is too long
-        return (sorted(name.glob("*.toml")) if os.path.isdir(name) else []) or [name]
-    shipped = (file.relative_to(_SHIPPED) for file in sorted(_SHIPPED.glob("*/*.toml")))
-    return [_SHIPPED / file for file in shipped if name in (file.parent, file.with_suffix(""))] or [name]
+        return [name]
+    shipped: dict[str, list[Path]] = {}
+    for file in sorted(_STUDIES.glob("*/*.toml")):
+        for known in (file.parent, file.with_suffix("")):
+            shipped.setdefault(known.relative_to(_STUDIES).as_posix(), []).append(file)
+    if near := [] if str(name) in shipped else difflib.get_close_matches(str(name), shipped, 1):
+        raise StudyError(f"There is no file {clip(str(name), 200)}; did you mean `{near[0]}`?")
+    return shipped.get(str(name), [name])
 
 
 def unreadable(shown: str, error: Exception) -> StudyError:
@@ -88,7 +104,8 @@ def walker(
     Parameters
     ----------
     value : str or dict
-        A name, a file (relative to `folder`, or absolute), or a table, whose `base` and `toward` may be files too.
+        A name, a file (relative to `folder`, or absolute; where there is none, of that name among the walkers that the
+        package brings), or a table, whose `base` and `toward` may be files too.
     folder : Path
     location : Location, optional
         Place of the value in a study.
@@ -163,10 +180,13 @@ def _walker_file(
     name: str, folder: Path, location: Location, number: Callable[[str], Any]
 ) -> tuple[dict[str, Any], Path]:
     """The [walker] table of a file, and the folder to which its own `base` is relative."""
+    path = folder / name
+    if not os.path.lexists(path) and name in (file.name for file in _WALKERS.glob("*.toml")):
+        path = _WALKERS / name
     try:
-        _, table = read_toml(folder / name, name, number)
+        _, table = read_toml(path, name, number)
     except StudyError as error:
         raise location.error(str(error)) from error
     if not isinstance(table.get("walker"), dict):
         raise location.error(f"{clip(name)} has no [walker] table")
-    return table["walker"], (folder / name).parent
+    return table["walker"], path.parent
