@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gaitsweep.extensions import Plot
     from gaitsweep.pipeline.api.reports import figure, report
     from gaitsweep.pipeline.api.steps import simulate, step_map
     from gaitsweep.pipeline.api.studies import gaits, load, run, solve
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
         WorkerError,
     )
     from gaitsweep.pipeline.study.schema import schema
+    from gaitsweep.tasks.registry import Variable
 
     __version__: str
 
@@ -32,6 +34,8 @@ _HOMES = {
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
     **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
     "schema": "gaitsweep.pipeline.study.schema",
+    "Plot": "gaitsweep.extensions",
+    "Variable": "gaitsweep.tasks.registry",
     **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
 }
 
@@ -40,8 +44,10 @@ __all__ = [
     "BusyError",
     "DiskFullError",
     "GaitsweepError",
+    "Plot",
     "StoppedError",
     "StudyError",
+    "Variable",
     "WorkerError",
     "__version__",
     "figure",

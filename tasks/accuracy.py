@@ -1,9 +1,9 @@
 """What must be computed and kept for a wanted accuracy. Like the registry, it imports no solver."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
-from gaitsweep.tasks.registry import ALWAYS, COSTLY, VARIABLES
+from gaitsweep.tasks.registry import ALWAYS, COSTLY, VARIABLES, admit
 
 #: Variables that only integrated steps have: a study with an accuracy names them if it wants them.
 OF_INTEGRATION = tuple(v.name for v in VARIABLES.values() if not v.is_smooth and v.group not in COSTLY)
@@ -20,6 +20,12 @@ _NODES = 4
 def always(accuracy: float) -> tuple[str, ...]:
     """Variables that are archived whatever a study wants: with an accuracy none that would have to be integrated."""
     return tuple(name for name in ALWAYS if not (accuracy and name in OF_INTEGRATION))
+
+
+def computed(names: Collection[str], accuracy: float) -> tuple[str, ...]:
+    """Those of some names that are variables, with those that are archived in any case, in the archive's order."""
+    admit(names)
+    return tuple(name for name in VARIABLES if name in names or name in always(accuracy))
 
 
 def nodes_for(accuracy: float) -> int:

@@ -22,6 +22,7 @@ from gaitsweep.tasks.variables import STATUSES as STATUSES
 from gaitsweep.tasks.variables import VARIABLES as VARIABLES
 from gaitsweep.tasks.variables import VIOLATIONS as VIOLATIONS
 from gaitsweep.tasks.variables import Variable as Variable
+from gaitsweep.tasks.variables import admit as admit
 
 #: Slopes that can be asked for [rad], the first included: branches are followed down to it.
 SLOPES = (1e-18, 0.5)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import always, is_interpolated
+from gaitsweep.tasks.accuracy import computed, is_interpolated
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
@@ -62,9 +62,9 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     return arrays
 
 
-def _names(params: Mapping[str, Any]) -> list[str]:
+def _names(params: Mapping[str, Any]) -> tuple[str, ...]:
     """Names of the variables that a request wants, and of those that its accuracy needs."""
-    return [v for v in VARIABLES if v in params["want"] or v in always(params.get("accuracy", 0.0))]
+    return computed(params["want"], params.get("accuracy", 0.0))
 
 
 def _family(line: Mapping[str, Any], plane: Mapping[str, Any]) -> tuple[Family, Box]:
@@ -156,7 +156,7 @@ class Wanted:
 
     Attributes
     ----------
-    names : list of str
+    names : tuple of str
         Of variables.
     labels : set of str
     limits : mapping, optional
@@ -165,7 +165,7 @@ class Wanted:
         Largest error bound wanted, 0 for any.
     """
 
-    names: list[str]
+    names: tuple[str, ...]
     labels: set[str]
     limits: Mapping[str, float] | None = None
     accuracy: float = 0.0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import always
+from gaitsweep.tasks.accuracy import computed
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
@@ -149,8 +149,8 @@ def _solve_lines(
     With `polynomials`, of a single line, only gaits that these do not give are integrated.
     """
     slope, accuracy = np.asarray(params["slope"], float), params.get("accuracy", 0.0)
-    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
-    wanted = set(params.get("gaits") or GAITS)
+    want = computed(params["want"], accuracy)
+    labels = set(params.get("gaits") or GAITS)
     limits = params.get("violation_limits")
     n, width = len(slope), 4 if problem.walker.knees else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
@@ -168,7 +168,7 @@ def _solve_lines(
     for k in range(0, n, block):
         part = slice(k, k + block)
         interpolated, integrated = polynomials.parts(slope[part]) if polynomials else ([], None)
-        pieces = [_pieces(branches, slope[part], wanted, integrated) for branches in atlas]
+        pieces = [_pieces(branches, slope[part], labels, integrated) for branches in atlas]
         parts = [interpolated for _ in lines]
         with_pieces = [i for i, each in enumerate(pieces) if each]
         guesses = [join([piece.guesses for piece in pieces[i]]) for i in with_pieces]
@@ -187,7 +187,7 @@ def _solve_lines(
             )
             parts[i] = [*interpolated, *_parts(pieces[i], gaits)]
         for out, gaits_of_line in zip(results, parts, strict=True):
-            store({name: out[name][part] for name in solved}, gaits_of_line, wanted)
+            store({name: out[name][part] for name in solved}, gaits_of_line, labels)
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)

@@ -1,10 +1,13 @@
 """Variables of gaits: every name, unit and meaning, and what the other modules need to know of each.
 
-Like the registry, this module imports nothing.
+Like the registry, this module imports no solver.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
+
+from gaitsweep import extensions
 
 #: Labels of the gait dimension. `other1`, ... hold the further gaits of a label, by falling angle.
 GAITS = ("long", "short", "other1", "other2")
@@ -41,6 +44,10 @@ class Variable:
     stance angle, their `sum` or `mean`, the `greatest`, the `least`, or the flags of `any`; others follow from them.
     `is_smooth` is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are otherwise integrated.
     `is_of_knees` is whether straight-legged walkers have none.
+
+    A variable of another package has a `measure`, called with the steps (`tasks.measures.gaits.Steps`) and what is
+    measured of them already, arrays by name; it returns a value of each step. Its `version` is bumped by hand when its
+    values change.
     """
 
     name: str
@@ -53,6 +60,8 @@ class Variable:
     over_steps: str = "first"
     is_smooth: bool = False
     is_of_knees: bool = False
+    measure: Callable[[Any, dict[str, Any]], Any] | None = None
+    version: int = 1
 
     def units(self, si: bool) -> str:
         """CF units of this variable for a walker in SI (`si`) or in consistent units."""
@@ -303,3 +312,23 @@ COSTLY = ("violations", "proofs")
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
+
+
+def admit(names: Iterable[str]) -> None:
+    """Add those of some variables that another package measures.
+
+    Raises
+    ------
+    ExtensionError
+        If one cannot be loaded, or is none.
+    """
+    for name in {*names} - VARIABLES.keys():
+        added = extensions.find("measures", name, Variable)
+        if added is None:
+            continue
+        like = Variable(name, _G, added.kind, added.long_name, over_steps=added.over_steps)
+        if replace(added, measure=None, version=1) != like or added.kind not in SI_UNITS or added.measure is None:
+            raise extensions.ExtensionError(f"`{name}` has another name, kind or group than a measure of a package may")
+        VARIABLES[name] = added
+    for name in sorted(v.name for v in VARIABLES.values() if v.measure):  # in whatever order they came
+        VARIABLES[name] = VARIABLES.pop(name)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gaitsweep import extensions
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.errors import ArchiveError, unwritten
@@ -103,16 +104,19 @@ def figure(archive: str | Path, name: str) -> "Figure":
         If the file is not an archive of gaitsweep, or has no data for the figure.
     """
     from gaitsweep.pipeline.report import source
-    from gaitsweep.pipeline.report.figures import FIGURES, add_degrees, style
+    from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, add_degrees, style
+    from gaitsweep.pipeline.report.figures import sketch as sketched
 
-    if name not in FIGURES:
-        raise Location("").unknown(str(name), FIGURES, "figure")
+    known = [*FIGURES, *extensions.names("figures")]
+    if name not in known:
+        raise Location("").unknown(str(name), known, "figure")
     path = _path(archive)
     read_source = source.read(path)
     with style():
-        sketch = FIGURES[name](read_source)
-        if sketch is None:
-            raise ArchiveError(f"{path} has no data for the figure {name}.")
+        try:
+            sketch = sketched(read_source, name)
+        except Undrawn as why:
+            raise ArchiveError(f"{path} has no figure {name}: {why}.") from why
         sketch.draw_legend(set())
         add_degrees(sketch.figure)
 

@@ -4,6 +4,7 @@ import argparse
 import re
 from pathlib import Path
 
+from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study.parse import EXTRA_AXES
 
@@ -22,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    walkers = list(dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE"))
+    walkers = [*dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE"), *extensions.names("walkers")]
     keys, one_link = (dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
     words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers

@@ -11,7 +11,7 @@ import numpy as np
 from gaitsweep.pipeline.grid.method import Method, method_of, variables
 from gaitsweep.pipeline.store.store import Key
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
+from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,11 @@ def _over_lines(name: str) -> bool:
 
 def point_params(study: Study, method: Method) -> dict[str, Any]:
     """Parameters of points on which their values depend, besides their line and slopes."""
-    given = {"accuracy": study.accuracy, "interpolated": method is Method.INTERPOLATED} if study.accuracy else {}
+    given: dict[str, Any] = {}
+    if study.accuracy:
+        given |= {"accuracy": study.accuracy, "interpolated": method is Method.INTERPOLATED}
+    if measures := {name: VARIABLES[name].version for name in variables(study) if VARIABLES[name].measure}:
+        given |= {"measures": measures}
     return {**study.options, **given}
 
 

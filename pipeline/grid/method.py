@@ -74,9 +74,8 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
 
 def variables(study: Study) -> tuple[str, ...]:
     """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
-    names = {*study.variables, *accuracy.always(study.accuracy)}
-    names.update(read for reader in _readers(study) for read in READS.get(reader, ()))
-    return tuple(name for name in VARIABLES if name in names)
+    read = (name for reader in _readers(study) for name in READS.get(reader, ()))
+    return accuracy.computed({*study.variables, *read}, study.accuracy)
 
 
 def _wants_points_alone(study: Study) -> bool:

@@ -22,7 +22,7 @@ import pandas as pd
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
 from gaitsweep.pipeline.report import entry, folder, html_tables, paper, results
-from gaitsweep.pipeline.report.figures import FIGURES, draw, starts
+from gaitsweep.pipeline.report.figures import Undrawn, draw, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.words import grouped, plain
@@ -50,7 +50,7 @@ _MAX_PROCESSES = 4
 class Page:
     """One study as its page shows it.
 
-    `undrawn` names the figures that the archive holds no data for; `lines` are those whose gaits its script can start,
+    `undrawn` says why figures are missing; `lines` are those whose gaits its script can start,
     `states` those states that its marks start from, once each; `absent` lists the points without a converged gait,
     `listed` those in the CSV file; `tables` are those of results, by their place on the page; `files` are the texts of
     its data files, by file name.
@@ -59,7 +59,7 @@ class Page:
     slug: str
     source: Source
     drawings: list[Drawing]
-    undrawn: list[str]
+    undrawn: dict[str, str]
     lines: list[dict[str, Any]]
     states: list[list[float]]
     absent: pd.DataFrame
@@ -247,18 +247,22 @@ def _shown(source: Source, drawing: Drawing) -> list[str]:
 
 def _bare(source: Source, slug: str) -> Page:
     """A study that only feeds the ledger, as far as its record needs it."""
-    return Page(slug, source, [], [], [], [], pd.DataFrame(), pd.DataFrame(), {}, {})
+    return Page(slug, source, [], {}, [], [], pd.DataFrame(), pd.DataFrame(), {}, {})
 
 
 def _page(source: Source, slug: str) -> Page:
     added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
     wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
     drawings: list[Drawing] = []
+    undrawn: dict[str, str] = {}
     told: set[str] = set()
     for name in wanted:
-        drawing = draw(source, name, slug, not drawings, told)  # the index shows the first
-        title = paper.words(source).get(name, {}).get("title")
-        drawings += [replace(drawing, title=title or drawing.title)] if drawing else []
+        try:
+            drawing = draw(source, name, slug, not drawings, told)  # the index shows the first
+        except Undrawn as why:
+            undrawn |= {name: str(why)} if name in source.figures and name != "claims" else {}
+            continue
+        drawings.append(replace(drawing, title=paper.words(source).get(name, {}).get("title", drawing.title)))
     tables: dict[str, Any] = {
         "landmarks": html_tables.landmarks(source),
         "residuals": html_tables.residuals(source),
@@ -277,7 +281,6 @@ def _page(source: Source, slug: str) -> Page:
     known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
     files = {f"csv/{slug}-{name}.csv": folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
-    undrawn = [name for name in source.figures if name not in ["claims", *(drawing.name for drawing in drawings)]]
     states = _share_states(drawings)
     return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files)
 
@@ -348,7 +351,6 @@ def _environment() -> jinja2.Environment:
         digest=_digest(script),
         digest_of=_digest,
         opener=(_SCRIPTS / "bundle.js").read_text(encoding="utf-8"),
-        known=list(FIGURES),
         paper=PAPER,
     )
     environment.filters.update(plain=plain, grouped=grouped)

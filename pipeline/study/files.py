@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.location import Location, clip
@@ -120,6 +121,7 @@ def walker(
         If the name is unknown or a file is not a walker.
     """
     location = location or Location("", "walker")
+    catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
     table, overrides = value, dict[str, Any]()
     for _ in range(_MAX_BASES):
         if isinstance(table, dict):
@@ -130,17 +132,26 @@ def walker(
                     raise location.error("The walker that `toward` names has a `toward` itself")
                 table = {**table, "toward": other(table["toward"], folder, place, number)}
             overrides = {**table, **overrides}
-            if not isinstance(base, str) or not base.endswith(".toml"):
+            if not isinstance(base, str) or base in catalogue:
                 return overrides
             del overrides["base"]
             table = base
-        if not table.endswith(".toml"):
-            catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
-            if table not in catalogue:
-                raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
+        if table in catalogue:
             return table
-        table, folder = _walker_file(table, folder, location, number)
+        if table.endswith(".toml"):
+            table, folder = _walker_file(table, folder, location, number)
+        else:
+            found = location.added(extensions.find, "walkers", table, dict)
+            if found is None:
+                raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
+            table = found
     raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
+
+
+def more_walkers() -> list[tuple[str, str]]:
+    """Names of walkers beside the catalogue, and where each is from."""
+    brought = [(file.name, "a file that comes with gaitsweep") for file in sorted(_WALKERS.glob("*.toml"))]
+    return [*brought, *((name, "of another package") for name in extensions.names("walkers"))]
 
 
 def other(

@@ -2,9 +2,11 @@
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from numbers import Integral
+from typing import Any
 
+from gaitsweep.extensions import ExtensionError
 from gaitsweep.pipeline.errors import StudyError
 
 #: Largest number that may be given.
@@ -37,6 +39,13 @@ class Location:
         near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")
+
+    def added(self, find: Callable[..., Any], *what: Any) -> Any:
+        """What another package adds; an error of what it adds is one at this place."""
+        try:
+            return find(*what)
+        except ExtensionError as error:
+            raise self.error(str(error)) from error
 
     def number(self, value: object) -> float:
         """Check that a value is a finite number.

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import options, overlay, slopes, units
 from gaitsweep.pipeline.study.corners import check_walkers
@@ -22,7 +23,7 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Axis, Limits, Study
 from gaitsweep.tasks import accuracy as accuracies
 from gaitsweep.tasks import registry
-from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, VARIABLES
+from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, READS, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
@@ -359,6 +360,8 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
         left = {*COSTLY, "multipliers"} if asked else set(COSTLY)
         without = accuracies.OF_INTEGRATION if asked else ()
         return tuple(v.name for v in VARIABLES.values() if v.group not in left and v.name not in without)
+    if isinstance(value, list):
+        location.added(registry.admit, [name for name in value if isinstance(name, str)])
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     requested = {*_names(value, (*VARIABLES, *groups), location), *accuracies.always(asked)}
     wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
@@ -375,7 +378,14 @@ def _want(value: object, kind: str, asked: float, location: Location) -> dict[st
         place = location.at(key)
         names[key] = _free_names(table.get(key, []), place)
         for name in names[key]:
-            if name not in known:
+            plot = (
+                place.added(extensions.find, key, name, extensions.Plot)
+                if key == "figures" and name not in known
+                else None
+            )
+            if plot:
+                READS[name] = variables(list(plot.reads), place)
+            elif name not in known:
                 raise place.unknown(name, known)
             if NEEDED_KINDS.get(name, kind) != kind:
                 raise place.error(f"`{name}` needs a study of kind `{NEEDED_KINDS[name]}`; this one is `{kind}`")

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from typing import Any, Literal
 
+from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import options, parse
 from gaitsweep.pipeline.study.location import Location
@@ -57,8 +58,8 @@ def _study() -> Schema:
             if about not in known.setdefault(name, []):
                 known[name].append(about)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = {"variables": _list(options.one_of([*VARIABLES, *groups]), 1)}
-    wanted |= {name: _list(options.one_of(names)) for name, names in _NAMES.items()}
+    wanted = {"variables": _list(options.one_of([*VARIABLES, *extensions.names("measures"), *groups]), 1)}
+    wanted |= {name: _list(options.one_of([*own, *extensions.names(name)])) for name, own in _NAMES.items()}
     memory = {"type": "string", "pattern": f"^{parse.MEMORY}$"}
     limits: dict[str, Schema] = {
         "seconds": {"type": "number", "exclusiveMinimum": 0, "maximum": parse.MAX_SECONDS},
@@ -165,7 +166,9 @@ def _other() -> Schema:
 def _name() -> Schema:
     """Name of a walker: of the catalogue, or a file."""
     catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
-    return {"anyOf": [options.one_of(catalogue), {"type": "string", "pattern": r"\.toml$"}]}
+    return {
+        "anyOf": [options.one_of([*catalogue, *extensions.names("walkers")]), {"type": "string", "pattern": r"\.toml$"}]
+    }
 
 
 def _of_walkers(name: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from gaitsweep.tasks.measures.kinematics import step_length, travel
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
-from gaitsweep.tasks.step.several_steps import side_by_side
+from gaitsweep.tasks.step.several_steps import Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -348,17 +349,34 @@ class Steps:
                 measured["loss_kneestrike"] = kneestrike_loss(walker, stride.knee * scale) * unit
         if any(VARIABLES[name].group == "violations" for name in want):
             measured |= self._violations(limits)
+        for name in want:
+            if function := VARIABLES[name].measure:
+                measured[name] = np.array(
+                    np.broadcast_to(np.asarray(function(self, measured), float), self.slope.shape)
+                )
         return measured
 
-    def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
+    def motion(self) -> list[np.ndarray]:
+        """Samples of the motion from heelstrike to heelstrike.
+
+        Returns
+        -------
+        list of ndarray, shape (samples + 1, 2 angles, n) [rad, sqrt(g/leg)]
+            Of each phase: angles of the links, then their rates, at times at equal distances.
+        """
+        return [part * self.scale for part in self._fine.motion]
+
+    @cached_property
+    def _fine(self) -> Stride | Strides:
         # Extremes need closer samples than the verification of a step: it is integrated again with those.
         parameters = self.problem.parameters(self.slope, self.scale)
-        fine = self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
-        before = fine.impact * self.scale
+        return self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
+
+    def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
+        before = self._fine.impact * self.scale
         if self.after is not None:  # a step begins with the heelstrike that ends the one before it
             before = before[:, np.argsort(self.after)]
-        motion = [m * self.scale for m in fine.motion]
-        return violations.measure(self.walker, motion, before, self.times, self.slope, limits)
+        return violations.measure(self.walker, self.motion(), before, self.times, self.slope, limits)
 
 
 def energy_imbalance(walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int) -> np.ndarray:

@@ -118,7 +118,9 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
     figure.savefig(tmp_path / "loglog.png")
     with pytest.raises(StudyError, match=r"^Unknown figure `loglgo`, did you mean `loglog`\?$"):
         gaitsweep.figure(path, "loglgo")
-    with pytest.raises(ArchiveError, match=r"mine.nc has no data for the figure basin\.$"):
+    with pytest.raises(
+        ArchiveError, match=r"mine.nc has no figure basin: the archive holds nothing to draw it from\.$"
+    ):
         gaitsweep.figure(path, "basin")
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gaitsweep.pipeline.report import cells, html_tables
-from gaitsweep.pipeline.report.figures import FIGURES, design_maps, draw, families, fields
+from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, design_maps, draw, families, fields
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -38,15 +38,15 @@ def sources(archives):
 )
 def test_each_figure_is_drawn_from_its_archive(sources, study, name):
     drawing = draw(sources[study], name, "test")
-    assert drawing is not None
     assert drawing.svg.startswith("<svg")
     assert len(drawing.data)
     assert sum(len(one["rows"]) for one in drawing.targets) <= TARGETS
 
 
 @pytest.mark.parametrize("name", [n for n in FIGURES if n not in ("bifurcation", "basin", "walker", "conditions")])
-def test_a_figure_whose_data_is_missing_is_none(sources, name):
-    assert draw(sources["cascade"], name, "test") is None
+def test_a_figure_whose_data_is_missing_is_not_drawn(sources, name):
+    with pytest.raises(Undrawn, match="^the archive holds nothing to draw it from$"):
+        draw(sources["cascade"], name, "test")
 
 
 def test_marks_lie_on_the_curve_and_carry_the_command_of_their_point(sources):

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from functools import partial
 from unittest import mock
 
+import pandas as pd
+
+from gaitsweep import extensions
 from gaitsweep.pipeline.report.figures import (
     bifurcation,
     body,
@@ -49,24 +52,61 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
 }
 
 
-def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str] | None = None) -> Drawing | None:
-    """Draw one figure of a study; None if the archive lacks its data or there is no figure of that name.
+class Undrawn(Exception):
+    """Why a figure cannot be drawn, as the end of a sentence."""
+
+
+def sketch(source: Source, name: str) -> Sketch:
+    """Sketch one figure of a study.
+
+    Raises
+    ------
+    Undrawn
+        If the archive lacks its data, or there is no figure of that name.
+    """
+    drawn = FIGURES[name](source) if name in FIGURES else _of_package(source, name)
+    if drawn is None:
+        raise Undrawn("the archive holds nothing to draw it from")
+    return drawn
+
+
+def _of_package(source: Source, name: str) -> Sketch | None:
+    """Sketch a figure that another package draws."""
+    try:
+        plot = extensions.find("figures", name, extensions.Plot)
+    except extensions.ExtensionError as error:
+        raise Undrawn(str(error)) from error
+    if plot is None:
+        raise Undrawn("there is no figure of that name")
+    if not {*plot.reads} <= {*source.grid.variables}:
+        return None
+    drawn = Sketch(plot.height)
+    try:
+        data = pd.DataFrame(plot.draw(drawn.panels[0], source.grid))
+    except Exception as error:  # whatever a function may raise: the other figures are drawn
+        raise Undrawn(f"its package raises {type(error).__name__}: {error}") from error
+    drawn.texts = {"title": "{title}", "alt": "{alt}", "caption": {"always": "{caption}"}}
+    return drawn.finish(data, title=plot.title, alt=plot.alt, caption=plot.caption)
+
+
+def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str] | None = None) -> Drawing:
+    """Draw one figure of a study.
 
     `salt` makes the SVG's identifiers differ from those of other figures on the page; `small` asks for a version for
     the index; `told` are the legends of earlier figures of the page, which this one does not repeat.
+
+    Raises
+    ------
+    Undrawn
+        As `sketch`.
     """
-    function = FIGURES.get(name)
-    if function is None:
-        return None
     with style(), warnings.catch_warnings(), mock.patch.dict(os.environ):
         # Matplotlib reads it even for what it does not write, and it may be anything.
         os.environ.pop("SOURCE_DATE_EPOCH", None)
         # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
-        sketch = function(source)
-        if sketch is None:
-            return None
-        sketch.draw_legend(set() if told is None else told)
-        add_degrees(sketch.figure)
-        sketch.values["steps"] = source.steps if source.steps > 1 else None
-        return render(sketch, name, salt, small)
+        drawn = sketch(source, name)
+        drawn.draw_legend(set() if told is None else told)
+        add_degrees(drawn.figure)
+        drawn.values["steps"] = source.steps if source.steps > 1 else None
+        return render(drawn, name, salt, small)

@@ -56,8 +56,8 @@ class Panel:
 class Sketch:
     """A figure of some height [pt] with a grid of panels.
 
-    Its words are those of its name in `words.toml`, filled in with the `values` given at the end. `lines` names the
-    groups of curves that the page highlights one at a time.
+    Its words are those of its name in `words.toml`, or its own `texts`, filled in with the `values` given at the end.
+    `lines` names the groups of curves that the page highlights one at a time.
     """
 
     def __init__(self, height: float, rows: int = 1, columns: int = 1, **grid: Any) -> None:
@@ -71,6 +71,7 @@ class Sketch:
         self.pieces: list[pd.DataFrame] = []
         self.data = pd.DataFrame()
         self.values: dict[str, Any] = {}
+        self.texts: dict[str, Any] = {}
         self.lines: list[str] = []
 
     def mark(self, axes: Axes, x: Any, y: Any, label: str, values: Mapping[str, Any], **more: Any) -> None:
@@ -136,7 +137,7 @@ class Sketch:
 
     def words(self, name: str) -> tuple[str, str, str, str]:
         """Title, caption, alt text and finding, of the figure's name."""
-        words, every = WORDS["figures"][name], WORDS["figures"]["all"]
+        words, every = self.texts or WORDS["figures"][name], WORDS["figures"]["all"]
         parts = ({**words.get(part, {}), **every.get(part, {})} for part in ("caption", "finding"))
         caption, finding = (sentences(part, self.values).strip() for part in parts)
         return fill(words["title"], self.values), caption, fill(words["alt"], self.values), finding
