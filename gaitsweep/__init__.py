@@ -9,7 +9,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gaitsweep.extensions import Plot
     from gaitsweep.pipeline.api.reports import figure, report
     from gaitsweep.pipeline.api.steps import simulate, step_map
     from gaitsweep.pipeline.api.studies import gaits, load, run, solve
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
         StudyError,
         WorkerError,
     )
+    from gaitsweep.pipeline.study.plot import Plot
     from gaitsweep.pipeline.study.schema import schema
     from gaitsweep.tasks.registry import Variable
 
@@ -34,7 +34,7 @@ _HOMES = {
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
     **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
     "schema": "gaitsweep.pipeline.study.schema",
-    "Plot": "gaitsweep.extensions",
+    "Plot": "gaitsweep.pipeline.study.plot",
     "Variable": "gaitsweep.tasks.registry",
     **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
 }

@@ -4,45 +4,16 @@ A name that is not gaitsweep's own is looked up where it is asked for, never at 
 docs/extending.md shows a package.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    import pandas as pd
-    import xarray as xr
-    from matplotlib.axes import Axes
-
 
 class ExtensionError(ValueError):
     """What a package adds cannot be used."""
-
-
-@dataclass(frozen=True)
-class Plot:
-    """A figure of a report, as the entry point `gaitsweep.figures` of a package leads to it.
-
-    Parameters
-    ----------
-    draw : callable
-        Called with the axes and the archive's grid (docs/archive.md), a Dataset; returns a table of what it shows,
-        which the page offers as CSV.
-    reads : tuple of str
-        Variables that it needs; a study with the figure computes them.
-    title, caption, alt : str
-        Title, caption, and a text for those who do not see it.
-    height : float [pt]
-    """
-
-    draw: "Callable[[Axes, xr.Dataset], pd.DataFrame]"
-    reads: tuple[str, ...]
-    title: str
-    caption: str
-    alt: str
-    height: float = 330
 
 
 @cache

@@ -21,6 +21,7 @@ from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.files import detuned, other, read_toml, retuned, walker
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Axis, Limits, Study
+from gaitsweep.pipeline.study.plot import Plot
 from gaitsweep.tasks import accuracy as accuracies
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, READS, TASKS, VARIABLES
@@ -378,11 +379,7 @@ def _want(value: object, kind: str, asked: float, location: Location) -> dict[st
         place = location.at(key)
         names[key] = _free_names(table.get(key, []), place)
         for name in names[key]:
-            plot = (
-                place.added(extensions.find, key, name, extensions.Plot)
-                if key == "figures" and name not in known
-                else None
-            )
+            plot = place.added(extensions.find, key, name, Plot) if key == "figures" and name not in known else None
             if plot:
                 READS[name] = variables(list(plot.reads), place)
             elif name not in known:

@@ -28,6 +28,7 @@ from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import style
 from gaitsweep.pipeline.report.figures.svg import Drawing, render
 from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.study.plot import Plot
 
 FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "loglog": families.loglog,
@@ -73,7 +74,7 @@ def sketch(source: Source, name: str) -> Sketch:
 def _of_package(source: Source, name: str) -> Sketch | None:
     """Sketch a figure that another package draws."""
     try:
-        plot = extensions.find("figures", name, extensions.Plot)
+        plot = extensions.find("figures", name, Plot)
     except extensions.ExtensionError as error:
         raise Undrawn(str(error)) from error
     if plot is None:
