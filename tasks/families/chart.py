@@ -11,8 +11,8 @@ from numpy.polynomial.chebyshev import chebvander
 
 from gaitsweep.tasks.families.box import Refused, roots
 
-#: Points at which polynomials are evaluated at a time.
-_ROWS = 64
+#: Points at which polynomials are evaluated at a time, and rows of a matrix product.
+_POINTS, _ROWS = 256, 8
 #: Share of the error wanted, or of the largest if all are below, above which the last coefficients along a dimension
 #: ask for more nodes there.
 _UNRESOLVED = 0.1
@@ -74,15 +74,27 @@ class Chart:
         -------
         ndarray, shape (c, n)
         """
-        n, coefficients = len(points), self.coefficients[:, columns]
-        # A matrix product rounds differently for another number of rows: it gets blocks of one shape.
-        rows = np.zeros((n + -n % _ROWS, len(coefficients)))
-        product = np.ones((n, 1))
-        for x, count in zip(points.T, self.sizes, strict=True):
-            product = (product[:, :, None] * chebvander(x, count - 1)[:, None]).reshape(n, product.shape[1] * count)
-        rows[:n] = product
-        values = rows.reshape(-1, _ROWS, len(coefficients)) @ coefficients
-        return np.asarray(values.reshape(len(rows), coefficients.shape[1])[:n].T)
+        coefficients = self.coefficients[:, columns]
+        values = np.empty((len(points), coefficients.shape[1]))
+        order = np.lexsort(points.T) if self.sizes else np.arange(len(points))
+        for k in range(0, len(order), _POINTS):
+            some = order[k : k + _POINTS]
+            values[some] = self._sums(points[some], coefficients)
+        return values.T
+
+    def _sums(self, points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """Sum over one dimension after the other, the last first; what several points share is summed once."""
+        c = coefficients.shape[1]
+        sums, place = coefficients[None], np.zeros(len(points), int)
+        for k in reversed(range(len(self.sizes))):
+            _, first, back = np.unique(points[:, k:], axis=0, return_index=True, return_inverse=True)
+            basis, n = chebvander(points[first, k], self.sizes[k] - 1), self.sizes[k]
+            if k == len(self.sizes) - 1:
+                sums = _product(basis, sums.reshape(-1, n, c).swapaxes(0, 1).reshape(n, -1))
+            else:
+                sums = (basis[:, None, None] @ sums[place[first]].reshape(len(first), -1, n, c))[:, :, 0]
+            sums, place = sums.reshape(len(first), -1, c), back.reshape(-1)
+        return sums[place, 0]
 
     def tails(self, last: int = 1) -> np.ndarray:
         """Return the sums of the sizes of the `last` coefficients in each dimension, over the sizes of the values.
@@ -100,6 +112,13 @@ class Chart:
         first, *others = self.coefficients[:, column].tolist()
         spread = sum(map(abs, others))
         return first - spread, first + spread
+
+
+def _product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Rows times a matrix, in blocks of one shape: a product rounds differently for another number of rows."""
+    padded = np.zeros((len(rows) + -len(rows) % _ROWS, rows.shape[1]))
+    padded[: len(rows)] = rows
+    return np.asarray((padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)[: len(rows)])
 
 
 def fit(
