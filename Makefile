@@ -1,10 +1,11 @@
-# make setup | paper | test | check | lint | wheel | bench | soak | prove | mutants | tiers | lock
+# make setup | paper | test | check | lint | docs | wheel | bench | soak | prove | mutants | tiers | lock
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # Each of hundreds of processes would compile all modules again.
 unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 READY := .venv/.ready
 COMPLETE := .venv/.complete
+WRITING := .venv/.writing
 # The registry that pip is set to use, if it is set.
 INDEX = $(shell "$(PYTHON)" -m pip config list 2>/dev/null | sed -n "s/.*\.index-url='\(.*\)'/--default-index \1/p" | head -1)
 INSTALL = $(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes $(INDEX) \
@@ -14,7 +15,7 @@ DRAW ?= 1
 N ?= 300
 SECONDS ?= 7000
 
-.PHONY: setup paper test check lint wheel bench soak prove mutants tiers lock clean
+.PHONY: setup paper test check lint docs wheel bench soak prove mutants tiers lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -35,6 +36,11 @@ $(COMPLETE): $(READY)
 	$(INSTALL) --all-extras
 	touch $@
 
+# With what the site of the documentation takes.
+$(WRITING): $(READY)
+	$(INSTALL) --extra docs
+	touch $@
+
 paper: $(READY)
 	$(BIN)/gaitsweep run paper
 	$(BIN)/gaitsweep report data/archive/*.nc -o reports
@@ -52,9 +58,14 @@ lint: $(COMPLETE)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The site, with scripts and API as they are now; a warning is an error.
+docs: $(WRITING)
+	$(BIN)/python -m sphinx -q -j 2 -E -W --keep-going -c docs -d build/doctrees . build/docs
+	@echo build/docs/index.html
+
 # What setuptools built before would go into the wheel too.
 wheel: $(READY)
-	rm -rf build dist
+	rm -rf build/lib build/bdist.* dist
 	$(BIN)/uv build --quiet --wheel --no-build-isolation --python $(BIN)/python .
 
 bench: $(COMPLETE)
@@ -79,10 +90,10 @@ BUDGET ?= 265
 tiers: $(COMPLETE)
 	$(BIN)/python tests/mutants/tiers.py $(BUDGET)
 
-# Write the lock anew from the ranges in pyproject.toml, for every Python that it allows.
+# Write the lock anew from the ranges in pyproject.toml: one version of each package for every Python that it allows.
 lock:
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --all-extras --group setup \
-	  --no-header --no-annotate $(INDEX) --output-file requirements.lock pyproject.toml
+	  --fork-strategy fewest --no-header --no-annotate $(INDEX) --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf .venv build dist mutants data/archive
