@@ -21,6 +21,7 @@ myst_heading_anchors = 3
 default_role = "code"  # as names are written in docstrings
 autodoc_typehints = "none"  # docstrings have them
 html_theme = "furo"
+pygments_dark_style = "github-dark"
 html_title = "gaitsweep"
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]

@@ -29,9 +29,9 @@ def executed(script):
 def drawn(figure):
     picture = io.BytesIO()
     figure.savefig(picture, dpi=150)
-    axes = [f"{each.get_ylabel()} against {each.get_xlabel()}" for each in figure.axes if each.get_xlabel()]
+    alt = [a.get_title() or " against ".join(filter(None, (a.get_ylabel(), a.get_xlabel()))) for a in figure.axes]
     data = base64.b64encode(picture.getvalue()).decode()
-    return f"```{{image}} data:image/png;base64,{data}\n:alt: {'; '.join(axes)}\n```"
+    return f"```{{image}} data:image/png;base64,{data}\n:alt: {'; '.join(alt)}\n```"
 
 
 if __name__ == "__main__":  # worker processes import this file too

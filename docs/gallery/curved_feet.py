@@ -37,7 +37,7 @@ stable = gait.spectral_radius.to_numpy() < 1
 first = np.where(stable.all(axis=1), slope[-1], slope[stable.argmin(axis=1) - 1])
 print(f"stable on point feet up to slope: printed 0.0151, computed {first[0]:.4f}")
 
-figure, axes = plt.subplots(1, 2, figsize=(9, 3.5))
+figure, axes = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
 axes[0].plot(radius, ratio, "o", label="computed")
 axes[0].plot(radius, (1 - radius) ** 2, label="(1 − ρ)²")
 axes[0].set(xlabel="foot radius ρ [leg]", ylabel="loss over that of point feet")

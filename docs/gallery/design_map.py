@@ -30,7 +30,7 @@ corner = float(stable_to.isel(R=0, foot_mass_ratio=0))
 print(f"simplest walker stable up to slope: printed 0.0151, computed {corner:.4f}")
 
 # %%
-figure, axes = plt.subplots()
+figure, axes = plt.subplots(layout="constrained")
 drawn = axes.pcolormesh(radius, mass, stable_to.transpose("foot_mass_ratio", "R"), shading="nearest")
 figure.colorbar(drawn, label="largest slope of a stable long gait [rad]")
 axes.set(xlabel="foot radius [leg]", ylabel="mass of each foot over the total mass")

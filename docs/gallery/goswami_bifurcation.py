@@ -43,7 +43,7 @@ run({"name": "orbits", "kind": "orbit", "walker": compass, "axes": {"slope": win
 orbits = load("data/archive/orbits.nc", "orbits")
 
 # %%
-figure, axes = plt.subplots()
+figure, axes = plt.subplots(layout="constrained")
 axes.plot(np.degrees(orbits.slope), orbits.period, ",", color="tab:blue")
 axes.plot(degrees, one.period, color="tab:grey", linewidth=0.5)
 axes.set(xlabel="slope [°]", ylabel="step period [s]", xlim=(3.0, 5.2), ylim=(0.5, 0.9))

@@ -54,7 +54,7 @@ print(f"third eigenvalue: printed 0.073, computed {single.real:.3f}")
 # eigenvalue.
 
 # %%
-figure, axes = plt.subplots(1, 2, figsize=(8, 3))
+figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
 for panel, mode, name in ((axes[0], 0, "pair"), (axes[1], 2, "fast mode")):
     vector = here.eigenvectors[:, mode]
     panel.bar(np.arange(3) - 0.2, vector.real, 0.4, label="real")

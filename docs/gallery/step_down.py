@@ -57,7 +57,7 @@ for name, sign in (("down", -1), ("up", 1)):
     print(f"survives a step {name} of {1e3 * height:.2f} mm, {height / 0.4:.2%} of the leg")
 
 # %%
-figure, axes = plt.subplots()
+figure, axes = plt.subplots(layout="constrained")
 start = 0.0
 for step in range(10):
     time, stance, swing = (down[name][step, 0] for name in ("time", "theta_st", "theta_th"))

@@ -49,7 +49,7 @@ for key in ("w_t", "w_s", "c_t", "c_s", "r_t", "r_s", "R"):
 # uncertainty.
 
 # %%
-figure, axes = plt.subplots()
+figure, axes = plt.subplots(layout="constrained")
 for side, (label, sign) in enumerate((("1 mm less", -1), ("1 mm more", 1))):
     axes.barh(np.arange(len(effect)) + 0.2 * sign, [pair[side] for pair in effect.values()], 0.4, label=label)
 axes.set_yticks(range(len(effect)), effect)
