@@ -1,6 +1,5 @@
 """The site of the documentation, which `make docs` builds: the pages as they lie here, with the scripts executed."""
 
-import os
 import shutil
 import subprocess
 import sys
@@ -15,7 +14,7 @@ project = "gaitsweep"
 root_doc = "README"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "percent"}
 include_patterns = ["*.md", "docs/*.md", "docs/reference.rst", "docs/tutorial.py", "docs/gallery/*.py"]
-exclude_patterns = [".*", "build", "data", "gaitsweep", "pipeline", "reports", "tasks", "tests"]  # not searched
+exclude_patterns = [".*", "build", "data", "gaitsweep", "pipeline", "reports", "tasks", "tests"]  # where no pages are looked for
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 3
 default_role = "code"  # as names are written in docstrings
@@ -51,9 +50,7 @@ class Executed(MystParser):
     def parse(self, inputstring, document):
         command = [sys.executable, str(ROOT / "docs" / "percent.py"), document["source"]]
         with tempfile.TemporaryDirectory() as folder:
-            done = subprocess.run(
-                command, cwd=folder, capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "agg"}
-            )
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode:
             raise RuntimeError(done.stderr)
         super().parse(done.stdout, document)

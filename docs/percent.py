@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 
 
 def executed(script):
+    plt.switch_backend("agg")
     names = {"__name__": "__main__"}
     marks = re.split(r"^# %%(.*)\n", Path(script).read_text(encoding="utf-8"), flags=re.M)
     for kind, cell in zip(marks[1::2], marks[2::2], strict=True):
