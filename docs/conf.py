@@ -14,7 +14,8 @@ project = "gaitsweep"
 root_doc = "README"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "percent"}
 include_patterns = ["*.md", "docs/*.md", "docs/reference.rst", "docs/tutorial.py", "docs/gallery/*.py"]
-exclude_patterns = [".*", "build", "data", "gaitsweep", "pipeline", "reports", "tasks", "tests"]  # where no pages are looked for
+# Where no pages are looked for.
+exclude_patterns = [".*", "build", "data", "gaitsweep", "pipeline", "reports", "tasks", "tests"]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 3
 default_role = "code"  # as names are written in docstrings
