@@ -91,8 +91,11 @@ class Chart:
             basis, n = chebvander(points[first, k], self.sizes[k] - 1), self.sizes[k]
             if k == len(self.sizes) - 1:
                 sums = _product(basis, sums.reshape(-1, n, c).swapaxes(0, 1).reshape(n, -1))
-            else:
-                sums = (basis[:, None, None] @ sums[place[first]].reshape(len(first), -1, n, c))[:, :, 0]
+            else:  # term by term: how a product of so small matrices rounds depends on where they lie
+                terms = sums[place[first]].reshape(len(first), -1, n, c)
+                sums = np.zeros((len(first), terms.shape[1], c))
+                for i in range(n):
+                    sums += basis[:, i, None, None] * terms[:, :, i]
             sums, place = sums.reshape(len(first), -1, c), back.reshape(-1)
         return sums[place, 0]
 
