@@ -12,7 +12,7 @@ from gaitsweep.pipeline.report.source import read
 PAPER = Path(__file__).parents[2] / "data" / "studies" / "paper"
 
 
-def _wrong_marks(browser, archive):
+def wrong_marks(browser, archive):
     """Marks clicked on the open page of an archive, and what is wrong with those that are."""
     gaits, clicked, wrong = clicks.archived(archive), 0, []
     for figure in clicks.figures(browser):
@@ -23,7 +23,7 @@ def _wrong_marks(browser, archive):
     return clicked, wrong
 
 
-def _wrong_cells(browser, archive, figure, count):
+def wrong_cells(browser, archive, figure, count):
     """Cells clicked of the maps of the open page of an archive, and what is wrong with those that are."""
     source, panels = read(archive), clicks.parts(browser, figure, "panels")
     drawn = clicks.cells(browser, figure, count)
@@ -44,13 +44,13 @@ def _wrong_cells(browser, archive, figure, count):
 
 @pytest.mark.parametrize(("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)])
 def test_every_mark_walks_the_archived_gait(walk, walking, name, least):
-    clicked, wrong = _wrong_marks(walk(name, still=True), walking.parent / f"{name}.nc")
+    clicked, wrong = wrong_marks(walk(name, still=True), walking.parent / f"{name}.nc")
     assert clicked > least and wrong == []
 
 
 @pytest.mark.parametrize(("name", "count"), [("design", 9), ("basin", 60)])
 def test_cells_of_maps_walk_as_the_archive_says(walk, walking, name, count):
-    clicked, wrong = _wrong_cells(walk(name, still=True), walking.parent / f"{name}.nc", name, count)
+    clicked, wrong = wrong_cells(walk(name, still=True), walking.parent / f"{name}.nc", name, count)
     assert clicked >= count and wrong == []
 
 
@@ -62,9 +62,9 @@ def test_every_mark_of_the_papers_pages_walks_the_archived_gait(opened, tmp_path
     run(PAPER / f"{name}.toml", archive=archive, quiet=True)
     browser = opened(pages.write([archive], tmp_path / "report").parent / f"{name}.html", still=True)
     if name in ("design", "basin"):
-        clicked, wrong = _wrong_cells(browser, archive, name, 400 if name == "design" else 200)
+        clicked, wrong = wrong_cells(browser, archive, name, 400 if name == "design" else 200)
         assert clicked >= 200
     else:
-        clicked, wrong = _wrong_marks(browser, archive)
+        clicked, wrong = wrong_marks(browser, archive)
         assert clicked > 200
     assert wrong == []

@@ -72,7 +72,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   function facts() {
     find("units").parentElement.hidden = gait.walker.keys.units !== "SI";
     const u = units(), list = make("dl"), { walker, step } = gait, angle = gait.start[0];
-    list.append(...row("slope γ", brief(gait.slope, 6), `rad = ${brief(gait.slope * 180 / Math.PI, 4)}°`), ...row("stance angle θ*", brief(angle, 6), `rad = ${brief(angle * 180 / Math.PI, 4)}°`));
+    list.append(...[["slope γ", gait.slope], ["stance angle θ*", angle]].flatMap(([name, x]) => row(name, brief(x, 6), `rad = ${brief(x * 180 / Math.PI, 4)}°`)));
     if (!step.fall) {
       const length = motion.stride(step);
       list.append(...row("period T", brief(step.period * u.time, 6), u.s), ...row("step length", brief(length * u.length, 4), u.l), ...row("mean speed", brief(length / step.period * u.speed, 4), u.v));
@@ -102,8 +102,17 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (gait) play(false);
     panel.classList.add("empty");
     find("title").textContent = "No gait";
-    history.replaceState(null, "", location.pathname + location.search);
+    address();
     tellPage(null);
+  }
+
+  /** Write the address of what is shown: browsers refuse too many in a time, the last of which then follows. */
+  function address() {
+    try {
+      history.replaceState(null, "", panel.classList.contains("empty") ? location.pathname + location.search : writeAddress(gait));
+    } catch {
+      setTimeout(address, 999);
+    }
   }
 
   /** Show a gait found, or a motion from any state. */
@@ -124,7 +133,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     outcome();
     companions();
     frame();
-    if (write) history.replaceState(null, "", writeAddress(gait));
+    if (write) address();
     tellPage(gait);
   }
   const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
