@@ -158,6 +158,7 @@ CALLS = {
     "prove_stored": "gaitsweep.tasks.proofs.records:prove_stored",
     "certificates": "gaitsweep.tasks.write_certificates:names",
     "certify": "gaitsweep.tasks.write_certificates:certify",
+    "enclose_special": "gaitsweep.tasks.write_certificates:enclose_special",
     "claims": "gaitsweep.tasks.check_claims:check",
     "walkers": "gaitsweep.tasks.walkers.describe:describe",
     "tune": "gaitsweep.tasks.walkers.tuning:tune",

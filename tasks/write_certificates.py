@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +11,10 @@ from flint import arb, ctx
 from gaitsweep.tasks.proofs import covers, crossings, tubes
 from gaitsweep.tasks.proofs.body import body
 from gaitsweep.tasks.proofs.enclosed_step import dimensions
-from gaitsweep.tasks.proofs.keys import decimal, exact, written
+from gaitsweep.tasks.proofs.gait import named
+from gaitsweep.tasks.proofs.keys import decimal, exact, in_doubles, written
 from gaitsweep.tasks.proofs.records import STATE, guess, quoted
+from gaitsweep.tasks.proofs.stability import multipliers
 from gaitsweep.tasks.prove_gaits import prove_one
 from gaitsweep.tasks.solve_at_slope import solve_one
 
@@ -116,47 +118,77 @@ def _gait(walker: str, label: str, slope: str) -> dict[str, Any]:
     }
 
 
-def _dimension(walker: str) -> int:
+def _dimension(walker: str | Mapping[str, Any]) -> int:
     with ctx.workprec(106):
         return dimensions(body(*exact(walker)))[0]
 
 
-def _start(walker: str, label: str, slope: float) -> list[arb]:
+def _start(walker: str | Mapping[str, Any], label: str, slope: float) -> list[arb]:
     """Section state, event times and slope of a gait, approximately."""
-    gaits = solve_one({"walker": walker, "slope": slope})["gaits"]
+    gaits = solve_one({"walker": walker if isinstance(walker, str) else in_doubles(walker), "slope": slope})["gaits"]
     values = next(g for g in gaits if g["gait"] == label)
-    state = guess(values)
+    # Of fewer digits than machines agree on, so that the proof is the same on all.
+    state = [float(f"{x:.9e}") for x in guess(values)]
     return [arb(x) for x in (*state[: _dimension(walker)], *state[3:], slope)]
 
 
-def _special(special: Special) -> dict[str, Any]:
-    keys, kneed = exact(special.walker)
-    parameter, prove = (tubes.BY_SLOPE, crossings.flip) if special.kind == "flip" else (tubes.BY_ANGLE, crossings.fold)
-    interval = prove(
-        tubes.Family(keys, kneed, parameter), _start(special.walker, special.gait, special.slope), special.half
-    )
+def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Enclose a flip or fold.
+
+    Parameters
+    ----------
+    params : mapping
+        `kind`, `walker` (name, or table whose numbers are strings), `slope` [rad] and `gait` of a gait near it, and
+        `half` the interval of slope or of stance angle around it [rad].
+
+    Returns
+    -------
+    dict
+        What its certificate says, with the dependent rates in `box`, and `multipliers`.
+
+    Raises
+    ------
+    NotProvedError
+        If it is not proved.
+    """
+    keys, kneed = exact(params["walker"])
+    is_flip = params["kind"] == "flip"
+    parameter, prove = (tubes.BY_SLOPE, crossings.flip) if is_flip else (tubes.BY_ANGLE, crossings.fold)
+    start = _start(params["walker"], params["gait"], float(params["slope"]))
+    interval = prove(tubes.Family(keys, kneed, parameter), start, params["half"])
     what = (
         "a multiplier of the gait passes -1"
-        if special.kind == "flip"
+        if is_flip
         else "the branch of gaits turns back: the slope as a function of the stance angle has an extremum"
     )
-    order = interval.tube.events()
+    tube = interval.tube
+    order = tube.events()
     statement = (
         f"In the interval of slopes {what}. Around it there is one branch of gaits, each of them a {order.label} step."
     )
-    m = dimensions(interval.tube.body)[0]
-    named = dict(zip(_names(m, kneed), (quoted(x) for x in interval.tube.whole), strict=True))
+    with ctx.workprec(interval.bits):
+        box = {**named(tube.body, tube.whole[:-1]), "slope": interval.slope}
+        values = multipliers(tube.step_derivative())
     return {
-        "kind": special.kind,
+        "kind": params["kind"],
         "statement": statement,
         "walker": _written(keys, kneed),
         "gait": order.label,
         "slope": list(quoted(interval.slope)),
-        "box": {k: list(v) for k, v in named.items()},
+        "box": {name: list(quoted(x)) for name, x in box.items()},
         "events": order.names,
         "test_function": [list(quoted(v)) for v in interval.values],
         "bits": interval.bits,
+        "multipliers": [[list(quoted(x.real)), list(quoted(x.imag))] for x in values],
     }
+
+
+def _special(special: Special) -> dict[str, Any]:
+    found = enclose_special(vars(special))
+    del found["multipliers"]
+    m = _dimension(special.walker)
+    box = {name: x for name, x in found["box"].items() if name in (*STATE[:m], *STATE[3:], "slope")}
+    return {**found, "box": box}
 
 
 def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
@@ -177,12 +209,6 @@ def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
         "tubes": [[float(t.middle[-1]), float(t.half)] for t in cover],
         "bits": covers.BITS,
     }
-
-
-def _names(m: int, kneed: bool) -> Iterator[str]:
-    yield from STATE[:m]
-    yield from STATE[3 if kneed else 4 :]
-    yield "slope"
 
 
 def _written(keys: Mapping[str, Any], kneed: bool) -> dict[str, str]:

@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from flint import arb, arb_mat, ctx
+from flint import acb, arb, arb_mat, ctx
 
 from gaitsweep.tasks.proofs import krawczyk
 from gaitsweep.tasks.proofs.body import Body, Number, body
 from gaitsweep.tasks.proofs.enclosed_step import Region, Step, dimensions, start, step
 from gaitsweep.tasks.proofs.enclosure import Accuracy, NotProvedError
 from gaitsweep.tasks.proofs.sequence import Events, events
-from gaitsweep.tasks.proofs.stability import is_stable, step_derivative
+from gaitsweep.tasks.proofs.stability import is_stable, multipliers, step_derivative
 
 #: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused, unless
 #: its own bound is larger.
@@ -49,6 +49,8 @@ class Proof:
         It is a step: its strikes come first and its legs pass once.
     stable : bool or None
         Every multiplier lies inside the unit circle, one lies outside, or neither was shown.
+    multipliers : list of acb
+        Each of the section's multipliers, or none where two are not told apart.
     label : str
         `long` or `short`.
     box : dict of str to arb
@@ -66,6 +68,7 @@ class Proof:
     unique: bool = False
     first_strike: bool = False
     stable: bool | None = None
+    multipliers: list[acb] = field(default_factory=list)
     label: str = ""
     box: dict[str, arb] = field(default_factory=dict)
     radius: float = math.nan
@@ -129,12 +132,14 @@ def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str
 def _judged(solution: Solution, label: str | None) -> Proof:
     """What holds of the one solution in a box."""
     m, n = dimensions(solution.body)
+    stable, values = None, list[acb]()
     try:
-        stable = is_stable(step_derivative(solution.step.derivative, m, n))
+        derivative = step_derivative(solution.step.derivative, m, n)
+        stable, values = is_stable(derivative), multipliers(derivative)
     except ZeroDivisionError:  # a strike grazes, and the step map has no derivative; the order of strikes says so
-        stable = None
-    box = _named(solution.body, solution.box)
-    known = Proof(False, True, stable=stable, box=box, radius=_radius(box), bits=solution.bits)
+        pass
+    box = named(solution.body, solution.box)
+    known = Proof(False, True, stable=stable, multipliers=values, box=box, radius=_radius(box), bits=solution.bits)
     try:
         order: Events = events(solution.step, solution.box[m:])
     except NotProvedError as error:
@@ -177,7 +182,7 @@ def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: floa
                 continue
             # With room to spare: the decimals printed hold a little more than K.
             if krawczyk.contained([arb(k.mid(), 1.1 * k.rad()) for k in K], box):
-                if (achieved := _radius(_named(walker, K))) <= accuracy:
+                if (achieved := _radius(named(walker, K))) <= accuracy:
                     return Solution(walker, K, enclosed_step, bits)
                 middle, size = [x.mid() for x in K], 16 * achieved
                 reason = f"The radius is {achieved:.1e}, above the accuracy of {accuracy:.1e}."
@@ -265,8 +270,19 @@ def _distance(walker: Body, middle: Sequence[arb], image: Sequence[arb]) -> floa
     )
 
 
-def _named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
-    """A box of unknowns by the names of archives, the dependent rates with it."""
+def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
+    """A box of unknowns by the names of archives, the dependent rates with it.
+
+    Parameters
+    ----------
+    walker : Body
+    box : sequence of arb
+        Section state and event times.
+
+    Returns
+    -------
+    dict of str to arb
+    """
     m, _ = dimensions(walker)
     rates = start(walker, box[:m]).w
     times = ("kneestrike_time", "period") if walker.kneed else ("period",)

@@ -159,6 +159,7 @@ def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
         "stance_angle": _number(values.get("stance_angle")) if angle is None else float(angle.mid()),
         "radius": _number(proof.radius),
         "box": {name: list(quoted(x)) for name, x in proof.box.items()},
+        "multipliers": [[list(quoted(x.real)), list(quoted(x.imag))] for x in proof.multipliers],
         "events": proof.events,
         "bits": proof.bits,
         "reason": proof.reason,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flint import arb, arb_mat
+from flint import acb, arb, arb_mat
 
 
 def step_derivative(derivative: arb_mat, m: int, events: int) -> arb_mat:
@@ -49,6 +49,30 @@ def characteristic(matrix: arb_mat) -> list[arb]:
         return [arb(1), -matrix.trace(), matrix.det()]
     minors = sum((a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))), arb(0))
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
+
+
+def multipliers(matrix: arb_mat) -> list[acb]:
+    """Enclosures of the multipliers, each of one, or none where two are not told apart.
+
+    Parameters
+    ----------
+    matrix : arb_mat, shape (n, n)
+        Derivative of the step map.
+
+    Returns
+    -------
+    list of acb
+        The imaginary part of a real one is exactly 0.
+    """
+    try:
+        found = matrix.eig()
+    except ValueError:
+        return []
+    # Conjugates of multipliers are multipliers: one whose conjugate lies in no other ball is its own.
+    return [
+        z if any(z.conjugate().overlaps(x) for x in found if x is not z) else acb(z.real)
+        for z in found
+    ]
 
 
 def is_stable(matrix: arb_mat) -> bool | None:
