@@ -1,4 +1,4 @@
-# make setup | paper | test | check | lint | docs | wheel | bench | soak | prove | mutants | tiers | lock
+# make setup | paper | test | check | lint | docs | wheel | bench | soak | prove | reference | mutants | tiers | lock
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # Each of hundreds of processes would compile all modules again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -15,7 +15,7 @@ DRAW ?= 1
 N ?= 300
 SECONDS ?= 7000
 
-.PHONY: setup paper test check lint docs wheel bench soak prove mutants tiers lock clean
+.PHONY: setup paper test check lint docs wheel bench soak prove reference mutants tiers lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -80,6 +80,9 @@ soak: $(COMPLETE)
 
 prove: $(COMPLETE)
 	PYTHONPATH=tests $(BIN)/python -m soak.certificates data/reference/proofs
+
+reference: $(COMPLETE)
+	PYTHONPATH=tests $(BIN)/python -m soak.reference data/reference
 
 # Mutants of the core drawn by lot, two at a time; the same command resumes. AGAIN=100 tries again, by 100 s of
 # tests of each tier, those that `make test` did not notice.

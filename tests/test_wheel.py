@@ -68,6 +68,9 @@ def test_the_wheel_brings_what_its_code_reads_and_no_results(installed):
     certificates = list(map(Path, python(installed, "-c", code).splitlines()))
     assert certificates and all(file.is_file() and site in file.parents for file in certificates)
     assert (site / "gaitsweep" / "data" / "studies" / "examples" / "study.schema.json").is_file()
+    for name in ("gaits.json", "gaits.csv"):
+        shipped = site / "gaitsweep" / "data" / "reference" / name
+        assert shipped.read_bytes() == (ROOT / "data" / "reference" / name).read_bytes()
     assert not list(site.rglob("*.nc")) and not (site / "gaitsweep" / "data" / "archive").exists()
 
 

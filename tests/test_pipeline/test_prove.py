@@ -62,6 +62,7 @@ def test_gaits_of_a_walker_are_proved(capsys):
         "stance_angle",
         "radius",
         "box",
+        "multipliers",
         "events",
         "bits",
         "reason",
