@@ -69,10 +69,7 @@ def multipliers(matrix: arb_mat) -> list[acb]:
     except ValueError:
         return []
     # Conjugates of multipliers are multipliers: one whose conjugate lies in no other ball is its own.
-    return [
-        z if any(z.conjugate().overlaps(x) for x in found if x is not z) else acb(z.real)
-        for z in found
-    ]
+    return [z if any(z.conjugate().overlaps(x) for x in found if x is not z) else acb(z.real) for z in found]
 
 
 def is_stable(matrix: arb_mat) -> bool | None:

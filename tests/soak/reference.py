@@ -4,12 +4,12 @@ import csv
 import io
 import json
 import sys
+import tomllib
 from decimal import ROUND_HALF_EVEN, Context, Decimal
 from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files
 from gaitsweep.tasks.walkers.walker import NUMBERS
@@ -27,51 +27,28 @@ GAITS = (
 )
 #: Kind, walker, slope [rad] beside it, and the label of a gait there.
 SPECIAL = (
-    *(("flip", w, s, "long") for w, s in zip("ABCDF", ("0.0643", "0.000491", "0.0769", "0.0151", "0.00679"))),
+    *(
+        ("flip", w, s, "long")
+        for w, s in zip("ABCDF", ("0.0643", "0.000491", "0.0769", "0.0151", "0.00679"), strict=True)
+    ),
     *(("flip", COMPASS, "0.0766", "long"), ("flip", "physical", "0.1988", "long")),
     *(("flip", "physical", s, "other1") for s in ("0.0202", "0.01913")),
     *(("fold", "physical", s, g) for s, g in (("0.0192", "long"), ("0.0530", "short"), ("0.164", "short"))),
     ("fold", "physical-straight", "0.0154", "long"),
 )
-#: Relative radius of a gait's box, and half the interval around a flip's slope or a fold's angle [rad]. They are so much
-#: smaller than a unit of the last digit that they decide no digit: digits of states and decimals of multipliers.
+#: Relative radius of a gait's box, and half the interval around a flip's slope or a fold's angle [rad].
 ACCURACY, HALF = "1e-28", 1e-22
+#: Digits of states and decimals of multipliers: of so much larger units than the intervals that where these lie, which
+#: differs from machine to machine, decides no digit.
 DIGITS = {"gait": (20, 12), "flip": (14, 8), "fold": (14, 8)}
 SLOPE_DECIMALS = 18
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period")
-UNITS = dict(zip(("slope", *STATE), ("rad", "rad", *["rad/time"] * 3, "time", "time")))
+UNITS = {name: "time" if "time" in name or name == "period" else "rad" for name in ("slope", *STATE)}
+UNITS |= {name: "rad/time" for name in STATE if name.endswith("_rate")}
 MULTIPLIERS = [f"multiplier_{count}{part}" for count in (1, 2, 3) for part in ("", "_imaginary")]
 KEYS = (*NUMBERS, "knees")
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
-ABOUT = {
-    "title": "Gaits of passive dynamic walkers, their flips and folds, in proved digits",
-    "rule": "Every number is a decimal nearest to the true one: it is proved in ball arithmetic that the true number"
-    " lies within half a unit of the last digit, which `radius` gives. Slopes of gaits are exact.",
-    "kinds": {
-        "gait": "a period-one gait on the slope; `stable` and its strikes are proved",
-        "flip": "the slope where a multiplier passes -1, and the gait there; `stable` is null",
-        "fold": "the slope where the branch of gaits turns back, and the gait there; `stable` is null",
-    },
-    "conventions": "Angles are counter-clockwise from the ground normal, x points down the slope. The state is that just"
-    " after heelstrike, of the stance leg, the swing thigh and the swing shank; with straight legs the last two are one."
-    " Time is from there to kneestrike and to the next heelstrike, which is the period. Multipliers are those of the"
-    " step map, largest first; those that vanish by construction (one with knees or point feet) are left out. A gait is"
-    " `long` if its thigh's rate exceeds the stance leg's by less than half of it before heelstrike, else `short`; several"
-    " gaits on a slope may be.",
-    "units": "SI (m, kg, s, rad) for walkers of g = 9.81; for those of g = 1 all numbers have the consistent units in"
-    " which the walker's keys are given, time sqrt(length/g). D is the limit of vanishing foot mass: m_s = 0.",
-    "walkers": "Keys are exact decimals and mean what docs/physics.md says; w_s and w_t of A and C are to 38 digits what"
-    " tunes them exactly: w_s = c_s tan(eps_S), w_t = -tan(eps_T) (c_t + m_s l_t/m_t),"
-    " sin(eps_S) = l_t sin(eps_T)/(l_s - R).",
-    "paper": PAPER,
-    "bibtex": [
-        "@software{gaitsweep, author = {{gaitsweep developers}}, title = {gaitsweep}, version = {0.1.0}}",
-        "@article{garcia2000, author = {Garcia, Mariano and Chatterjee, Anindya and Ruina, Andy}, title = {Efficiency,"
-        " speed, and scaling of two-dimensional passive-dynamic walking}, journal = {Dynamics and Stability of Systems},"
-        " volume = {15}, number = {2}, pages = {75--99}, year = {2000}, doi = {10.1080/713603737}}",
-    ],
-    "made_by": "make reference",
-}
+ABOUT = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def asked():
@@ -114,19 +91,23 @@ def enter(name, question, params):
     number, decimals = DIGITS[kind]
     slope = (params["slope"], "0") if kind == "gait" else rounded(*found["slope"], -SLOPE_DECIMALS)
     values = {"slope": slope, **{key: digits(*found["box"][key], number) for key in STATE if key in found["box"]}}
-    pairs = [[rounded(*part, -decimals) for part in pair] for pair in found["multipliers"]]
-    pairs = [pair for pair in pairs if float(pair[1][0]) >= 0]  # of a conjugate pair the upper one stands for both
-    numbers = []
-    for real, imaginary in sorted(pairs, key=lambda p: -abs(complex(float(p[0][0]), float(p[1][0])))):
-        for value in ("", "-")[: 1 + (float(imaginary[0]) > 0)]:
-            numbers += [real, (value + imaginary[0], imaginary[1])]
-    values |= dict(zip(MULTIPLIERS, numbers))
-    file = f"{COMPASS}.toml" if walker == COMPASS else walker
-    proved = f"gaitsweep prove --walker {file} --slope {params['slope']} --gait {params['gait']} --accuracy {ACCURACY}"
+    values |= dict(zip(MULTIPLIERS, _multipliers(found["multipliers"], -decimals), strict=False))
+    asked = f"--slope {params['slope']} --gait {params['gait']} --accuracy {ACCURACY}"
+    proved = f"gaitsweep prove --walker {walker + '.toml' * (walker == COMPASS)} {asked}"
     entry = {"name": name, "kind": kind, "walker": walker, "gait": found["gait"], "stable": found.get("stable")}
     entry |= {"events": found["events"], **{key: value for key, (value, _) in values.items()}}
     entry["radius"] = {key: radius for key, (_, radius) in values.items() if radius != "0"}
     return {**entry, "made_by": proved if kind == "gait" else "make reference"}, _keys(found["walker"])
+
+
+def _multipliers(balls, place):
+    """Real and imaginary parts of the multipliers, the largest first."""
+    pairs = [[rounded(*part, place) for part in ball] for ball in balls]
+    upper = [pair for pair in pairs if float(pair[1][0]) >= 0]  # of a conjugate pair it stands for both
+    for real, (text, radius) in sorted(upper, key=lambda pair: -abs(complex(*(float(text) for text, _ in pair)))):
+        yield from (real, (text, radius))
+        if float(text):
+            yield from (real, (f"-{text}", radius))
 
 
 def _keys(table):
