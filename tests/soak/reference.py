@@ -33,15 +33,15 @@ SPECIAL = (
     ),
     *(("flip", COMPASS, "0.0766", "long"), ("flip", "physical", "0.1988", "long")),
     *(("flip", "physical", s, "other1") for s in ("0.0202", "0.01913")),
-    *(("fold", "physical", s, g) for s, g in (("0.0192", "long"), ("0.0530", "short"), ("0.164", "short"))),
+    *(("fold", "physical", s, g) for s, g in (("0.0192", "long"), ("0.0530", "short"), ("0.1638", "short"))),
     ("fold", "physical-straight", "0.0154", "long"),
 )
 #: Relative radius of a gait's box, and half the interval around a flip's slope or a fold's angle [rad].
 ACCURACY, HALF = "1e-28", 1e-22
 #: Digits of states and decimals of multipliers: of so much larger units than the intervals that where these lie, which
 #: differs from machine to machine, decides no digit.
-DIGITS = {"gait": (20, 12), "flip": (14, 8), "fold": (14, 8)}
-SLOPE_DECIMALS = 18
+DIGITS = {"gait": (20, 10), "flip": (14, 8), "fold": (14, 8)}
+SLOPE_DIGITS = 16
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period")
 UNITS = {name: "time" if "time" in name or name == "period" else "rad" for name in ("slope", *STATE)}
 UNITS |= {name: "rad/time" for name in STATE if name.endswith("_rate")}
@@ -89,7 +89,7 @@ def enter(name, question, params):
             raise ValueError(f"{name} is not proved: {found['reason']}")
     kind = found.get("kind", "gait")
     number, decimals = DIGITS[kind]
-    slope = (params["slope"], "0") if kind == "gait" else rounded(*found["slope"], -SLOPE_DECIMALS)
+    slope = (params["slope"], "0") if kind == "gait" else digits(*found["slope"], SLOPE_DIGITS)
     values = {"slope": slope, **{key: digits(*found["box"][key], number) for key in STATE if key in found["box"]}}
     values |= dict(zip(MULTIPLIERS, _multipliers(found["multipliers"], -decimals), strict=False))
     asked = f"--slope {params['slope']} --gait {params['gait']} --accuracy {ACCURACY}"

@@ -79,7 +79,7 @@ def test_every_number_is_printed_to_half_a_unit_and_no_less_than_promised():
             if name.startswith("multiplier"):
                 assert unit == -decimals
             else:
-                assert len(value.as_tuple().digits) == digits or (name, unit) == ("slope", -reference.SLOPE_DECIMALS)
+                assert len(value.as_tuple().digits) == (reference.SLOPE_DIGITS if name == "slope" else digits)
 
 
 def test_the_two_files_agree_and_spreadsheets_compute_nothing():
@@ -106,9 +106,9 @@ def test_both_works_are_cited_as_everywhere():
 @pytest.mark.parametrize(
     ("interval", "place", "found"),
     [
-        (("0.12345", "1e-7"), -4, ("0.1234", "5e-5")),
+        (("0.12344", "1e-7"), -4, ("0.1234", "5e-5")),
         (("0.12345", "6e-5"), -5, ("0.12", "5e-3")),  # 0.12339 to 0.12351: no third digit is that of all
-        (("-1.0000", "1e-9"), -8, ("-1.0000000", "5e-8")),
+        (("-1.0000", "1e-9"), -8, ("-1.00000000", "5e-9")),
         (("9.9999", "2e-4"), -2, ("10.00", "5e-3")),
         (("0", "1e-9"), -3, ("0.000", "5e-4")),
         (("0", "0"), -3, ("0", "0")),
@@ -211,7 +211,7 @@ def test_gaits_solved_anew_in_113_bits_have_the_same_digits(name):
         apart = abs(Decimal(extended.mp.nstr(value, 30)) - Decimal(entry[key]))
         assert apart <= room(entry, key) * Decimal("1.0001"), key
     found = [complex(x) for x in extended.multipliers(w, z)]
-    assert [*multipliers(entry), 0, 0][: len(found)] == pytest.approx(found, abs=1e-11)
+    assert [*multipliers(entry), 0, 0][: len(found)] == pytest.approx(found, abs=1e-10)
 
 
 @pytest.mark.parametrize("entry", SPECIAL, ids=lambda entry: entry["name"])
