@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from flint import arb, ctx
+from flint import arb, arb_mat, ctx
 
 from exact_gaits import GAITS, guess, reference, setting
 from gaitsweep.tasks import prove_gaits
@@ -15,7 +15,7 @@ from gaitsweep.tasks.proofs.gait import Proof, prove, solve
 from gaitsweep.tasks.proofs.keys import check_written, decimal, double, exact, written
 from gaitsweep.tasks.proofs.records import checked, distance, prove_stored, quoted
 from gaitsweep.tasks.proofs.signs import zeros
-from gaitsweep.tasks.proofs.stability import characteristic, step_derivative
+from gaitsweep.tasks.proofs.stability import characteristic, multipliers, step_derivative
 from gaitsweep.tasks.prove_gaits import prove_one
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
@@ -70,6 +70,15 @@ def test_the_step_maps_derivative_has_the_reference_multipliers(name, slope, lab
     for coefficient, expected in zip(found, np.poly(values[:m]).real, strict=True):
         assert float(coefficient.rad()) < 1e-12
         assert float(coefficient) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_multipliers_are_enclosed_one_by_one_or_not_at_all():
+    with ctx.workprec(106):
+        real, upper, lower = multipliers(arb_mat([[arb(2, 1e-9), 0, 0], [0, 0, arb(-1, 1e-9)], [0, 1, 0]]))
+        assert real.real.contains(2) and real.imag == 0
+        assert all(z.real.contains(0) and (z.imag**2).contains(1) for z in (upper, lower))
+        assert float(upper.imag) * float(lower.imag) == pytest.approx(-1)
+        assert multipliers(arb_mat([[arb(1, 1e-9), 1], [0, arb(1, 1e-9)]])) == []
 
 
 @pytest.mark.soak
