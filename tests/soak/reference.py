@@ -40,7 +40,7 @@ SPECIAL = (
 ACCURACY, HALF = "1e-28", 1e-22
 #: Digits of states and decimals of multipliers: of so much larger units than the intervals that where these lie, which
 #: differs from machine to machine, decides no digit.
-DIGITS = {"gait": (20, 10), "flip": (14, 8), "fold": (14, 8)}
+DIGITS = {"gait": (20, 9), "flip": (14, 8), "fold": (14, 8)}
 SLOPE_DIGITS = 16
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period")
 UNITS = {name: "time" if "time" in name or name == "period" else "rad" for name in ("slope", *STATE)}
