@@ -11,7 +11,6 @@ from gaitsweep.tasks.paper import published_tables, tuned_walkers
 from gaitsweep.tasks.paper.certificates import backed
 from gaitsweep.tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
 from gaitsweep.tasks.paper.lines import set_tables, use_atlases
-from gaitsweep.tasks.paper.quotations import QUOTATIONS
 from gaitsweep.tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
@@ -108,7 +107,7 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
         "printed": claim.printed,
-        "quotation": QUOTATIONS.get(claim.id, ""),
+        "quotation": claim.quotation,
         "source": claim.source,
         "computed": result.computed,
         "value": float(result.value),

@@ -1,10 +1,12 @@
-"""Variables of gaits: every name, unit and meaning, and what the other modules need to know of each.
+"""Variables of gaits, which `variables.toml` lists, and what the other modules need to know of each.
 
 Like the registry, this module imports no solver.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from gaitsweep import extensions
@@ -68,175 +70,10 @@ class Variable:
         return SI_UNITS[self.kind] if si or self.kind == "angle" else "1"
 
 
-_G, _M = ("gait",), ("gait", "multiplier")
-_OF_KNEES: dict[str, Any] = {"is_of_knees": True}
-_GREATEST: dict[str, Any] = {"group": "violations", "over_steps": "greatest"}
-_LEAST: dict[str, Any] = {"group": "violations", "over_steps": "least"}
-_MULTIPLIERS: dict[str, Any] = {"group": "multipliers", "is_smooth": True}
-_SUM: dict[str, Any] = {"over_steps": "sum", "is_smooth": True}
-_SMOOTH: dict[str, Any] = {"is_smooth": True}
-
-#: Variables of a grid study in the order they are archived.
+#: Variables of a grid study, and assumptions with their limits, in the order in which they are archived.
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 VARIABLES = {
-    v.name: v
-    for v in (
-        Variable("stance_angle", _G, "angle", "stance angle just after heelstrike", **_SMOOTH),
-        Variable("stance_rate", _G, "rate", "stance leg rate just after heelstrike", **_SMOOTH),
-        Variable("thigh_rate", _G, "rate", "swing thigh rate just after heelstrike", **_SMOOTH),
-        Variable("shank_rate", _G, "rate", "swing shank rate just after heelstrike", **_SMOOTH),
-        Variable("period", _G, "time", "duration of one step", **_SUM),
-        Variable(
-            "kneestrike_time", _G, "time", "time of kneestrike after the start of the step", **_SMOOTH, **_OF_KNEES
-        ),
-        Variable("multiplier_real", _M, "number", "real part of the step map's eigenvalues", **_MULTIPLIERS),
-        Variable("multiplier_imag", _M, "number", "imaginary part of the step map's eigenvalues", **_MULTIPLIERS),
-        Variable("spectral_radius", _G, "number", "largest magnitude of the step map's eigenvalues", **_MULTIPLIERS),
-        Variable(
-            "multiplier_error_bound", _G, "number", "bound on the absolute errors of the multipliers", **_MULTIPLIERS
-        ),
-        Variable(
-            "step_length", _G, "length", "distance along the slope between footprints", over_steps="mean", **_SMOOTH
-        ),
-        Variable("step_frequency", _G, "frequency", "steps in a unit of time", **_SMOOTH),
-        Variable("speed", _G, "speed", "mean speed along the slope", **_SMOOTH),
-        Variable(
-            "froude_speed",
-            _G,
-            "number",
-            "mean speed over sqrt(g (l + R)), the square root of the Froude number",
-            **_SMOOTH,
-        ),
-        Variable("cost_of_transport", _G, "number", "energy lost over weight and distance", **_SMOOTH),
-        Variable("power", _G, "power", "mean power drawn from gravity", **_SMOOTH),
-        Variable(
-            "loss_normal", _G, "energy", "heelstrike loss on the eigenvector nearer the ground normal", "energy", **_SUM
-        ),
-        Variable(
-            "loss_tangential", _G, "energy", "heelstrike loss on the eigenvector nearer the slope", "energy", **_SUM
-        ),
-        Variable("loss_kneestrike", _G, "energy", "loss at kneestrike", "energy", **_SUM, **_OF_KNEES),
-        Variable("energy_imbalance", _G, "number", "losses minus drop of potential energy, over that drop", "energy"),
-        Variable(
-            "heelstrike_rate_ratio",
-            _G,
-            "number",
-            "(thigh rate - stance rate)/|stance rate| just before heelstrike; below 1/2 a gait is long",
-            **_SMOOTH,
-        ),
-        Variable(
-            "velocity_ratio",
-            _G,
-            "number",
-            "tangential over normal velocity of the swing foot, down the slope and upwards, just before heelstrike",
-            **_SMOOTH,
-        ),
-        Variable(
-            "violations",
-            _G,
-            "number",
-            "physical assumptions that a gait violates beyond their limits",
-            "violations",
-            "i4",
-            0,
-            "any",
-        ),
-        Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", **_GREATEST),
-        Variable(
-            "foot_clearance",
-            _G,
-            "length",
-            "least height of the swing foot above the ground where it is lowest in mid-swing (negative: it scuffs)",
-            **_LEAST,
-        ),
-        Variable(
-            "unlocking_torque",
-            _G,
-            "torque",
-            "worst torque that would flex the stance knee (negative: its stop holds)",
-            **_GREATEST,
-            **_OF_KNEES,
-        ),
-        Variable("unlocking_torque_time", _G, "time", "when the unlocking torque is worst", "violations", **_OF_KNEES),
-        Variable(
-            "unlocking_impulse_kneestrike",
-            _G,
-            "angular_impulse",
-            "angular impulse that would flex the stance knee at kneestrike",
-            **_GREATEST,
-            **_OF_KNEES,
-        ),
-        Variable(
-            "unlocking_impulse_heelstrike",
-            _G,
-            "angular_impulse",
-            "angular impulse that would flex the stance knee at heelstrike",
-            **_GREATEST,
-            **_OF_KNEES,
-        ),
-        Variable("least_normal_force", _G, "number", "least ground normal force over weight", **_LEAST),
-        Variable(
-            "least_normal_impulse", _G, "impulse", "least ground normal impulse at heelstrike and kneestrike", **_LEAST
-        ),
-        Variable(
-            "friction_demand",
-            _G,
-            "number",
-            "largest |tangential|/normal ground force (infinite: the contact would pull)",
-            **_GREATEST,
-        ),
-        Variable(
-            "friction_demand_heelstrike",
-            _G,
-            "number",
-            "|tangential|/normal impulse at heelstrike (infinite: the contact would pull)",
-            **_GREATEST,
-        ),
-        Variable(
-            "friction_demand_kneestrike",
-            _G,
-            "number",
-            "|tangential|/normal impulse at kneestrike (infinite: the contact would pull)",
-            **_GREATEST,
-            **_OF_KNEES,
-        ),
-        Variable("hyperextension", _G, "angle", "largest hyperextension of the swing knee", **_GREATEST, **_OF_KNEES),
-        Variable("penetration_depth", _G, "length", "depth the released foot sinks just after heelstrike", **_GREATEST),
-        Variable(
-            "trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", **_GREATEST
-        ),
-        Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
-        Variable(
-            "error_bound",
-            _G,
-            "number",
-            "bound on the relative errors of angle and period and on the rates' errors over the largest rate",
-            **_SMOOTH,
-        ),
-        Variable(
-            "branch",
-            _G,
-            "number",
-            "branch of its line a gait lies on, by rank; -1 where there is no gait",
-            dtype="i2",
-            absent=-1,
-            **_SMOOTH,
-        ),
-        Variable(
-            "piece",
-            _G,
-            "number",
-            "piece of its branch between folds; -1 where there is no gait",
-            dtype="i2",
-            absent=-1,
-            **_SMOOTH,
-        ),
-        Variable(
-            "proved", _G, "number", "whether the gait is proved to exist, alone in a box, as a step", "proofs", "i1", 0
-        ),
-        Variable("proved_radius", _G, "number", "relative radius of the box of the proof", "proofs"),
-        Variable("status", _G, "number", "outcome of the solve", dtype="i1", absent=STATUSES["no_gait"], **_SMOOTH),
-        Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0, **_SMOOTH),
-    )
+    name: Variable(name, tuple(about.pop("dims", ["gait"])), **about) for name, about in _TABLES["variables"].items()
 }
 
 
@@ -256,52 +93,8 @@ class Violation:
     is_least: bool = False
 
 
-#: Every assumption with its limit, in the order of the bits of `violations`. A thousandth is what the soles, stops and
-#: latches of a real machine give: what is less tells no walkers apart, since straight legs always scuff by an amount.
 VIOLATIONS = {
-    v.name: v
-    for v in (
-        Violation(
-            "scuff",
-            ("scuff_depth",),
-            1e-3,
-            "leg",
-            "a sole, or an uneven floor, gives a millimetre under a leg of one metre",
-        ),
-        Violation(
-            "stance_knee_unlocks",
-            ("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike"),
-            1e-3,
-            "weight leg, or mass leg sqrt(g leg)",
-            "a knee's friction or latch holds a thousandth of what the weight exerts at the length of the leg",
-        ),
-        Violation(
-            "contact_tension",
-            ("least_normal_force", "least_normal_impulse"),
-            0.0,
-            "weight, or mass sqrt(g leg)",
-            "no ground pulls",
-            is_least=True,
-        ),
-        Violation(
-            "friction",
-            ("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike"),
-            1.0,
-            "1",
-            "rubber on a dry floor",
-        ),
-        Violation(
-            "release_hyperextends", ("hyperextension",), 1e-3, "rad", "a knee's stop gives a thousandth of a radian"
-        ),
-        Violation("release_penetrates", ("penetration_depth",), 1e-3, "leg", "as for scuffing"),
-        Violation(
-            "trailing_foot_pulls",
-            ("trailing_impulse",),
-            1e-3,
-            "mass sqrt(g leg)",
-            "it would change the walker's speed by a thousandth of sqrt(g leg)",
-        ),
-    )
+    name: Violation(name, tuple(about.pop("amounts")), **about) for name, about in _TABLES["violations"].items()
 }
 
 #: Values of `proved` (CF flags).
@@ -326,7 +119,7 @@ def admit(names: Iterable[str]) -> None:
         added = extensions.find("measures", name, Variable)
         if added is None:
             continue
-        like = Variable(name, _G, added.kind, added.long_name, over_steps=added.over_steps)
+        like = Variable(name, ("gait",), added.kind, added.long_name, over_steps=added.over_steps)
         if replace(added, measure=None, version=1) != like or added.kind not in SI_UNITS or added.measure is None:
             raise extensions.ExtensionError(f"`{name}` has another name, kind or group than a measure of a package may")
         VARIABLES[name] = added

@@ -115,9 +115,9 @@ def version(package: str) -> str:
 
 
 def code_digest() -> str:
-    """Digest of the code of `tasks` without docstrings, comments and layout."""
+    """Digest of the code of `tasks` and of its tables, without docstrings, comments and layout."""
     digest = hashlib.sha256()
-    for file in sorted((_ROOT / "tasks").rglob("*.py")):
+    for file in sorted(file for kind in ("py", "toml") for file in (_ROOT / "tasks").rglob(f"*.{kind}")):
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
         digest.update(" ".join(text.split()).encode())
     return digest.hexdigest()

@@ -26,12 +26,7 @@ def _flags(gaits: Arrays, name: str) -> np.ndarray:
     return np.asarray((amounts < 0 if violation.is_least else amounts > 0).any(axis=0))
 
 
-@claim(
-    "A1",
-    "straight legs always scuff, kneed legs need not",
-    "appendix A, 1",
-    "ledger-walkers/claims",
-)
+@claim("A1")
 def scuffing() -> ClaimResult:
     """Count the gaits whose swing foot scuffs."""
     straight = np.concatenate([_flags(_measure(w, _SLOPES), "scuff") for w in _STRAIGHT])
@@ -45,12 +40,7 @@ def scuffing() -> ClaimResult:
     )
 
 
-@claim(
-    "A2",
-    "the gait of figure 3 has a slight unlocking impulse at the stance knee at kneestrike, and re-engages after it",
-    "appendix A, 2",
-    "ledger-walkers/claims",
-)
+@claim("A2")
 def unlocking() -> ClaimResult:
     """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
     amounts = {
@@ -69,12 +59,7 @@ def unlocking() -> ClaimResult:
     )
 
 
-@claim(
-    "A3",
-    "no contact tension; sufficient friction is assumed",
-    "appendix A, 3",
-    "ledger-walkers/claims",
-)
+@claim("A3")
 def tension() -> ClaimResult:
     """Evaluate the least normal force and the friction that gaits demand."""
     names = (*_STRAIGHT, "C", "physical")
@@ -97,12 +82,7 @@ def tension() -> ClaimResult:
     )
 
 
-@claim(
-    "A4",
-    "some non-tuned kneed walkers would hyperextend at release at very small steps",
-    "appendix A, 4",
-    "figure6/locus",
-)
+@claim("A4")
 def hyperextension() -> ClaimResult:
     """Locate the slopes at which the released knee begins to hyperextend."""
     release = line("physical").special_of("release_hyperextension")
@@ -134,12 +114,7 @@ def _count(name: str) -> tuple[int, int, str]:
     return sum(int(f.sum()) for f in flags.values()), sum(len(f) for f in flags.values()), by_walker
 
 
-@claim(
-    "A5",
-    "at release the swing foot sometimes penetrates the ground at first",
-    "appendix A, 5",
-    "ledger-walkers/claims",
-)
+@claim("A5")
 def penetration() -> ClaimResult:
     """Count the gaits whose released foot penetrates the ground."""
     count, total, by_walker = _count("release_penetrates")
@@ -153,12 +128,7 @@ def penetration() -> ClaimResult:
     )
 
 
-@claim(
-    "A6",
-    "that no impulse acts on the trailing foot is self-consistent",
-    "appendix A, 6",
-    "ledger-walkers/claims",
-)
+@claim("A6")
 def trailing_foot() -> ClaimResult:
     """Count the gaits in which simultaneous contact of both feet would push the trailing foot."""
     count, total, by_walker = _count("trailing_foot_pulls")

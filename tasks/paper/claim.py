@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 #: The verdicts on a claim. It is reproduced where it holds and the computed number rounds to the printed one;
 #: proved where it is reproduced and the number that decides it has a certificate; and consistent within rounding where
@@ -48,30 +50,28 @@ class ClaimResult:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: its name in the ledger, a paraphrase of the paper, the place there, and the function that checks it."""
+    """A claim: its name in the ledger, what `claims.toml` says of it, and the function that checks it.
+
+    `printed` is a paraphrase of the paper and `quotation` its words, at the place `source`; `figure` shows it, as
+    "study/figure".
+    """
 
     id: str
     printed: str
+    quotation: str
     source: str
     figure: str
     find: Callable[[], ClaimResult]
 
 
+#: What the paper says, by claim.
+TEXTS = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 #: Every claim by its id, in order of definition.
 CLAIMS: dict[str, Claim] = {}
 
 
-def claim(
-    id: str, printed: str, source: str, figure: str
-) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
+def claim(id: str) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
     """Enter a function as the computation behind a claim.
-
-    Parameters
-    ----------
-    id, printed, source : str
-        Its name, a paraphrase of what the paper says, and the place there.
-    figure : str
-        The figure that shows it, as "study/figure".
 
     Raises
     ------
@@ -82,7 +82,7 @@ def claim(
     def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
-        CLAIMS[id] = Claim(id, printed, source, figure, find)
+        CLAIMS[id] = Claim(id, find=find, **TEXTS[id])
         return find
 
     return enter

@@ -192,12 +192,7 @@ def figure10_cells() -> Columns:
     return _columns("figure10_cells", [{name: getattr(cell, name) for name in names} for cell in _cells()])
 
 
-@claim(
-    "Z6",
-    "figure 10: the walkers that walk at vanishing slope, their scaling laws, and the faster gait",
-    "figure 10",
-    "figure10/exponents",
-)
+@claim("Z6")
 def whole_table() -> ClaimResult:
     """Compare every cell of figure 10 with the computed exponents."""
     cells = [cell for cell in _cells() if not np.isnan(cell.deviation)]

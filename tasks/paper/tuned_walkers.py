@@ -46,12 +46,7 @@ OFFSETS = (
 )
 
 
-@claim(
-    "T1",
-    "zero-slope walkers meet two static conditions, as do Goswami's compass gaits",
-    "section 5.1",
-    "figure9/conditions",
-)
+@claim("T1")
 def conditions() -> ClaimResult:
     """Evaluate the residuals of the static conditions for every walker of the catalogue."""
     worst = {name: max(abs(x) for x in statics(w).values()) for name, w in CATALOGUE.items()}
@@ -66,12 +61,7 @@ def conditions() -> ClaimResult:
     )
 
 
-@claim(
-    "T2",
-    "A and C have two gaits at every slope below 0.04",
-    "section 5.2",
-    "figure8/locus",
-)
+@claim("T2")
 def two_gaits() -> ClaimResult:
     """Solve both gaits of A and C over a grid of slopes."""
     share = {w: np.isfinite(line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
@@ -83,12 +73,7 @@ def two_gaits() -> ClaimResult:
     )
 
 
-@claim(
-    "T3",
-    "the long step is stable at small slopes, the short one unstable",
-    "section 5.2",
-    "figure11/multipliers",
-)
+@claim("T3")
 def stability() -> ClaimResult:
     """Evaluate the multipliers of both gaits of A and C over a grid of slopes."""
     radius = {w: line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
@@ -113,12 +98,7 @@ def _long_branch(detuning: float) -> int:
     raise ValueError("no long step at slope 0.02")
 
 
-@claim(
-    "T4",
-    "with detuning the cusp breaks; the long step shifts to larger slopes, with an unstable part at low speed",
-    "section 5.2, 1",
-    "figure8/locus",
-)
+@claim("T4")
 def cusp_breaks() -> ClaimResult:
     """Locate the fold of the long step at each detuning and evaluate the multipliers on both sides."""
     least, unstable, stable = {}, {}, []
@@ -141,12 +121,7 @@ def cusp_breaks() -> ClaimResult:
     )
 
 
-@claim(
-    "T5",
-    "the short step's end (heelstrike at kneestrike) moves up with detuning",
-    "section 5.2, 2",
-    "figure8/locus",
-)
+@claim("T5")
 def short_end() -> ClaimResult:
     """Locate the end of the short step at each detuning."""
     walkers = {f"{d:g}": line("C", detuning=d) for d in PANELS} | {"1": line("physical")}
@@ -193,12 +168,7 @@ def offsets() -> dict[str, np.ndarray]:
     return {name: np.array([row[k] for row in rows]) for k, name in enumerate(names)}
 
 
-@claim(
-    "T7",
-    "zero-slope capability is not generic: any fore-aft offset destroys it",
-    "section 8",
-    "ledger-walkers/claims",
-)
+@claim("T7")
 def not_generic() -> ClaimResult:
     """Compute the smallest slope for offsets on both sides of exact tuning."""
     table = offsets()
@@ -232,12 +202,7 @@ def _high_slope_branch() -> Branch:
     return high[0]
 
 
-@claim(
-    "T8",
-    "the high-slope branch continues beyond figure 8",
-    "section 5.2, 3",
-    "figure8/locus",
-)
+@claim("T8")
 def high_slopes() -> ClaimResult:
     """Locate the special points of the branch at high slopes."""
     branch = _high_slope_branch()

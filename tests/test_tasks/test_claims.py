@@ -13,7 +13,6 @@ from gaitsweep.tasks.paper import kneed_chaos, lines
 from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from gaitsweep.tasks.paper.lines import line
 from gaitsweep.tasks.paper.published import HALF_UNITS
-from gaitsweep.tasks.paper.quotations import QUOTATIONS
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, changed, interval, place, sensitivities
 from gaitsweep.tasks.paper.zero_slope import mass_limit
 from gaitsweep.tasks.registry import TASKS
@@ -62,7 +61,7 @@ def test_claims_read_the_atlases_of_their_lines():
 
 def test_a_claim_is_entered_once_only():
     with pytest.raises(ValueError, match="entered twice"):
-        rule.claim("D2", "", "", "")(lambda: ClaimResult("", "reproduced"))
+        rule.claim("D2")(lambda: ClaimResult("", "reproduced"))
 
 
 def test_verdicts_follow_from_intervals():
@@ -88,7 +87,7 @@ def test_a_claim_whose_gaits_are_lost_is_not_checkable(monkeypatch):
     def lost():
         raise ValueError("no such gait")
 
-    monkeypatch.setitem(CLAIMS, "Q1", Claim("Q1", "a thing", "nowhere", "", lost))
+    monkeypatch.setitem(CLAIMS, "Q1", Claim("Q1", "a thing", "A thing.", "nowhere", "", lost))
     table = claims({"lines": [], "ids": ["Q1"]}, [])
     assert table["claims/verdict"][0] == "not checkable"
     assert "no such gait" in table["claims/computed"][0]
@@ -346,8 +345,8 @@ def test_an_exponent_is_not_taken_across_two_curves():
 
 
 def test_every_claim_is_quoted_and_no_quotation_is_left_over():
-    assert set(QUOTATIONS) == set(CLAIMS)
-    assert all(20 < len(text) < 500 for text in QUOTATIONS.values())
+    assert {*rule.TEXTS} == {*CLAIMS}
+    assert all(20 < len(about.quotation) < 500 for about in CLAIMS.values())
 
 
 def test_a_number_allowed_by_rounding_only_is_consistent_not_reproduced():
