@@ -6,6 +6,7 @@ nearest known key, the file and the place in it.
 
 import importlib.util
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from fractions import Fraction
@@ -28,32 +29,10 @@ from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KIND
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
-#: Keys of a study and of its tables, and what each is.
-KEYS = {
-    "name": "name of the study; its archive is data/archive/NAME.nc under the current folder",
-    "kind": "what is computed: gaits at every point of a grid, unless this names something else",
-    "accuracy": "largest error bound wanted, of a grid; omitted: as good as doubles give",
-    "walker": "name of the catalogue, a file relative to the study, a table, or a list of names",
-    "gaits": "labels wanted; omitted: all",
-    "axes": "what is varied: `slope`, and keys of the walker",
-    "want": "what is computed of each gait, fitted, drawn and compared with the paper",
-    "limits": "limits for one point",
-    "options": "options of this kind of study",
-    "figures": "what figures show beside the computed gaits",
-}
-WANTED = {
-    "variables": "variables, or groups of them; omitted: all but the costly ones",
-    "fits": "tasks over the whole study: fitted laws, landmarks",
-    "figures": "figures of the report",
-    "claims": "claims of the paper that are checked",
-}
-LIMITS = {"seconds": "longest time for a point [s], by default 60", "memory": "most memory, by default 2 GiB"}
-#: Axes that are not keys of a walker, and what each is.
-EXTRA_AXES = {
-    "slope": "slope of the ground",
-    "foot_mass_ratio": "mass of each foot over the total mass",
-    "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)",
-}
+#: Keys of a study, of `want` and of `limits`, and axes that are not keys of a walker, and what each is.
+KEYS, WANTED, LIMITS, EXTRA_AXES = tomllib.loads(
+    Path(__file__).with_name("keys.toml").read_text(encoding="utf-8")
+).values()
 _UNITS = {
     "": 1,
     "B": 1,

@@ -4,68 +4,24 @@ from __future__ import annotations
 
 import cmath
 import math
+import tomllib
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-#: The kind of quantity that each walker key holds.
-KEYS = {
-    "l_t": "length",
-    "w_t": "length",
-    "m_t": "mass",
-    "r_t": "length",
-    "c_t": "length",
-    "l_s": "length",
-    "w_s": "length",
-    "m_s": "mass",
-    "r_s": "length",
-    "c_s": "length",
-    "R": "length",
-    "eps_T": "angle",
-    "m_h": "mass",
-    "g": "acceleration",
-    "knees": "flag",
-    "units": "text",
-}
-#: Keys that hold a number.
-NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
-#: The kind of quantity that each key of a leg of one link holds, beside `R`.
-ONE_LINK = {"l": "length", "c": "length", "r": "length", "m": "mass", "w": "length"}
 #: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
 #: overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
-#: Least and largest value of each number by itself; geometry and inertia bound them further. Only `m_t`, and `m` that
-#: sets it, may be infinite.
-BOUNDS = {
-    **dict.fromkeys((*NUMBERS, *ONE_LINK), (-MAX_SIZE, MAX_SIZE)),
-    **dict.fromkeys(("l_t", "l_s", "g", "l"), (MIN_SIZE, MAX_SIZE)),
-    **dict.fromkeys(("m_s", "m_h", "r_t", "r_s", "R", "r"), (0.0, MAX_SIZE)),
-    **dict.fromkeys(("m_t", "m"), (0.0, math.inf)),
-    "eps_T": (-math.pi / 2, math.pi / 2),
-}
+_TABLES = tomllib.loads(Path(__file__).with_name("keys.toml").read_text(encoding="utf-8"))
+#: The kind of quantity that each walker key holds, and each key of a leg of one link, beside `R`.
+KEYS, ONE_LINK = ({key: about["kind"] for key, about in table.items()} for table in _TABLES.values())
+_ALL = {key: about for table in _TABLES.values() for key, about in table.items()}
 #: What each key is.
-MEANINGS = {
-    "l_t": "length of the thigh, hip to knee",
-    "w_t": "offset of the thigh's centre of mass, backward from the thigh line",
-    "m_t": "mass of each thigh",
-    "r_t": "radius of gyration of the thigh about its own centre of mass",
-    "c_t": "distance of the thigh's centre of mass from the hip, along the thigh",
-    "l_s": "length of the shank, knee to the bottom of the foot",
-    "w_s": "offset of the shank's centre of mass, backward from the shank line",
-    "m_s": "mass of each shank",
-    "r_s": "radius of gyration of the shank about its own centre of mass",
-    "c_s": "distance of the shank's centre of mass from the knee, along the shank",
-    "R": "radius of the foot",
-    "eps_T": "angle from the thigh to the line from hip to foot centre, leg extended [rad]",
-    "m_h": "point mass at the hip",
-    "g": "acceleration of gravity",
-    "knees": "whether the swing leg's knee is free",
-    "units": '"SI", or "1" for any consistent units',
-    "l": "leg of one link: length from the hip to the centre of the foot",
-    "c": "leg of one link: distance of its centre of mass from the hip",
-    "r": "leg of one link: radius of gyration about its centre of mass",
-    "m": "leg of one link: mass of each leg",
-    "w": "leg of one link: offset of its centre of mass, backward",
-}
+MEANINGS = {key: about["meaning"] for key, about in _ALL.items()}
+#: Keys that hold a number.
+NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
+#: Least and largest value of each number by itself.
+BOUNDS = {k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE)) for k in (*NUMBERS, *ONE_LINK)}
 _MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
