@@ -18,6 +18,7 @@ from typing import Any
 
 import jinja2
 import pandas as pd
+import rjsmin
 
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
@@ -363,20 +364,6 @@ def _digest(script: str) -> str:
 
 
 def _script() -> str:
-    """The one script of a page, its modules in their order, without comments, needless spaces and ends of lines."""
-    text = "\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES)
-    text = re.sub(r"^\s*(//[^\n]*|/\*\*.*?\*/)\n", "", text, flags=re.M | re.S)
-    text = "\n".join(_tightened(line.strip()) for line in text.splitlines())
-    text = re.sub(r";\n(?=\})", "", text)  # before the end of a block there is none
-    text = re.sub(r"(?<=[;{,])\n", "", text)  # a line that ends so goes on
-    return f'"use strict";\n(() => {{\n{text.strip()}\n}})();'
-
-
-def _tightened(line: str) -> str:
-    """A line of script without the spaces beside its signs, except within quotes; nested templates are left."""
-    if "'" in line or line.count("`") % 2 or re.search(r"\$\{[^}]*`", line):
-        return line
-    parts = re.split(r'("(?:[^"\\]|\\.)*"|`[^`]*`)', line)
-    return "".join(
-        p if p[:1] in ('"', "`") else re.sub(r" ?([=<>?:,;{}()&|*/]) ?| ([+-]) (?![+-])", r"\1\2", p) for p in parts
-    )
+    """The one script of a page, its modules in their order."""
+    text = rjsmin.jsmin("\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES))
+    return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'

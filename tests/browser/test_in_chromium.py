@@ -158,6 +158,13 @@ def test_claims_are_filtered_by_words_and_verdict(visit):
     assert "2 of 4" in one(browser, ".filter [role=status]").text
 
 
+def test_a_link_leads_to_a_claim_that_the_filter_hides(visit):
+    browser = visit("ledger")
+    one(browser, ".filter [name=words]").send_keys("cube root")
+    browser.execute_script("location.hash = '#Z5'")
+    assert one(browser, "#Z5").is_displayed() and one(browser, "#E4").is_displayed()
+
+
 def test_the_filter_of_claims_holds_on_the_way_back(visit):
     browser = visit("ledger")
     shown = "[...document.querySelectorAll('.claim')].filter(claim => !claim.hidden).map(claim => claim.id)"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gaitsweep import gaits
+from gaitsweep.pipeline.cli import commands
 
 pytestmark = pytest.mark.thorough
 
@@ -227,6 +228,27 @@ def test_a_stable_gait_recovers_from_a_push_and_a_hard_one_makes_it_fall(walk):
     assert "fall" in part(browser, "outcome").text or "fell" in part(browser, "outcome").text
 
 
+def test_what_has_fallen_begins_again_when_it_is_pushed(walk):
+    browser = walk("branches", anchor="#motion", still=True)
+    browser.execute_script("arguments[0].value = '0.3'", part(browser, "strength"))
+    one(browser, "[data-do=pull]").click()
+    assert "fell" in part(browser, "outcome").text
+    browser.execute_script("for (let k = 0; k < 2000; k++) arguments[0].click()", one(browser, "[data-do=step]"))
+    browser.execute_script("arguments[0].value = '0.01'", part(browser, "strength"))
+    one(browser, "[data-do=push]").click()
+    assert "recovers" in part(browser, "outcome").text
+    assert part(browser, "clock").text.startswith("step 1, 0.00")
+
+
+def test_escape_closes_the_docked_panel_from_anywhere(walk, chains, keys):
+    browser = walk("curves", still=True)
+    click(browser, chains, "loglog", data(browser, "loglog", "marks")[0]["rows"][20][:2])
+    docked = "document.querySelector('.motion').classList.contains('docked')"
+    assert wait(browser, docked)
+    chains(browser).send_keys(keys.ESCAPE).perform()
+    assert not ask(browser, docked)
+
+
 def test_an_unstable_gait_is_not_said_to_recover(walk):
     address = "#walker=C&detuning=0.1&slope=0.076987184&stance_angle=0.43751088"
     browser = walk("branches", anchor=address, still=True)
@@ -338,6 +360,23 @@ def test_a_dot_of_an_orbit_goes_on_as_it_was(walk, chains):
     assert wait(browser, HASH)
     assert selected(browser)["free"] == 1
     assert "still walks" in part(browser, "outcome").text or "recovers" in part(browser, "outcome").text
+
+
+def test_the_command_of_a_motion_from_any_state_makes_the_same_motion(walk, capsys):
+    ends = set()
+    for angle, rate in ((0.3, -0.01), (0.3, -0.3), (0.22, -0.22), (0.15, -0.3)):
+        browser = walk("basin", anchor=f"#walker=D&slope=0.0126&stance_angle={angle}&stance_rate={rate}&free=1")
+        said = wait(browser, "document.querySelector('[data-part=outcome]').textContent")
+        program, *words = part(browser, "command").text.split()
+        assert program == "gaitsweep" and commands.main([*words, "--steps", "60"]) == 0
+        if fell := re.fullmatch(r"Step (\d+): (.*)\.", capsys.readouterr().out.splitlines()[-1]):
+            steps = int(fell[1])
+            begins = f"After {steps} step" if steps else "In its first step"
+            assert said.startswith(begins) and said.endswith(f"{fell[2]}."), (said, fell[0])
+        else:
+            assert "60 steps" in said or "recovers" in said
+        ends.add(bool(fell))
+    assert ends == {True, False}
 
 
 def test_a_motion_that_falls_at_once_says_so(walk):
@@ -516,7 +555,7 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
     browser = walk("map")
     words = browser.find_element("css selector", "[data-part=fit]").text
     degree, error = re.fullmatch(
-        r"θ\* along (?:slope|R): polynomial of degree (\d), error at most (\S+) rad", words
+        r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad", words
     ).groups()
     assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
     dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")

@@ -132,9 +132,9 @@ function freeMotion(given, { slope, start: [angle, ...rates], before }) {
   const walker = walkerOf(given.keys), [stance, thigh] = rates.map(rate => rate * walker.time);
   const start = before && walker.kneed ? stateAt(walker, [angle, stance, thigh]) : stateOf(walker, [angle, ...rates]);
   const near = angle > 0 ? findGait(walker, sectionOf(walker, start), slope) : null;
-  const shown = near ? describe(near, walker, {}) : {};
+  const shown = near ? describe(near, walker, {}) : {}, n = start.length / 2, state = [start[0], ...start.slice(n, n + 2).map(rate => rate / walker.time)].join(" ");
   return { at: given.at, line: given, walker, slope, start, free: true, multipliers: shown.multipliers, radius: shown.radius, near: near?.y[0],
-    command: withSlope(given.command, slope), step: flyStep(walker, start, slope) };
+    command: `${withSlope(given.command, slope).replace("solve", "simulate")} --state ${state}`, step: flyStep(walker, start, slope) };
 }
 
 /** Keys of the walker of a map's cell. */

@@ -164,7 +164,7 @@ function drawCircle(svg, gaits) {
 }
 
 /** The phase portrait of a motion's steps: rate against angle of both legs. `place` puts a point of it on the picture. */
-function drawPortrait(svg, motion, ink, time = 1, unit = "") {
+function drawPortrait(svg, motion, ink, time, unit) {
   svg.replaceChildren();
   const curves = motion.steps.slice(0, 12).map(step => [0, 1].map(leg => step.phases.flatMap(({ samples }) => samples.map(([, x]) => [x[leg], x[x.length / 2 + leg]]))));
   const all = curves.flat(2), ends = i => [Math.min(...all.map(p => p[i])), Math.max(...all.map(p => p[i]))], [[left, right], [low, high]] = [ends(0), ends(1)];
@@ -172,7 +172,7 @@ function drawPortrait(svg, motion, ink, time = 1, unit = "") {
   draw("path", svg, { d: `M12 ${y0}H208M${x0} 26V196`, stroke: "var(--rule)", "stroke-width": 1 });
   for (const pair of curves) for (const points of pair) draw("path", svg, { d: pathOf(points, place), fill: "none", stroke: ink, "stroke-width": curves.length > 1 ? 1 : 1.8 });
   const say = (x, y, text, anchor = "start") => draw("text", svg, { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
-  say(8, 14, `rate of the legs (rad${unit ? `/${unit}` : ""})`);
+  say(8, 14, `rate of the legs (rad/${unit})`);
   say(212, 216, "angle (rad)", "end");
   // Ticks along the axes: rates in the units of time that are shown.
   const ticks = (from, to) => { const step = niceStep((to - from) / 3), all = []; for (let n = Math.ceil(from / step); n * step <= to; n++) if (n) all.push(n * step); return all; };

@@ -53,7 +53,7 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
 document.querySelector("main").classList.add("folding");
 for (const claim of document.querySelectorAll(".claim")) {
   const button = make("button", "unfold", "▾");
-  button.setAttribute("aria-label", `Show claim ${claim.id}`);
+  button.ariaLabel = `Show claim ${claim.id}`;
   button.setAttribute("aria-expanded", false);
   button.addEventListener("click", () => button.setAttribute("aria-expanded", claim.classList.toggle("open")));
   claim.querySelector("h3").append(button);
@@ -89,6 +89,11 @@ for (const form of document.querySelectorAll(".filter")) {
   form.addEventListener("submit", event => event.preventDefault());
   // On the way back to a page the browser restores the words and the verdict.
   addEventListener("pageshow", apply);
+  // A link leads to a claim whatever the filter.
+  addEventListener("hashchange", () => {
+    const claim = claims.find(one => "#" + one.id === location.hash);
+    if (claim?.hidden) { form.reset(); apply(); claim.scrollIntoView(); }
+  });
 }
 
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));

@@ -1,7 +1,7 @@
 // The walking panel of a page: the gait selected, in motion beside its multipliers, losses, violations and command; a
 // slider along its branch, pushes, a second gait at the same slope. Its selection is the page's, and stands in the address.
 
-const EARTH = Math.sqrt(1 / 9.81), STILL = matchMedia("(prefers-reduced-motion: reduce)");
+const EARTH = 9.81 ** -0.5, STILL = matchMedia("(prefers-reduced-motion: reduce)");
 const panel = document.querySelector(".motion");
 
 /** Select what an address, a mark, a cell or a row names; the page's figures and tables hear of it by the event `gait`. */
@@ -77,7 +77,10 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
       const length = motion.stride(step);
       list.append(...row("period T", brief(step.period * u.time, 6), u.s), ...row("step length", brief(length * u.length, 4), u.l), ...row("mean speed", brief(length / step.period * u.speed, 4), u.v));
     }
-    if (gait.radius !== undefined) list.append(...row(gait.free ? "gait nearby, max |λ|" : "max |λ|", brief(gait.radius, 5), gait.radius < 1 ? "stable" : "unstable"));
+    if (gait.radius !== undefined) {
+      const off = gait.radius - 1;
+      list.append(...row(gait.free ? "gait nearby, max |λ|" : "max |λ|", abs(off) < 1e-4 ? `1 ${off < 0 ? "−" : "+"} ${brief(abs(off), 2)}` : brief(gait.radius, 5), off < 0 ? "stable" : "unstable"));
+    }
     find("facts").replaceChildren(list);
     const shares = find("losses");
     shares.replaceChildren();
@@ -137,7 +140,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     tellPage(gait);
   }
   const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
-  const portrait = () => { const { time: one, s } = units(); spot = drawPortrait(find("phase"), motion, inkOf(gait), one, s === "s" ? s : ""); };
+  const portrait = () => { const { time: one, s } = units(); spot = drawPortrait(find("phase"), motion, inkOf(gait), one, s); };
   const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
 
   // Along the branch: every place between two nodes is a gait, found anew.
@@ -205,7 +208,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
     draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
     for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
-    find("fit").textContent = `θ* along ${side.name}: polynomial of degree ${degree}, error at most ${brief(error, 2)} rad`;
+    find("fit").textContent = `dots: θ* along ${side.name}; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad`;
   }
 
   // A second gait of the line at the same slope, beside the first.
@@ -231,6 +234,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   // A push changes the rates of both legs by a share of the stance rate; then the walker is simulated freely.
   function push(sign) {
+    if (time >= motion.end) show(gait);  // what has fallen begins again
     const n = gait.start.length / 2, size = sign * Number(find("strength").value) * abs(gait.start[n]);
     motion = motion.pushed(time, [-size, -size]);
     second = null;
@@ -254,7 +258,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (aim) draw("path", chart, { d: `M4 ${y(aim)}H236`, stroke: "var(--muted)", "stroke-dasharray": "3 3", "stroke-width": 1 });
     angles.forEach((angle, k) => draw("circle", chart, { cx: x(k + 1), cy: y(angle), r: 2.4, fill: inkOf(gait) }));
     if (last.fall) draw("text", chart, { x: x(angles.length + 1), y: 56, "font-size": 15, fill: "var(--bad)" }, "✕");
-    const after = angles.length, word = n => `${n} step${n === 1 ? "" : "s"}`;
+    const after = angles.length, word = n => `${n} step${n > 1 ? "s" : ""}`;
     // The first step from which on every one is within a hundredth of the gait's.
     let back = after;
     while (aim && back > 0 && abs(angles[back - 1] / aim - 1) < 0.01) back--;
@@ -280,11 +284,6 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     return found;
   };
 
-  button("play").addEventListener("click", () => play(!playing));
-  button("close").addEventListener("click", () => dock(false));
-  button("push").addEventListener("click", () => push(1));
-  button("pull").addEventListener("click", () => push(-1));
-  button("reset").addEventListener("click", () => show(gait));
   find("units").addEventListener("change", () => { facts(); portrait(); frame(); });
   find("slide").addEventListener("input", event => slideTo(Number(event.target.value)));
   find("scrub").addEventListener("input", event => {
@@ -295,15 +294,18 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   });
   const skip = share => { play(false); time = Math.max(motion.begins[0], time + share * durationOf(motion.at(time).step)); frame(); };
   const along = by => { if (!find("along").hidden) slideTo((wanted ?? gait.place) + by); };
-  button("step").addEventListener("click", () => skip(1 / 24));
+  const clicks = { play: () => play(!playing), close: () => dock(false), push: () => push(1), pull: () => push(-1), reset: () => show(gait), step: () => skip(1 / 24) };
+  for (const name in clicks) button(name).addEventListener("click", clicks[name]);
   panel.addEventListener("keydown", event => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const typed = event.target.matches("input, select"), act = { " ": () => play(!playing), ".": () => skip(1 / 24), ",": () => skip(-1 / 24), ArrowRight: () => along(1), ArrowLeft: () => along(-1),
-      p: () => push(1), P: () => push(-1), r: () => show(gait), Escape: () => dock(false) }[event.key];
-    if (!act || (typed && !["p", "P", "r", "Escape"].includes(event.key)) || (event.key === " " && event.target.matches("button"))) return;
+      p: () => push(1), P: () => push(-1), r: () => show(gait) }[event.key];
+    if (!act || (typed && !["p", "P", "r"].includes(event.key)) || (event.key === " " && event.target.matches("button"))) return;
     event.preventDefault();
     act();
   });
+
+  addEventListener("keydown", event => { if (event.key === "Escape") dock(false); });
 
   const followAddress = () => {
     const wish = location.hash.length > 1 && readAddress(location.hash);
