@@ -152,10 +152,10 @@ def gaits(
     slope = flat["slope"]
     is_slope = slopes.is_slope(slope)
     if len(slope) and not (answers and is_slope.any()):
-        raise next(
-            (check for check in checks if isinstance(check, StudyError)),
-            StudyError(f"`slope` {slopes.BOUND}; got {float(slope[0])!r}."),
-        )
+        for check in checks:
+            if isinstance(check, StudyError):
+                raise check
+        slopes.check(float(slope[0]))
     found = _Found(np.empty(len(slope), int))
     wrong, which = np.unique(slope[~is_slope], return_inverse=True)
     for k, value in enumerate(wrong.tolist()):

@@ -184,8 +184,7 @@ def simulate(
 def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
-    if not slopes.is_slope(value):
-        raise Location("", "slope").wrong(slopes.BOUND, value)
+    slopes.check(value)
     return {"walker": definition(walker), "slope": value, "set": changes(keys), "state": _numbers("state", state, 3)}
 
 

@@ -1,13 +1,10 @@
 """Kinds of arguments of the command line, each says in one line what is wrong; and output for machines."""
 
 import json
-import math
 from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
-
-from gaitsweep.pipeline.errors import StudyError
 
 
 def count(text: str, most: int = 10**9) -> int:
@@ -39,19 +36,6 @@ def number(text: str) -> float:
         return float(text)
     except ValueError:
         raise ArgumentTypeError(f"must be a number; got {text}") from None
-
-
-def check_slope(slope: float) -> None:
-    """Refuse a slope that cannot be asked for; one that is too steep may be meant in degrees."""
-    from gaitsweep.pipeline.study import slopes
-    from gaitsweep.pipeline.study.location import Location
-
-    if slopes.is_slope(slope):
-        return
-    wrong = Location("", "slope").wrong(slopes.BOUND, slope)
-    if slopes.is_slope(radians := math.radians(slope)):
-        wrong = StudyError(f"{str(wrong)[:-1]}: degrees? {slope:g} degrees are {radians:.6g} rad.")
-    raise wrong
 
 
 def interval(text: str) -> float:

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.archive import read
-from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.statuses import FOUND
-from gaitsweep.pipeline.study import files, parse
+from gaitsweep.pipeline.study import files, parse, slopes
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led
 from gaitsweep.tasks.registry import GAITS
@@ -56,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     """Proofs of a walker's gaits at one slope, and the search for them; numbers are the decimals written."""
     slope, gait = options.slope, options.gait
-    kinds.check_slope(float(slope))
+    slopes.check(float(slope))
     if gait is not None and gait not in GAITS:
         raise Location("", "gait").unknown(gait, GAITS)
     known, _ = led(files.walker(options.walker, Path()), options.set)

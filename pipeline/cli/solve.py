@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from gaitsweep.pipeline import terminal
-from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.single_point import solve
-from gaitsweep.tasks.registry import VARIABLES
+from gaitsweep.tasks.registry import SLOPES, VARIABLES
 
 #: Rows of a gait unless all variables are asked for.
 _FIRST = (
@@ -23,8 +24,9 @@ _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 def run(options: argparse.Namespace) -> int:
     """Print the gaits; the exit code is 1 if one is not converged."""
     slope = math.radians(options.slope) if options.degrees else options.slope
-    if not options.degrees:
-        kinds.check_slope(slope)
+    if options.degrees and not slopes.is_slope(slope):
+        low, high = map(math.degrees, SLOPES)
+        raise StudyError(f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}.")
     asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
     answer = solve(options.walker, slope, options.set, *asked)
     for line in answer.get("search", []):

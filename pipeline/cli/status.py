@@ -65,9 +65,13 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
         if run_state.get("over")
         else "stopped"
     )
-    yield f"{path}: {condition}; {sentence(run_state)}"
-    yield f"  after {duration(run_state['elapsed'])}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(
-        f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in run_state["workers"]
-    )
+    elapsed, done = duration(run_state["elapsed"]), run_state["cached"] + run_state["done"]
+    if condition == "finished":
+        yield f"{path}: finished: {f'{done:,} points in ' if done else 'in '}{elapsed}"
+    else:
+        yield f"{path}: {condition}; {sentence(run_state)}"
+        yield f"  after {elapsed}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(
+            f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in run_state["workers"]
+        )
     if run_state["counts"]:
         yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(run_state["counts"].items()))

@@ -15,7 +15,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
     table = files.walker(options.name, Path()) if options.name else None
     walkers = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
-    more = [] if options.name else [f"{name:<18} {where}" for name, where in files.more_walkers()]
+    more = [] if options.name else [f"{name:<21} {where}" for name, where in files.more_walkers()]
     kinds.show(options, walkers, [*_lines(walkers, in_full=options.name is not None), *more])
     return 0
 
@@ -31,7 +31,7 @@ def _lines(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[st
     """The catalogue, a line for each walker, or one walker in full."""
     for walker in descriptions:
         if not in_full:
-            yield f"{walker['name']:<18} {walker['description']}"
+            yield f"{walker['name']:<21} {walker['description']}"
             continue
         yield f"{walker['name']}: {walker['description']}"
         yield walker["drawing"]

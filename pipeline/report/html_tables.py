@@ -291,7 +291,8 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
         if isinstance(value, dict):
             entries += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
         elif isinstance(value, list):
-            entries.append((str(key), Cell(", ".join(str(v) for v in value))))
+            words = (" ".join(map(str, v)) if isinstance(v, list) else str(v) for v in value)
+            entries.append((spaced(key), Cell(", ".join(words))))
         elif value is not None:
             entries.append((spaced(key), cell(value)))
     return entries

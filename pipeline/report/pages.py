@@ -7,7 +7,6 @@ import hashlib
 import multiprocessing
 import os
 import pickle
-import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -325,7 +324,8 @@ def _times(run: dict[str, Any]) -> list[str]:
 
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
-    return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
+    shown = ("study", "walkers", "varied", "ways")
+    return {key: value for key, value in source.provenance.items() if key not in shown and value not in ("", [])}
 
 
 @cache

@@ -92,6 +92,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         If anything in it is invalid.
     """
     top = Location(path.name)
+    if list(table) == ["walker"]:
+        raise top.error("This file holds a walker and no study; `gaitsweep solve --walker FILE.toml` solves its gaits")
     _table(table, KEYS, top)
     name = table.get("name")
     if name is None:
@@ -238,9 +240,8 @@ def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...
         tolerance, slope = _adaptive(slope, location.at("slope"), kind)
     axes = tuple(Axis(key, _values(slope if key == "slope" else v, location.at(key))) for key, v in value.items())
     for axis in axes:
-        wrong = axis.values[~slopes.is_slope(axis.values)] if axis.name == "slope" else []
-        if len(wrong):
-            raise location.at("slope").wrong(slopes.BOUND, float(wrong[0]))
+        for wrong in axis.values[~slopes.is_slope(axis.values)].tolist() if axis.name == "slope" else ():
+            slopes.check(wrong, location.at("slope"))
     return axes, tolerance
 
 

@@ -52,8 +52,7 @@ def solve(
     StudyError
         If the walker, a key, the slope, the accuracy or a limit is invalid.
     """
-    if not slopes.is_slope(slope):
-        raise Location("", "slope").wrong(slopes.BOUND, slope)
+    slopes.check(slope)
     Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.registry import SLOPES
 
 if TYPE_CHECKING:  # help needs no arrays
@@ -16,3 +19,19 @@ BOUND = f"must lie in [{SLOPES[0]:g}, {SLOPES[1]:g}) rad"
 def is_slope(value: float | np.ndarray) -> Any:
     """Whether one can be asked for, of a slope or of each of an array [rad]; what is no number cannot."""
     return (value >= SLOPES[0]) & (value < SLOPES[1])
+
+
+def check(value: float, place: Location | None = None) -> None:
+    """Refuse a slope that cannot be asked for; one that is too steep may be meant in degrees.
+
+    Raises
+    ------
+    StudyError
+        If it cannot.
+    """
+    if is_slope(value):
+        return
+    wrong = (place or Location("", "slope")).wrong(BOUND, value)
+    if is_slope(radians := math.radians(value)):
+        wrong = StudyError(f"{str(wrong)[:-1]}: degrees? {value:g} degrees are {radians:.6g} rad.")
+    raise wrong

@@ -279,7 +279,7 @@ def re_pairing() -> ClaimResult:
         for d, f in near.items()
     )
     return ClaimResult(
-        f"branches touch at detuning {value:.9f} and slope {slope:.9f} (stance angle {angle:.6f}; relative error of "
+        f"branches touch at detuning {value:.9f} and slope {slope:.9f} (stance angle {angle:.6f}, relative error of "
         f"the slope {bound:.0e}); {beside}",
         verdict(sorted(map(len, near.values())) == [0, 2]),
         value,

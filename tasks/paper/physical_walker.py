@@ -13,7 +13,7 @@ from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, Interval, interv
 
 
 def _format(mark: Interval) -> str:
-    return f"{mark.value:.7g} (rounding allows {mark.low:.4g}-{mark.high:.4g}, mostly that of {mark.most})"
+    return f"{mark.value:.7g} (rounding allows {mark.low:.4g}-{mark.high:.4g}, dominated by {mark.most})"
 
 
 @claim("P1")

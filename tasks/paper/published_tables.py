@@ -200,7 +200,8 @@ def whole_table() -> ClaimResult:
     loose = sum(cell.deviation < 10 * TOLERANCE for cell in cells)
     worst = max(cells, key=lambda cell: cell.deviation)
     rows = {row["walker"]: row for row in _figure10()}
-    unchecked = ", ".join(f"{name}: {rows[name]['chaos']}" for name in ("E", "A", "B"))
+    # A semicolon ends a part of a claim's answer.
+    unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
     return ClaimResult(
         f"{strict} of {len(cells)} cells agree to within {TOLERANCE:g} in the exponent of the angle and "
         f"{10 * TOLERANCE:g} in that of the power, {loose} to within ten times as much (larger slopes: {LARGE:g}); "

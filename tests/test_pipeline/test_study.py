@@ -72,7 +72,7 @@ WRONG = {
         "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }": "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
     },
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
-        "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope).",
+        "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope): degrees? 0.73 degrees are 0.0127409 rad.",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
         " r_s, c_s, R, eps_T, m_h, g, l, c, r, m, w (s.toml, axes).",
@@ -302,6 +302,11 @@ def test_a_list_of_allowed_names_is_whole(write):
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
     with pytest.raises(StudyError, match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$"):
         parse.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
+
+
+def test_a_walker_file_in_place_of_a_study_says_so(write):
+    with pytest.raises(StudyError, match=r"^This file holds a walker and no study; .* \(s.toml\)\.$"):
+        parse.read(write('[walker]\nbase = "E"\n'))
 
 
 def test_a_study_without_axes_says_so(write):
