@@ -78,16 +78,17 @@ def combine(
     wanted = {*(f"{record.slug}.html" for record in report.shown), *(name for r in entries for name in r.files)}
     for record in previous.values():
         entry.remove(out, record, wanted)
-    _publish(out / "ledger.html", report.page("ledger"))
     if report.claims:
+        _publish(out / "ledger.html", report.page("ledger"))
         _publish(out / _LEDGER, csv_text(ledger.table(report.ledger)))
     else:
-        (out / _LEDGER).unlink(missing_ok=True)
+        for name in ("ledger.html", _LEDGER):
+            (out / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # no data, or other files there
         (out / "csv").rmdir()
     _publish(out / "index.html", report.page("index"))
     if bundle or (out / "bundle.html").exists():
-        names = ["index", "ledger", *(record.slug for record in report.shown)]
+        names = ["index", *(["ledger"] if report.claims else []), *(record.slug for record in report.shown)]
         texts = {name: _bundled((out / f"{name}.html").read_text(encoding="utf-8"), names) for name in names}
         _publish(out / "bundle.html", environment.get_template("bundle.html").render(texts=texts))
 
@@ -157,7 +158,7 @@ class _Report:
 
     def _part(self, kind: str, name: str, record: Entry | None) -> str:
         if kind == "pages":
-            return str(self.parts.pages(self._near(record), record))
+            return str(self.parts.pages(self._near(record), record, bool(self.claims)))
         if record is None:
             return ""
         if kind == "around":
