@@ -82,7 +82,7 @@ def test_every_command_and_option_exists():
 
 def test_the_studies_shown_can_be_run(tmp_path):
     (walker, sweep) = blocks("docs/your-own-walker.md", "toml")
-    (tmp_path / "mine.toml").write_text(walker)
+    (tmp_path / "walker.toml").write_text(walker)
     (tmp_path / "mine-study.toml").write_text(sweep)
     mine = parse.read(tmp_path / "mine-study.toml")
     assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
@@ -94,8 +94,8 @@ def test_the_studies_shown_can_be_run(tmp_path):
 
 def test_the_walker_shown_has_an_infinite_friction_demand(tmp_path, capsys):
     (walker, _) = blocks("docs/your-own-walker.md", "toml")
-    (tmp_path / "mine.toml").write_text(walker)
-    solve = ["solve", "--walker", str(tmp_path / "mine.toml"), "--slope", "0.03"]
+    (tmp_path / "walker.toml").write_text(walker)
+    solve = ["solve", "--walker", str(tmp_path / "walker.toml"), "--slope", "0.03"]
     commands.main([*solve, "--all-variables"])
     long = capsys.readouterr().out.partition("short (")[0]
     assert "contact_tension, friction" in long and re.search(r"friction_demand_kneestrike +inf$", long, re.M)
@@ -155,8 +155,6 @@ def test_every_option_of_every_kind_is_in_the_docs_and_the_help():
 
 def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    study = 'name = "study"\nkind = "branch"\nwalker = "D"\n[axes]\nslope = { from = 0.005, to = 0.01, n = 5 }\n'
-    (tmp_path / "study.toml").write_text(study)
     names: dict = {}
     for block in blocks("docs/python.md", "python"):
         exec(block, names)
