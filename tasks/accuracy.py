@@ -1,7 +1,7 @@
 """What must be computed and kept for a wanted accuracy. Like the registry, it imports no solver."""
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 from gaitsweep.tasks.registry import ALWAYS, COSTLY, VARIABLES, admit
 
@@ -22,10 +22,11 @@ def always(accuracy: float) -> tuple[str, ...]:
     return tuple(name for name in ALWAYS if not (accuracy and name in OF_INTEGRATION))
 
 
-def computed(names: Collection[str], accuracy: float) -> tuple[str, ...]:
+def computed(names: Iterable[str], accuracy: float) -> tuple[str, ...]:
     """Those of some names that are variables, with those that are archived in any case, in the archive's order."""
-    admit(names)
-    return tuple(name for name in VARIABLES if name in names or name in always(accuracy))
+    wanted = {*names, *always(accuracy)}
+    admit(wanted)
+    return tuple(name for name in VARIABLES if name in wanted)
 
 
 def nodes_for(accuracy: float) -> int:
