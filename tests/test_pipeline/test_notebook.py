@@ -144,7 +144,9 @@ def test_an_error_in_a_notebook_has_one_line_of_the_caller_and_a_sentence():
         gaitsweep.gaits("E", 0.7)
     place, sentence = caught.value._render_traceback_()
     assert place.endswith('    gaitsweep.gaits("E", 0.7)\n') and place.count("File") == 1 and __file__ in place
-    assert sentence == "StudyError: `slope` must lie in [1e-18, 0.5) rad; got 0.7: degrees? 0.7 degrees are 0.0122173 rad."
+    assert (
+        sentence == "StudyError: `slope` must lie in [1e-18, 0.5) rad; got 0.7: degrees? 0.7 degrees are 0.0122173 rad."
+    )
     assert StudyError("Nowhere.")._render_traceback_() == ["StudyError: Nowhere."]
 
 
