@@ -393,7 +393,7 @@ def test_power_is_drawn_without_dimensions_where_the_speed_is_archived_so(tmp_pa
     coords = {"slope": slopes, "gait": np.array(["long"], object)}
     sketch = FIGURES["power"](read(write(tmp_path / "p.nc", text, grid, coords, {"A": POINT})))
     # P = m g v sin γ.
-    assert np.allclose(sketch.data["value"], [0.1 * np.sin(0.01), 0.3 * np.sin(0.02)], rtol=1e-14)
+    assert np.allclose(sketch.data["power P/(m g √(g l))"], [0.1 * np.sin(0.01), 0.3 * np.sin(0.02)], rtol=1e-14)
     (axes,) = sketch.panels
     assert axes.get_xlabel() == "speed v/√(gl)" and "P/(m g √(g l))" in axes.get_title(loc="left")
 

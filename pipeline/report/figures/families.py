@@ -112,6 +112,8 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
     sketch.gait_keys(data)
     if sentences.get("fitted"):
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
+    if sentences.get("crossings"):
+        sketch.key("fitted on either side of the transition", INK, lw=0.6)
     if sentences.get("printed"):
         sketch.printed_key()
     if is_measured:

@@ -82,6 +82,7 @@ def draw(name: str, source: Source) -> Sketch | None:
         sketch.dot_key(**measured.KEY)
     finite = data["value"][np.isfinite(data["value"])]
     ends = {"low": finite.min(), "high": finite.max()}
+    data = data.rename(columns={"value": quantity.heading})
     return sketch.finish(data, 4, names, heading=quantity.heading, count=len(names), **ends)
 
 
