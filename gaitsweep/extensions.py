@@ -4,7 +4,6 @@ A name that is not gaitsweep's own is looked up where it is asked for, never at 
 docs/extending.md shows a package.
 """
 
-from collections.abc import Iterable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,7 @@ def _points(group: str) -> "dict[str, list[EntryPoint]]":
     return found
 
 
-def names(group: str) -> Iterable[str]:
+def names(group: str) -> list[str]:
     """Names that packages add to a group: "walkers", "measures" or "figures"."""
     return sorted(_points(group))
 

@@ -3,7 +3,6 @@
 import io
 import sys
 import tomllib
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,33 +103,28 @@ def figure(archive: str | Path, name: str) -> "Figure":
         If the file is not an archive of gaitsweep, or has no data for the figure.
     """
     from gaitsweep.pipeline.report import source
-    from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, add_degrees, style
-    from gaitsweep.pipeline.report.figures import sketch as sketched
+    from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, sketch, style
 
     known = [*FIGURES, *extensions.names("figures")]
     if name not in known:
         raise Location("").unknown(str(name), known, "figure")
     path = _path(archive)
     read_source = source.read(path)
-    with style():
-        try:
-            sketch = sketched(read_source, name)
-        except Undrawn as why:
-            raise ArchiveError(f"{path} has no figure {name}: {why}.") from why
-        sketch.draw_legend(set())
-        add_degrees(sketch.figure)
+    try:
+        with style():
+            drawn = sketch(read_source, name, set()).figure
+    except Undrawn as why:
+        raise ArchiveError(f"{path} has no figure {name}: {why}.") from why
 
     def to_svg() -> str:
         stream = io.StringIO()
-        with style(), warnings.catch_warnings():
-            # Words stay words: the reader's fonts have the glyphs that the font of the layout lacks.
-            warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
-            sketch.figure.savefig(stream, format="svg", facecolor="white")
+        with style():
+            drawn.savefig(stream, format="svg", facecolor="white")
         return stream.getvalue()
 
     # A notebook shows figures of pyplot only, unless they say how.
-    sketch.figure._repr_svg_ = to_svg  # type: ignore[attr-defined]
-    return sketch.figure
+    drawn._repr_svg_ = to_svg  # type: ignore[attr-defined]
+    return drawn
 
 
 def _path(archive: str | Path) -> Path:

@@ -1,7 +1,6 @@
 """The figures of a report: one function each, by the name that a study's `figures` list uses."""
 
 import os
-import warnings
 from collections.abc import Callable
 from functools import partial
 from unittest import mock
@@ -57,8 +56,8 @@ class Undrawn(Exception):
     """Why a figure cannot be drawn, as the end of a sentence."""
 
 
-def sketch(source: Source, name: str) -> Sketch:
-    """Sketch one figure of a study.
+def sketch(source: Source, name: str, told: set[str]) -> Sketch:
+    """Sketch one figure of a study, without what is `told` of its legend already.
 
     Raises
     ------
@@ -68,6 +67,8 @@ def sketch(source: Source, name: str) -> Sketch:
     drawn = FIGURES[name](source) if name in FIGURES else _of_package(source, name)
     if drawn is None:
         raise Undrawn("the archive holds nothing to draw it from")
+    drawn.draw_legend(told)
+    add_degrees(drawn.figure)
     return drawn
 
 
@@ -101,13 +102,9 @@ def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str
     Undrawn
         As `sketch`.
     """
-    with style(), warnings.catch_warnings(), mock.patch.dict(os.environ):
+    with style(), mock.patch.dict(os.environ):
         # Matplotlib reads it even for what it does not write, and it may be anything.
         os.environ.pop("SOURCE_DATE_EPOCH", None)
-        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
-        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
-        drawn = sketch(source, name)
-        drawn.draw_legend(set() if told is None else told)
-        add_degrees(drawn.figure)
+        drawn = sketch(source, name, set() if told is None else told)
         drawn.values["steps"] = source.steps if source.steps > 1 else None
         return render(drawn, name, salt, small)

@@ -1,6 +1,8 @@
 """The style of all figures: colours, dashes, axes, numbers and labels."""
 
-from collections.abc import Sequence
+import contextlib
+import warnings
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,9 +57,13 @@ SHAPES, SAMPLES = 2000, 600
 _RC = matplotlib.rc_params_from_file(Path(__file__).parent / "report.mplstyle", use_default_template=False)
 
 
-def style() -> Any:
+@contextlib.contextmanager
+def style() -> Iterator[None]:
     """The matplotlib settings in which every figure is drawn, as a context."""
-    return matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "svg", **_RC})
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "svg", **_RC}), warnings.catch_warnings():
+        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
+        yield
 
 
 def canvas(height: float, width: float = WIDTH) -> Figure:
