@@ -14,7 +14,7 @@ from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.api.studies import gaits
 from gaitsweep.pipeline.errors import StudyError, unwritten
-from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study import files
 
 #: Formats of films and of strips, by the ending of the file.
 _FILMS, _STRIPS = {".webp": "WEBP", ".png": "PNG", ".gif": "GIF"}, (".svg", ".pdf", ".png")
@@ -43,7 +43,6 @@ def run(options: argparse.Namespace) -> int:
     for name, low, high in (("steps", 1, 50), ("push", -10, 10), ("slow", 0.1, 100)):
         if not low <= getattr(options, name) <= high:  # nan
             raise StudyError(f"`--{name}` must lie in [{low}, {high}]; got {getattr(options, name)}.")
-    slopes.check(options.slope)
     walker = files.walker(options.walker, Path())
     found = gaits(walker, options.slope, **options.set)
     labels = [str(gait) for gait in found["gait"].values if np.isfinite(found["stance_angle"].sel(gait=gait))]

@@ -12,7 +12,7 @@ from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led, solve
 from gaitsweep.tasks.registry import GAITS
@@ -24,7 +24,6 @@ def run(options: argparse.Namespace) -> int:
     """Print the steps and how they end, which may be a fall; the exit code is 1 if there is no gait to begin with."""
     if options.state and options.gait:
         raise StudyError("Steps begin either at a `--state` or at a `--gait`.")
-    slopes.check(options.slope)
     label = options.gait or "long"
     if label not in GAITS:
         raise Location("", "gait").unknown(label, GAITS)
