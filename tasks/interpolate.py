@@ -413,7 +413,7 @@ class Interpolation:
         return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, integrated, strict=True)}
 
 
-def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, points: int) -> list[Sheet]:
+def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, points: float) -> list[Sheet]:
     """Fit polynomials to the gaits of every patch of a cell.
 
     Parameters
@@ -423,8 +423,8 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, poi
     want : sequence of str
         Names of variables.
     accuracy : float
-    points : int
-        How many points of the study the cell has.
+    points : float
+        About how many points of the study the cell has.
 
     Returns
     -------
@@ -437,7 +437,7 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, poi
         return []
 
 
-def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: int) -> Sheet:
+def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: float) -> Sheet:
     """The sheet of a patch, or Refused."""
     drawn = cell.box.draw(_DRAWN, 1 + len(family.keys), f"sheet {patch.numbers[0]}")
     span, passes = patch.inside, 0
@@ -452,7 +452,7 @@ def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], a
         return sampled.chart(sizes, at)
 
     good, most = _SHARE * accuracy, tuple(_GROWN * n + _FURTHER for n in patch.gaits.sizes)
-    chart = fit(attempt(patch.gaits.sizes, None), attempt, most, points, good, good, len(family.keys))
+    chart = fit(attempt(patch.gaits.sizes, None), attempt, most, int(points), good, good, len(family.keys))
     return Sheet.of(span, chart, passes, drawn[:, 0])
 
 

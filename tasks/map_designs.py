@@ -163,10 +163,9 @@ def _over_plane(
     """Store the designs of a cell whose points its manifolds predict, and return which those are, shape (n,)."""
     family = Family.of({**line, "set": {k: float(v[0]) for k, v in keys.items()}}, cell["keys"])
     box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]), log=True)
-    values = tuple(tuple(map(float, each)) for each in cell["values"])
     at = np.column_stack([keys[key] for key in family.keys])
     accepted, left = np.zeros(len(at), bool), np.ones(len(at), bool)
-    for part in _landscapes(family, box, window, values, rows.log_speed):
+    for part in _landscapes(family, box, window, cell["lines"], rows.log_speed):
         inside = np.flatnonzero(left & (at >= part.box.low).all(axis=1) & (at <= part.box.high).all(axis=1))
         left[inside] = False
         if not part.why:
@@ -178,14 +177,10 @@ def _over_plane(
 
 @functools.lru_cache(64)
 def _landscapes(
-    family: Family,
-    box: Box,
-    window: tuple[float, float],
-    values: tuple[tuple[float, ...], ...],
-    log_speed: float | None,
+    family: Family, box: Box, window: tuple[float, float], count: int, log_speed: float | None
 ) -> list[Landscape]:
-    """Landscapes of a box, for designs at some values of its keys."""
-    return make(family, box, window, lambda part: part.count(values), log_speed=log_speed)
+    """Landscapes of a box, for about so many designs."""
+    return make(family, box, window, count, log_speed=log_speed)
 
 
 def _solve(

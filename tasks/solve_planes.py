@@ -40,8 +40,9 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`, one of the plane; `plane`, with its `keys`, `low`, `high` and the `values` of each key that the study
-        has; `slope`, ndarray, shape (n,) [rad]; `want` and `accuracy` as `tasks.solve_points:points` has them.
+        `line`, one of the plane; `plane`, with its `keys`, `low`, `high` and about how many `lines` it is for;
+        `slope_from`, `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as
+        `tasks.solve_points:points` has them.
     inputs : list
         Empty.
 
@@ -51,13 +52,14 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows.
     """
     family, box = _family(params["line"], params["plane"])
-    q, values = np.log(params["slope"]), params["plane"]["values"]
-    cells = make_cells(family, box, (float(q.min()), float(q.max())), values, len(q))
+    window = float(np.log(params["slope_from"])), float(np.log(params["slope_to"]))
+    lines, slopes = params["plane"]["lines"], params["slopes"]
+    cells = make_cells(family, box, window, lines, slopes)
     accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells)
     want = _names(params)
     if is_interpolated(want, accuracy):
         for i, cell in enumerate(cells):
-            for j, sheet in enumerate(sheets(family, cell, want, accuracy, cell.box.count(values) * len(q))):
+            for j, sheet in enumerate(sheets(family, cell, want, accuracy, box.share(cell.box) * lines * slopes)):
                 arrays |= {f"{i}/{j}/sheet_{name}": value for name, value in sheet.to_arrays().items()}
     return arrays
 

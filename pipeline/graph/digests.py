@@ -44,9 +44,10 @@ class Digests:
         axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
         values = [axis.values.astype(float)[index] for axis, index in axes]
         if self.method is Method.PLANE and self.study.plane:
-            # The results of a line of a plane depend on its charts, and these on all values of its keys.
-            marks = np.array([_mark(each) for each in self.study.plane.region["values"]])
-            values += [np.full(len(numbers), mark).view(float) for mark in marks]
+            # The results of a line of a plane depend on its charts.
+            region = self.study.plane.region
+            mark = _mark(np.array([*region["low"], *region["high"], region["lines"]]))
+            values.append(np.full(len(numbers), mark).view(float))
         # All slopes of a line are computed together, and kept in their order.
         values.append(np.full(len(numbers), _mark(self.study.slope)).view(float))
         for value in values:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, method_of, variables
 from gaitsweep.pipeline.store.store import Key
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Study, about
 from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, VARIABLES, Task
 
 
@@ -80,21 +80,24 @@ def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]
     if name == "charts":
         assert study.plane
         fixed = {key: value for key, value in line["set"].items() if key not in study.plane.region["keys"]}
+        window = {**_window(study), "slopes": about(len(study.slope))}
         wanted = {"want": variables(study), "accuracy": study.accuracy} if study.accuracy else {"want": ()}
-        return {"line": {**line, "set": fixed}, "plane": study.plane.region, "slope": study.slope, **wanted}
+        return {"line": {**line, "set": fixed}, "plane": study.plane.region, **window, **wanted}
     if name == "cascade" != study.kind:  # for the fit `crises`
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
         return {"line": line, "slope": slopes, "gaits": GAITS}
     if name == "branch":
-        slopes = study.slope
-        window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}
-        return {"line": line, **window, **study.options}
+        return {"line": line, **_window(study), "n": len(study.slope), **study.options}
     own = {} if name == "trace" else study.options  # whose `steps` may be those of orbits
     params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
     if name == "design" and study.plane:
         params["plane"] = study.plane.region
     return params
+
+
+def _window(study: Study) -> dict[str, float]:
+    return {"slope_from": float(study.slope.min()), "slope_to": float(study.slope.max())}
 
 
 def study_params(study: Study, name: str) -> dict[str, Any]:

@@ -48,10 +48,14 @@ class Plane:
 
     @property
     def region(self) -> dict[str, Any]:
-        """Its keys, their least and largest values `low` and `high`, and all `values` of each, rising."""
-        values = [np.sort(axis.values) for axis in self.axes]
-        low, high = ([float(each[k]) for each in values] for k in (0, -1))
-        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "values": values}
+        """Its keys, their least and largest values `low` and `high`, and about how many `lines`."""
+        low, high = ([float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max))
+        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "lines": about(self.lines)}
+
+
+def about(n: int) -> int:
+    """The power of four nearest to a number: grids that are refined a little share their charts."""
+    return int(4 ** round(math.log(n, 4)))
 
 
 @dataclass(frozen=True)

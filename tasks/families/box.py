@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,16 +51,9 @@ class Box:
     def _is_log(self) -> np.ndarray:
         return np.array([self.log and 0 < 8 * a < b for a, b in zip(self.low, self.high, strict=True)])
 
-    def count(self, values: Sequence[Sequence[float] | np.ndarray]) -> int:
-        """Return how many points of a grid lie inside or on the border.
-
-        Parameters
-        ----------
-        values : sequence of sequences of float, or of arrays
-            Of each key, in the walker's units.
-        """
-        sides = zip(map(np.asarray, values), self.low, self.high, strict=True)
-        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
+    def share(self, part: Box) -> float:
+        """Return the share of its coordinates' range that a part has."""
+        return float(np.prod(0.5 * np.diff(self.unit(np.array([part.low, part.high])), axis=0)))
 
     def holds(self, point: np.ndarray) -> bool:
         """Return whether a point (d,) lies inside or on the border [the walker's units]."""

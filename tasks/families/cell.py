@@ -161,7 +161,9 @@ class Lines:
         return box.unit(self.keys[every]), [self.pieces[k] for k in every]
 
 
-def make_cell(family: Family, box: Box, window: tuple[float, float], lines: Lines, points: int, why: str = "") -> Cell:
+def make_cell(
+    family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float, why: str = ""
+) -> Cell:
     """Make the cell of a box for a window of slopes.
 
     Parameters
@@ -172,8 +174,8 @@ def make_cell(family: Family, box: Box, window: tuple[float, float], lines: Line
         Least and largest ln slope.
     lines : Lines
         Those surveyed so far, to which the cell's own are added.
-    points : int
-        How many points it is for: good predictions of few are not worth many nodes.
+    points : float
+        About how many points it is for: good predictions of few are not worth many nodes.
     why : str, optional
         Why the cell is to have no patches.
 
@@ -205,10 +207,10 @@ class _End:
 class _Maker:
     """Makes the patches of one box and window."""
 
-    def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: int):
+    def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float):
         self.family, self.box, self.window = family, box, window
         self.d = len(box.keys)
-        self.total = max(_LEAST_NODES * self.d, points // 2)
+        self.total = max(_LEAST_NODES * self.d, int(points / 2))
         self.structure = structure_of(family, box)
         self.known = lines
         self.special = Maker(family, box, self.structure)

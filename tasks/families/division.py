@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -59,9 +59,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
     return [parts[place] for place in sorted(parts)]
 
 
-def make_cells(
-    family: Family, box: Box, window: tuple[float, float], values: Sequence[Sequence[float]], slopes: int
-) -> list[Cell]:
+def make_cells(family: Family, box: Box, window: tuple[float, float], count: int, slopes: int) -> list[Cell]:
     """Make the cells of a box for a window of slopes, as long as that takes less than its lines one by one.
 
     Parameters
@@ -70,17 +68,15 @@ def make_cells(
     box : Box
     window : (float, float)
         Least and largest ln slope.
-    values : sequence of sequence of float
-        Values of each key in the box that a study has [the walker's units].
-    slopes : int
-        How many of them it has.
+    count, slopes : int
+        About how many lines and slopes it is for.
     """
-    lines, most = Lines(family), _MAX_SHARE * box.count(values)
+    lines = Lines(family)
 
     def cell(part: Box, why: str) -> Cell:
-        return make_cell(family, part, window, lines, part.count(values) * slopes, why)
+        return make_cell(family, part, window, lines, box.share(part) * count * slopes, why)
 
     def is_worth(part: Box) -> bool:
-        return part.count(values) >= _MIN_LINES and len(lines.pieces) <= most
+        return box.share(part) * count >= _MIN_LINES and len(lines.pieces) <= _MAX_SHARE * count
 
     return divide(box, cell, is_worth, _MAX_SPLITS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -350,7 +350,7 @@ def make(
     family: Family,
     box: Box,
     window: tuple[float, float],
-    count: Callable[[Box], int],
+    count: int,
     splits: int = _MAX_SPLITS,
     log_speed: float | None = None,
 ) -> list[Landscape]:
@@ -362,8 +362,8 @@ def make(
     box : Box
     window : (float, float)
         Least and largest ln slope.
-    count : callable
-        Number of designs in a box.
+    count : int
+        About how many designs it is for.
     splits : int
         How often it may be halved.
     log_speed : float, optional
@@ -380,6 +380,6 @@ def make(
         return surveyor.landscape()
 
     def is_worth(part: Box) -> bool:
-        return count(part) >= _MIN_DESIGNS and len(tried) * _A_TRY <= count(box)
+        return box.share(part) * count >= _MIN_DESIGNS and len(tried) * _A_TRY <= count
 
     return divide(box, landscape, is_worth, splits)

@@ -1,7 +1,6 @@
 """Processor time of planes of keys: the cost of making charts, and of every further walker."""
 
 import functools
-import itertools
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -85,16 +84,15 @@ def made(table: dict[str, Any]) -> Made:
         accepted += int(which.sum())
         return solved, which
 
-    solved_by_charts, plane, line = solve_planes.solve, params["plane"], params["line"]
-    every = itertools.product(*plane["values"])
-    lines = [{**line, "set": {**line["set"], **dict(zip(plane["keys"], at, strict=True))}} for at in every]
+    solved_by_charts, study = solve_planes.solve, graph.study
+    own = [k for k in range(study.lines) if graph.line_keys(k)["charts"] == node.key]
     with mock.patch.object(solve_planes, "solve", solve):
-        solve_planes.lines({**params, "lines": lines}, [arrays])
+        solve_planes.lines({**params, "lines": [study.line(k) for k in own], "slope": study.slope}, [arrays])
     boxes = cell.parts(arrays)
     return Made(
         seconds,
         len(boxes),
         sum(len(cell.parts(box)) for box in boxes),
         sum(len(call.args[0].lanes) for call in survey.call_args_list),
-        len(lines) * len(params["slope"]) - accepted,
+        len(own) * len(study.slope) - accepted,
     )

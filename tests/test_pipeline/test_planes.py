@@ -12,6 +12,7 @@ from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.store import Store
@@ -98,8 +99,8 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path, monkeypatch):
 
 
 def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
-    """Its charts depend on all values of the keys, and on all slopes."""
-    other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 19")
+    """Its charts depend on the sides of the plane and about how many lines it has; a line has all its slopes."""
+    other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 35")
     digests = []
     whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
     for name, text, axes in (
@@ -114,6 +115,15 @@ def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
         first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
         digests.append(graph.digests(np.array(first)).tolist())
     assert all(one not in digests[:k] for k, one in enumerate(digests))
+
+
+def test_a_grid_with_a_few_other_lines_keeps_its_charts(tmp_path):
+    journal = paths.sidecar_path(run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=1), ".journal")
+    refined = STUDY.format(walker="B", axes=AXES.replace("n = 18", "n = 21"))
+    todo = summary(Plan(read(written(tmp_path, refined)), Store(journal, write=False))).todo
+    assert not todo["charts"]
+    # Both have the least and the largest R.
+    assert sum(todo["points"].values()) == 2 * 16 * (21 - 2)
 
 
 def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):

@@ -89,14 +89,16 @@ def plane_of(keys, each=30):
         "keys": list(keys),
         "low": low,
         "high": high,
-        "values": [np.linspace(*side, each) for side in keys.values()],
+        "lines": each ** len(keys),
     }
 
 
 def charted(line, keys, window, each=30, **params):
     """Parameters of lines over a plane, and its charts for a window of slopes."""
     asked = {"plane": plane_of(keys, each), "want": WANT, **params}
-    return asked, charts({**asked, "line": line, "slope": np.geomspace(*window, EACH)}, [])
+    return asked, charts(
+        {**asked, "line": line, **dict(zip(("slope_from", "slope_to"), window, strict=True)), "slopes": EACH}, []
+    )
 
 
 def off(one, other, bounded_by):
@@ -266,8 +268,8 @@ def test_wrong_patches_change_no_accepted_value(name):
     walker, keys, window = FAMILIES[name]
     family = Family.of({"walker": walker, "set": FIXED.get(name, {})}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-    cells = make_cells(family, box, tuple(np.log(window)), plane_of(keys, 60)["values"], EACH)
-    right = max(cells, key=lambda cell: len(cell.patches) * cell.box.count(plane_of(keys, 60)["values"]))
+    cells = make_cells(family, box, tuple(np.log(window)), 60 ** len(keys), EACH)
+    right = max(cells, key=lambda cell: len(cell.patches) * box.share(cell.box))
     at = right.box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
     slope = np.exp(np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7]))
 

@@ -49,7 +49,7 @@ def designs(name, n, seed=0):
     values = {key: draw.uniform(low, high, n) for key, (low, high) in keys.items()}
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     lines = {"line": {"walker": walker, "set": values}, "slope": SLOPE}
-    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]}
+    cell = {"keys": list(keys), "low": low, "high": high, "lines": 900}
     return lines, {**lines, "plane": cell}
 
 
@@ -67,7 +67,7 @@ def made():
             walker, keys = PLANES[name]
             family = Family.of({"walker": walker, "set": {}}, tuple(keys))
             box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-            (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+            (landscape,) = make(family, box, WINDOW, 1000)
             kept[name] = family, landscape
         return kept[name]
 
@@ -216,7 +216,7 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
 
 def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
     family, box = Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)), Box(("R",), (0.27,), (0.3,))
-    (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+    (landscape,) = make(family, box, WINDOW, 1000)
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 3, 0)] * 2
     for cut in cuts:
@@ -229,7 +229,7 @@ def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
     family = Family.of({"walker": "A"}, ("R", "m_h"))
     window = float(np.log(1e-4)), float(np.log(0.2))
     whole = Box(("R", "m_h"), (0.02, 0.0), (0.4, 10.0), log=True)
-    parts = make(family, whole, window, lambda part: 420, log_speed=-0.2)
+    parts = make(family, whole, window, 420, log_speed=-0.2)
     assert [part.why for part in parts] == ["", ""] and parts[0].box.high[0] == pytest.approx(0.2, rel=1e-12)
     draw = np.random.default_rng(1)
     keys = np.column_stack([draw.choice(R, 12), draw.choice(m_h, 12)])
@@ -256,7 +256,7 @@ def test_parts_that_are_refused_cost_no_more_than_lines(monkeypatch):
 
     monkeypatch.setattr(_Surveyor, "landscape", refuse)
     family, box = Family.of({"walker": "A"}, ("detuning",)), Box(("detuning",), (0.1,), (0.9,))
-    parts = make(family, box, WINDOW, lambda part: int(1000 * (part.high[0] - part.low[0])))
+    parts = make(family, box, WINDOW, 800)
     assert len(tried) == 9 and not [part for part in parts if not part.why]
 
 
@@ -318,13 +318,13 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     walker, keys = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.05, 0.05), (0.06, 0.06))
-    assert [part.why for part in make(family, box, WINDOW, lambda part: 10)] == ["few walkers"]
+    assert [part.why for part in make(family, box, WINDOW, 10)] == ["few walkers"]
 
     def refuse(self):
         raise Refused("no reason", 1)
 
     monkeypatch.setattr(landscapes._Surveyor, "landscape", refuse)
-    parts = make(family, box, WINDOW, lambda part: 1000, splits=1)
+    parts = make(family, box, WINDOW, 1000, splits=1)
     assert [part.why for part in parts] == ["no reason", "no reason"]
     assert parts[0].box.high[1] == parts[1].box.low[1]
 
@@ -559,7 +559,7 @@ def test_a_manifold_whose_drawn_points_are_lost_is_refused(extension, lane, why,
 def test_a_manifold_over_one_key_ends_where_it_turns():
     family = Family.of({"walker": "A", "set": {}}, ("detuning",))
     box = Box(("detuning",), (0.4,), (0.7,))
-    (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+    (landscape,) = make(family, box, WINDOW, 1000)
     assert not landscape.why
     (cut,) = [m.region for m in landscape.manifolds if m.region.is_root]
     assert cut.turns and cut.curve.sizes == ()

@@ -49,7 +49,7 @@ def cell_of(name):
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
     window = float(np.log(min(slope))), float(np.log(max(slope)))
-    (cell,) = make_cells(family, box, window, [np.linspace(*side, 30) for side in keys.values()], len(slope))
+    (cell,) = make_cells(family, box, window, 30 ** len(keys), len(slope))
     return family, cell
 
 
@@ -71,12 +71,14 @@ def block(name, numbers):
         "lines": [{"walker": walker, "set": {k: float(v[i]) for k, v in values.items()}} for i in range(numbers)],
         "slope": np.array(slope),
         "want": WANT,
-        "plane": {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]},
+        "plane": {"keys": list(keys), "low": low, "high": high, "lines": 30 ** len(keys)},
     }
 
 
 def charted(params):
-    return charts({**params, "line": params["lines"][0]}, [])
+    slope = params["slope"]
+    window = {"slope_from": slope.min(), "slope_to": slope.max(), "slopes": len(slope)}
+    return charts({**params, **window, "line": params["lines"][0]}, [])
 
 
 def by_line(params, made=None):
@@ -162,7 +164,7 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
 
     monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
     R = np.linspace(0.1, 0.2, n)
-    plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "values": [R]}
+    plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "lines": n}
     lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
     ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "plane": plane}, [])
     assert [str(s) for s in out["reasons"][out["reason"][-1]]] == [f"{n - 1} {k}" for k in (1, 5, 2, 2)]
@@ -193,7 +195,7 @@ def test_beside_an_end_at_zero_step_length_the_coordinate_is_a_logarithm(ends):
 def test_planes_may_touch_a_change_of_structure_or_hold_no_gait(walker, keys, slope, at):
     """At no offset the section has a dimension less, without mass at the foot the leg no inertia."""
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    plane = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    plane = {"keys": list(keys), "low": low, "high": high, "lines": 30 ** len(keys)}
     params = {"slope": np.array([slope]), "want": (*WANT, "loss_normal")}
     both = [{"walker": walker, "set": keys} for keys in (at, dict(zip(keys, high, strict=True)))]
     one, _ = by_line({**params, "lines": both, "plane": plane})
@@ -454,7 +456,7 @@ def test_a_box_of_few_lines_is_left_to_lines():
     walker, keys, _ = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.1, 0.1), (0.11, 0.11), log=True)
-    (cell,) = make_cells(family, box, (-4.7, -4.6), [[0.1], np.linspace(0.1, 0.11, 11)], 2)
+    (cell,) = make_cells(family, box, (-4.7, -4.6), 11, 2)
     assert cell.why == "few walkers" and not cell.patches
 
 
@@ -467,16 +469,17 @@ def test_a_box_is_not_divided_when_a_fifth_as_many_lines_are_surveyed(each, trie
         if not why:
             lines.pieces += [[]] * 5
             made.append(box)
-            assert points == 7 * box.count(values)
+            assert points == pytest.approx(7 * each**2 * whole.share(box), rel=1e-12)
             raise Refused("it is made to", len(made) % 2)
         return Cell(box, None, [], why)
 
     monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
-    values = [np.linspace(0.0, 0.09, each)] * 2
-    family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
-    found = make_cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)), (-4.5, -4.0), values, 7)
+    family, whole = Family.of({"walker": "B", "set": {}}, ("m_s", "R")), Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09))
+    found = make_cells(family, whole, (-4.5, -4.0), each**2, 7)
     assert len(made) == tried and 5 * (tried - 1) <= each**2 / 5 < 5 * tried
-    assert {cell.why for cell in found} == {"few walkers"} and sum(cell.box.count(values) for cell in found) >= each**2
+    assert {cell.why for cell in found} == {"few walkers"} and sum(
+        whole.share(cell.box) for cell in found
+    ) == pytest.approx(1)
 
 
 def test_a_box_is_divided_where_its_walkers_are_tuned():
