@@ -13,7 +13,7 @@ from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.errors import WorkerError
 
 MAX_JOBS = 1000  # worker processes on one computer
-_Jobs = Iterator[tuple[int, Request]]
+_Take = Callable[[], tuple[int, Request] | None]
 _Results = Generator[tuple[int, dict[str, Any]], None, None]
 
 
@@ -25,10 +25,10 @@ class Engine:
     address: str | None = None
 
     @contextlib.contextmanager
-    def parallel(self) -> Iterator[Callable[[_Jobs], _Results]]:
+    def parallel(self) -> Iterator[Callable[[Callable[[], bool], _Take], _Results]]:
         """Provide a function that runs numbered requests and yields their numbered results as they arrive.
 
-        They must be closed inside.
+        Its arguments tell whether there is a request, and take the most urgent. The results must be closed inside.
         """
         if self.address is None:
             import joblib
@@ -36,23 +36,34 @@ class Engine:
             options = {"backend": "threading", "return_as": "generator_unordered", "batch_size": 1}
             with (
                 warnings.catch_warnings(),
-                joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options) as parallel,
+                joblib.Parallel(self.jobs, pre_dispatch=self.jobs, **options) as parallel,
             ):
                 # A run that is stopped says so itself; joblib would report the tasks that end with it.
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
-                yield lambda jobs: parallel(joblib.delayed(worker_process.run)(*job) for job in jobs)
+
+                def here(is_there: Callable[[], bool], take: _Take) -> _Results:
+                    # Joblib looks ahead: a job is chosen when a worker begins it.
+                    calls = (joblib.delayed(_run_next)(take) for _ in iter(is_there, False))
+                    yield from filter(None, parallel(calls))
+
+                yield here
         else:
             from gaitsweep.pipeline.engine import cluster
 
             with cluster.connect(self.address) as client:
 
-                def run(jobs: _Jobs) -> _Results:
+                def elsewhere(_: Callable[[], bool], take: _Take) -> _Results:
                     self.jobs = cluster.workers(client)
                     own = software()
-                    return cluster.results(client, _run_elsewhere, ((own, *job) for job in jobs))
+                    return cluster.results(client, _run_elsewhere, ((own, *job) for job in iter(take, None)))
 
                 self.jobs = cluster.workers(client)
-                yield run
+                yield elsewhere
+
+
+def _run_next(take: _Take) -> tuple[int, dict[str, Any]] | None:
+    job = take()
+    return worker_process.run(*job) if job else None
 
 
 def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Request) -> tuple[int, dict[str, Any]]:

@@ -127,6 +127,10 @@ class Jobs:
         self._next = None
         return node, request
 
+    def awaits(self, node: Node) -> bool:
+        """Whether others wait for the result of a node."""
+        return node.key.key in self._waiting
+
     def put_back(self, node: Node) -> None:
         """Return a job that was taken and has no result."""
         self.running -= 1
@@ -247,6 +251,9 @@ class Jobs:
                 self._ready.append(node)
             else:
                 lost += node.points + self._arrived(node.key.key, False)
+        if self._next and self._ready:  # what has become ready goes first: results are seen early
+            self._ready.append(self._next)
+            self._next = None
         return lost
 
 

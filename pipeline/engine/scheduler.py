@@ -19,6 +19,7 @@ from gaitsweep.pipeline.errors import GaitsweepError, WorkerError, described
 from gaitsweep.pipeline.graph.graph import Node
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
+_PATIENCE = 1.0  # longest time for which a thread waits until its result is recorded [s]
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
 
 
@@ -48,6 +49,9 @@ class Scheduler:
         self._held: dict[str, list[tuple[Jobs, Node]]] = {}  # jobs whose result another study is computing
         self._compiling: int | None = None  # number of the first job with knees
         self._lock = threading.RLock()  # jobs are taken by a thread of the executor, and their results recorded by ours
+        self._recorded = threading.Condition(self._lock)
+        self._latest: dict[int, int] = {}  # number of the job that each other thread has taken
+        self._thread = threading.get_ident()  # which records
 
     def run(self) -> None:
         """Run everything the studies request.
@@ -68,7 +72,7 @@ class Scheduler:
                     parallel = stack.enter_context(self.engine.parallel()) if self._has_jobs() else None
                     while parallel and self._has_jobs():
                         self.signals.check()
-                        with contextlib.closing(parallel(iter(self._next, None))) as results:
+                        with contextlib.closing(parallel(self._has_jobs, self._next)) as results:
                             for number, result in results:
                                 broken = 0
                                 self.signals.check()
@@ -92,19 +96,21 @@ class Scheduler:
                     self.running, self._held = {}, {}
 
     def _has_jobs(self) -> bool:
+        """Whether a job is ready, and results are not read more slowly than they arrive: joblib would keep them all."""
         with self._lock:
-            return any(study.peek() for study in self.studies)
+            can_run = len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received
+            return can_run and any(study.peek() for study in self.studies)
 
     def _next(self) -> tuple[int, Request] | None:
-        """Number and request of the most urgent job.
+        """Number and request of the most urgent job; None if there is none.
 
-        None if none is ready, or if results are read more slowly than they arrive: joblib would keep them all.
+        The most urgent job of a thread may be one that waits for the result that it has just brought.
         """
         with self._lock:
-            while len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received:
+            me = threading.get_ident()
+            self._recorded.wait_for(lambda: not self._is_awaited(self._latest.get(me, -1)), _PATIENCE)
+            while self._has_jobs():
                 ready = [(study, node) for study in self.studies if (node := study.peek())]
-                if not ready:
-                    break
                 study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
                 taken = study.take()
                 if taken is None:
@@ -117,10 +123,19 @@ class Scheduler:
                     self._held[node.key.key] = []
                 number = next(self._numbers)
                 self.running[number] = study, node
+                if me != self._thread:
+                    self._latest[me] = number
                 if study.has_knees and self._compiling is None:
                     self._compiling = number
                 return number, request
         return None
+
+    def _is_awaited(self, number: int) -> bool:
+        """Whether a job is not recorded, and others wait for its result."""
+        if number not in self.running:
+            return False
+        study, node = self.running[number]
+        return study.awaits(node)
 
     def _waits(self, study: Jobs) -> bool:
         """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
@@ -138,6 +153,7 @@ class Scheduler:
             for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
                 if node.key.key in wanted and other is not study:
                     other.copy(node.key, result["data"])
+            self._recorded.notify_all()
         self._finish()
 
     def _finish(self) -> None:

@@ -167,6 +167,25 @@ def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
     assert lost.key not in study.store
 
 
+def test_what_waits_for_a_result_goes_to_the_worker_that_brought_it(scheduler):
+    del scheduler.studies[1]
+    taken, brought, ended = [], threading.Event(), threading.Event()
+
+    def work():
+        taken.append(scheduler._next())
+        assert scheduler._has_jobs()  # as joblib asks
+        brought.set()
+        taken.append(scheduler._next())
+        ended.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    assert brought.wait(9) and not ended.wait(0.1)
+    scheduler._record(taken[0][0], {**FAILED, "outcome": "ok"})
+    thread.join()
+    assert [request.function.rpartition(":")[2] for _, request in taken] == ["atlas", "branch"]
+
+
 def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
     engine, asked = Engine(2), []
     with contextlib.ExitStack() as stack:
@@ -174,8 +193,8 @@ def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
 
         @contextlib.contextmanager
         def parallel():
-            def run(jobs):
-                for number, request in jobs:
+            def run(_, take):
+                for number, request in iter(take, None):
                     asked.append((request.function, request.params["line"]["set"]["foot_mass_ratio"]))
                     # The first attempt fails: limits of studies differ, so the other one tries by itself.
                     outcome = "timed_out" if len(asked) == 1 else "ok"
