@@ -57,8 +57,9 @@ def connect(address: str) -> Iterator[Any]:
         except RuntimeError as error:  # dask's processes import the script that starts them
             if reached_limit(error):
                 raise
-            guard = 'a script must be a file that calls `run` under `if __name__ == "__main__":`'
-            raise WorkerError(f"The processes of {address} cannot be started; {guard}.") from error
+            guard = 'A script must be a file that calls `run` under `if __name__ == "__main__":`'
+            files = "each process needs some 50 open files (`ulimit -n`)"
+            raise WorkerError(f"The processes of {address} cannot be started. {guard}; {files}.") from error
         yield client
 
 
