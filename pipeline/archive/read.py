@@ -73,7 +73,9 @@ def size_of(path: Path) -> int:
             raise ArchiveError(f"{path} is {kind}, not an archive.")
         open(path, "rb").close()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise ArchiveError(f"There is no archive {path}.") from None
+        near = Path("data", "archive", f"{Path(path).name}.nc")
+        hint = f"; did you mean {near}?" if near.is_file() else "."
+        raise ArchiveError(f"There is no archive {path}{hint}") from None
     except OSError as error:
         raise unread(path, error) from error
     return status.st_size

@@ -22,6 +22,16 @@ _NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse unknown options before argparse misses others."""
+        for word in () if self._subparsers or "--" in args else args:
+            name, known = word.partition("=")[0], self._option_string_actions
+            if name.startswith("--") and name not in known:
+                from gaitsweep.pipeline.study.location import Location
+
+                raise Location("").unknown(name, [option for option in known if option.startswith("--")], "option")
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         from gaitsweep.pipeline.study.location import clip
 

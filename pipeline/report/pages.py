@@ -53,7 +53,7 @@ class Page:
     `undrawn` says why figures are missing; `lines` are those whose gaits its script can start,
     `states` those states that its marks start from, once each; `absent` lists the points without a converged gait,
     `listed` those in the CSV file; `tables` are those of results, by their place on the page; `files` are the texts of
-    its data files, by file name.
+    its data files, by file name, and `csv` the names of those of figures and tables: equal data is in one file.
     """
 
     slug: str
@@ -66,6 +66,7 @@ class Page:
     listed: pd.DataFrame
     tables: dict[str, Any]
     files: dict[str, str]
+    csv: dict[str, str]
 
 
 def write(
@@ -247,7 +248,7 @@ def _shown(source: Source, drawing: Drawing) -> list[str]:
 
 def _bare(source: Source, slug: str) -> Page:
     """A study that only feeds the ledger, as far as its record needs it."""
-    return Page(slug, source, [], {}, [], [], pd.DataFrame(), pd.DataFrame(), {}, {})
+    return Page(slug, source, [], {}, [], [], pd.DataFrame(), pd.DataFrame(), {}, {}, {})
 
 
 def _page(source: Source, slug: str) -> Page:
@@ -280,9 +281,12 @@ def _page(source: Source, slug: str) -> Page:
     frames = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
     known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
-    files = {f"csv/{slug}-{name}.csv": folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
+    texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
+    first: dict[str, str] = {}
+    csv = {name: first.setdefault(text, f"csv/{slug}-{name}.csv") for name, text in texts.items()}
+    files = {name: text for text, name in first.items()}
     states = _share_states(drawings)
-    return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files)
+    return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files, csv)
 
 
 def _share_states(drawings: list[Drawing]) -> list[list[float]]:

@@ -141,6 +141,7 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (["solve", "--walkr", "D", "--slope", "0.01"], "Unknown option `--walkr`, did you mean `--walker`?"),
         (["run"], "The following arguments are required: STUDY.toml (gaitsweep run --help)."),
         (["run", "none.toml"], "There is no file none.toml."),
         (

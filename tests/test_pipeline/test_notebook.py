@@ -1,5 +1,6 @@
 """`from gaitsweep import load, run, solve`: the command line's results as Datasets and tables."""
 
+import contextlib
 import json
 import os
 import pathlib
@@ -106,6 +107,10 @@ def test_a_report_of_one_archive_is_its_page(mine, tmp_path):
     assert gaitsweep.report([path, str(other)], str(tmp_path / "pages"), only=True) == tmp_path / "pages" / "index.html"
     with pytest.raises(ArchiveError, match=r"^There is no archive .*none.nc\.$"):
         gaitsweep.report(tmp_path / "none.nc", tmp_path / "pages")
+    (tmp_path / "data" / "archive").mkdir(parents=True)
+    (tmp_path / "data" / "archive" / "near.nc").touch()
+    with contextlib.chdir(tmp_path), pytest.raises(ArchiveError, match=r"near; did you mean data/archive/near\.nc\?$"):
+        gaitsweep.report("near", tmp_path / "pages")
     with pytest.raises(ArchiveError, match="^An archive must be a file; got int"):
         gaitsweep.report([1], tmp_path / "pages")
 

@@ -1,3 +1,4 @@
+import re
 import shlex
 import types
 
@@ -8,12 +9,23 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from gaitsweep.pipeline.report import cells, html_tables
-from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, design_maps, draw, families, fields
+from gaitsweep.pipeline.report import cells, folder, html_tables
+from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, design_maps, draw, families, fields, landmarks
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
-from gaitsweep.pipeline.report.figures.style import COLOURS, MUTED, choose_rows, hatch, on_map, set_log, style
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import (
+    COLOURS,
+    MUTED,
+    canvas,
+    choose_rows,
+    draw_guide,
+    hatch,
+    on_map,
+    set_log,
+    style,
+)
 from gaitsweep.pipeline.report.figures.svg import TARGETS
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import WORDS, plain, sentences
@@ -618,3 +630,30 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
     source = types.SimpleNamespace(table=lambda name, *columns: {"fits/transition": table}.get(name))
     words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
     assert words == "They cross at 0.0002 (heavy) and 0.0001 (light)."
+
+
+def test_the_data_of_a_figure_says_in_words_what_is_stable():
+    sketch = Sketch(100).finish(pd.DataFrame({"slope": [0.1, 0.2, 0.3], "stable": [1.0, 0.0, np.nan]}))
+    assert sketch.data["stable"].tolist()[:2] == ["yes", "no"] and sketch.data["stable"].isna().sum() == 1
+    assert (sketch.values["stable_low"], sketch.values["stable_high"]) == (0.1, 0.1)
+    assert folder.csv_text(sketch.data).splitlines()[1:] == ["0.1,yes", "0.2,no", "0.3,"]
+
+
+def test_words_of_guides_and_landmarks_stand_beside_the_curves():
+    figure = canvas(200)
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1])
+    draw_guide(axes, 0.5, "swing leg at rest")
+    (words,) = axes.texts
+    figure.draw_without_rendering()
+    assert words.get_window_extent().x0 >= axes.bbox.x1 and words.get_window_extent().x1 <= figure.bbox.x1
+    row = {"walker": "D", "printed": 0.5, "half_unit": 0.05, "slope": 0.6, "slope_low": 0.55, "slope_high": 0.65}
+    landmarks.draw_over_slopes(axes, pd.DataFrame([row]))
+    figure.draw_without_rendering()
+    lowest = axes.transData.transform((0, 0))[1]
+    assert len(axes.texts) == 3 and all(text.get_window_extent().y1 <= lowest for text in axes.texts[1:])
+
+
+def test_a_design_map_says_where_its_best_walkers_are(sources):
+    finding = draw(sources["design"], "design", "design").finding
+    assert re.search(r"^Smallest slope with a gait \S+ at .+ = .+; largest slope with a stable gait \S+ at .+", finding)

@@ -344,11 +344,17 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
 
 
 def test_a_page_written_again_leaves_no_data_of_the_old_one(tmp_path):
-    pages.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
+    pages.write([_small(tmp_path, "s", ("loglog",))], tmp_path)
     assert (tmp_path / "csv" / "s-loglog.csv").is_file()
     pages.write([_small(tmp_path, "s")], tmp_path)
     assert not (tmp_path / "csv" / "s-loglog.csv").exists() and (tmp_path / "csv" / "s-linear.csv").is_file()
     assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 2  # a card, and beside the page
+
+
+def test_figures_with_the_same_data_share_a_file(tmp_path):
+    pages.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
+    assert [path.name for path in (tmp_path / "csv").glob("s-*")] == ["s-linear.csv"]
+    assert Page(tmp_path / "s.html").all("href").count("csv/s-linear.csv") == 2
 
 
 def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):

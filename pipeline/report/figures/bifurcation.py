@@ -83,7 +83,7 @@ def _widen(axes: Axes, printed: pd.DataFrame) -> None:
     values = printed[["printed", "slope"]].to_numpy(float).ravel()
     left, right = axes.get_xlim()
     width = right - left
-    axes.set_xlim(min(left, values.min() - 0.15 * width), max(right, values.max() + 0.25 * width))
+    axes.set_xlim(min(left, values.min() - 0.22 * width), max(right, values.max() + 0.25 * width))
 
 
 def lyapunov(source: Source) -> Sketch | None:

@@ -13,7 +13,7 @@ from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells
 from gaitsweep.pipeline.report.figures.style import choose_rows, hatch, on_map
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, plain, shorten, spaced, with_unit
+from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, axis_values, plain, shorten, spaced, with_unit
 
 
 class Mapped(NamedTuple):
@@ -81,8 +81,21 @@ def design(source: Source) -> Sketch | None:
         blank=True,
         more=more,
         ranges=ranges,
-        Ranges=ranges[0].upper() + ranges[1:],
+        best=_best(source, table),
     )
+
+
+def _best(source: Source, table: pd.DataFrame) -> str:
+    """The smallest slope, the largest and the highest speed of the maps, and where they are found."""
+    parts = []
+    for column, mapped in MAPPED.items():
+        values = table[column].dropna()
+        if len(values):
+            best = table.loc[values.idxmin() if mapped.slope == "smallest_slope" else values.idxmax()]
+            where = axis_values({name: best[name] for name in source.line_columns(table)})
+            parts.append(f"{mapped.cell} {plain(best[column])} at {where}")
+    text = "; ".join(parts) or "no design walks"
+    return text[0].upper() + text[1:]
 
 
 def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:

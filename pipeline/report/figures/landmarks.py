@@ -52,14 +52,17 @@ def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
 
 
 def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
-    """Mark printed slopes by lines across the panel, beside the computed ones."""
+    """Mark printed slopes by lines across the panel, beside the computed ones; their words stand below the data."""
+    if len(table):
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - 0.22 * (high - low), high)
     for row in table.sort_values("slope").itertuples():
         axes.axvspan(row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5)
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
         for text, at, ink, height in (
-            (f"printed {as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.02),
-            (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.1),
+            (f"printed {as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.03),
+            (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.11),
         ):
             is_right = at == max(row.printed, row.slope)
             how = {"ha": "left" if is_right else "right", "xycoords": axes.get_xaxis_transform(), "fontsize": 8}

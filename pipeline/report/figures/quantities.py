@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,7 +9,7 @@ import pandas as pd
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.families import label_lines
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin, write_at
+from gaitsweep.pipeline.report.figures.style import draw_gait, draw_guide, set_heading, set_log, thin
 from gaitsweep.pipeline.report.source import RATES, Source
 from gaitsweep.pipeline.report.words import WORDS, spaced, with_unit
 
@@ -68,14 +67,12 @@ def draw(name: str, source: Source) -> Sketch | None:
                 sketch.pieces.append(part.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
     if not any(len(piece) for piece in sketch.pieces):
         return None
-    for value, words in ((float(at), words) for at, words in quantity.guides.items()):
-        axes.axhline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
-        how: Any = {"fontsize": 8, "color": MUTED, "zorder": 6, "xycoords": axes.get_yaxis_transform()}
-        write_at(axes, words, (0.005, value), (0, 3), **how)
     _name_axes(sketch, source, quantity)
     data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
     sketch.gait_keys(data)
     label_lines(axes, sketch.pieces, names, names, quantity.abscissa, "value")
+    for at, words in quantity.guides.items():
+        draw_guide(axes, float(at), words)
     # Shares of several losses are drawn, which no measurement of one of them can be compared with.
     is_read = quantity.abscissa == "slope" and len(quantity.reads) == 1
     if is_read and measured.draw(axes, source, quantity.reads[0]):

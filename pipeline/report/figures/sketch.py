@@ -126,6 +126,8 @@ class Sketch:
             known |= {"low": self.data["slope"].min(), "high": self.data["slope"].max()}
             stable = self.data[self.data["stable"] == 1] if "stable" in self.data else self.data[:0]
             known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
+        if "stable" in self.data:
+            self.data = self.data.assign(stable=self.data["stable"].map(lambda of: {0: "no", 1: "yes"}.get(of, of)))
         self.lines, self.values = list(lines), known | values
         return self
 

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -154,6 +155,13 @@ def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float
     """Write words beside a point, at a distance from it [pt], on ground that hides curves."""
     ground = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, "bbox": ground, **how})
+
+
+def draw_guide(axes: Axes, value: float, words: str) -> None:
+    """Draw a guide across the axes, with its words at its right end, where no curve is."""
+    axes.axhline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
+    how: Any = {"fontsize": 8, "color": MUTED, "va": "center", "xycoords": axes.get_yaxis_transform()}
+    write_at(axes, fill(words, 11), (1, value), (4, 0), annotation_clip=False, **how)
 
 
 def hatch(axes: Axes) -> None:
