@@ -57,7 +57,13 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
 def seconds_over_plane(study: Study) -> tuple[float, float]:
     """Processor time of a grid by charts over its plane of keys, and line by line [s]; infinite where there is none."""
     plane, slopes = study.plane, len(study.slope)
-    if study.kind != "grid" or not plane or not TASKS["atlas"].over_plane or not _wants_points_alone(study):
+    if (
+        study.kind != "grid"
+        or study.steps > 1
+        or not plane
+        or not TASKS["atlas"].over_plane
+        or not _wants_points_alone(study)
+    ):
         return math.inf, math.inf
     kneed = sum(check["multipliers"] > 3 for check in study.checks) / len(study.checks)
 

@@ -30,6 +30,8 @@ STUDIES = {
     "[options]\nsize = 40\n",
     "narrow": 'kind = "orbit"\nwalker = "D"\n[axes]\nslope = { from = 0.01815, to = 0.01816, n = 5 }\n'
     '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 24\nshown = 8\n',
+    "two-steps": 'walker = "D"\n[axes]\nslope = { from = 0.0155, to = 0.0165, n = 5 }\n'
+    '[want]\nvariables = ["stance_angle"]\nfigures = ["linear"]\n[options]\nsteps = 2\n',
     "orbits": 'kind = "orbit"\nwalker = "C"\n[axes]\nslope = { from = 0.07, to = 0.09, n = 21 }\n'
     '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 40\nshown = 8\n',
 }

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import shlex
 import time
 from pathlib import Path
 
@@ -360,6 +361,18 @@ def test_a_dot_of_an_orbit_goes_on_as_it_was(walk, chains):
     assert wait(browser, HASH)
     assert selected(browser)["free"] == 1
     assert "still walks" in part(browser, "outcome").text or "recovers" in part(browser, "outcome").text
+
+
+def test_a_gait_of_two_steps_walks(walk, chains, capsys):
+    """Its steps take turns, as those of the command do that the page shows."""
+    browser = walk("two-steps")
+    click(browser, chains, "linear", data(browser, "linear", "marks")[0]["rows"][2][:2])
+    assert wait(browser, HASH) and selected(browser)["free"] == 1
+    assert wait(browser, "document.querySelector('[data-part=outcome]').textContent")
+    assert "61 steps" in part(browser, "outcome").text or "still walks" in part(browser, "outcome").text
+    assert commands.main([*shlex.split(part(browser, "command").text)[1:], "--json"]) == 0
+    angles = json.loads(capsys.readouterr().out)["stance_angle"]
+    assert angles[2] == pytest.approx(angles[0], rel=1e-9) and abs(angles[1] - angles[0]) > 0.01
 
 
 def test_the_command_of_a_motion_from_any_state_makes_the_same_motion(walk, capsys):

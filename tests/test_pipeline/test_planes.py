@@ -1,6 +1,7 @@
 """Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
 
 import contextlib
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
-from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.grid.method import Method, seconds_over_plane
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study.parse import read
@@ -140,6 +141,12 @@ def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
 @pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 11 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
+
+
+def test_gaits_of_several_steps_have_no_charts(tmp_path):
+    text = STUDY.format(walker="B", axes=AXES).replace(', "loss_normal"', "")
+    assert max(seconds_over_plane(read(written(tmp_path, text)))) < math.inf
+    assert seconds_over_plane(read(written(tmp_path, text + "[options]\nsteps = 2\n"))) == (math.inf, math.inf)
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):

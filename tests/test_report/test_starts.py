@@ -69,11 +69,15 @@ def test_a_walker_of_which_the_archive_lacks_a_key_does_not_walk(tmp_path):
     assert starts.lines(source) == []
 
 
-def test_gaits_of_several_steps_have_no_lines_for_the_script_flies_gaits_of_one(tmp_path):
+def test_gaits_of_several_steps_fly_freely_for_the_script_solves_gaits_of_one(tmp_path):
     source = _grid(tmp_path)
-    assert starts.lines(source)
+    one, *_ = starts.lines(source)
     source.grid.attrs["steps"] = 2
-    assert starts.lines(source) == []
+    two, *_ = starts.lines(source)
+    assert one["branches"] and one["first"] and two == {**one, "branches": [], "first": "", "command": two["command"]}
+    assert "--steps 2" in two["command"]
+    targets = draw(source, "linear", "s").targets
+    assert targets and all(target["free"] for target in targets)
 
 
 def test_the_limits_of_violations_are_the_archives(tmp_path):

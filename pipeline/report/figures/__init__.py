@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from unittest import mock
 
@@ -107,4 +108,5 @@ def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str
         os.environ.pop("SOURCE_DATE_EPOCH", None)
         drawn = sketch(source, name, set() if told is None else told)
         drawn.values["steps"] = source.steps if source.steps > 1 else None
+        drawn.marks = [replace(marks, free=marks.free or source.steps > 1) for marks in drawn.marks]
         return render(drawn, name, salt, small)

@@ -64,11 +64,9 @@ def lines(source: Source) -> list[dict[str, Any]]:
     """Lines whose gaits a page can start: name, values of the axes, walker, command and branches.
 
     A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in the walker's units, in its order
-    through folds. Lines of tables of initial conditions have none: their figures hold the starts. The script flies
-    gaits of one step, to which Newton's method would lead from those of several: these have no lines.
+    through folds. Lines of tables of initial conditions have none: their figures hold the starts. Nor have lines of
+    gaits of several steps, from which Newton's method would lead the script to those of one: these fly freely.
     """
-    if source.steps > 1:
-        return []
     by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
@@ -77,7 +75,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
             known = name == "branches" and set(START[:4]) <= set(rows.columns)
             branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
             by_line.setdefault((walker, *at.values()), (walker, at, branches))
-    chosen = list(by_line.values())[:_MAX_LINES]
+    chosen = [(w, at, [] if source.steps > 1 else own) for w, at, own in [*by_line.values()][:_MAX_LINES]]
     total = sum(len(branch) for _, _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
     for walker, at, branches in chosen:
