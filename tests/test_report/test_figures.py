@@ -656,4 +656,4 @@ def test_words_of_guides_and_landmarks_stand_beside_the_curves():
 
 def test_a_design_map_says_where_its_best_walkers_are(sources):
     finding = draw(sources["design"], "design", "design").finding
-    assert re.search(r"^Smallest slope with a gait \S+ at .+ = .+; largest slope with a stable gait \S+ at .+", finding)
+    assert re.search(r"^Smallest slope γ \(rad\): \S+ \(.+ = .+\); largest stable γ \(rad\): \S+ \(.+\); f", finding)

@@ -93,7 +93,7 @@ def _best(source: Source, table: pd.DataFrame) -> str:
         if len(values):
             best = table.loc[values.idxmin() if mapped.slope == "smallest_slope" else values.idxmax()]
             where = axis_values({name: best[name] for name in source.line_columns(table)})
-            parts.append(f"{mapped.cell} {plain(best[column])} at {where}")
+            parts.append(f"{mapped.title}: {plain(best[column])} ({where})")
     text = "; ".join(parts) or "no design walks"
     return text[0].upper() + text[1:]
 
