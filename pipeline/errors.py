@@ -35,6 +35,12 @@ class StudyError(GaitsweepError):
     """An invalid study, walker file or option."""
 
 
+class NoGaitError(GaitsweepError):
+    """There is no gait to begin with."""
+
+    exit_code = 1
+
+
 class ArchiveError(GaitsweepError):
     """An archive or journal that cannot be read or written, or is not one of gaitsweep."""
 

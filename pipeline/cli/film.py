@@ -12,9 +12,10 @@ import xarray as xr
 
 from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.api.steps import simulate
-from gaitsweep.pipeline.api.studies import gaits
+from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import StudyError, unwritten
 from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study.single_point import led, state_of
 
 #: Formats of films and of strips, by the ending of the file.
 _FILMS, _STRIPS = {".webp": "WEBP", ".png": "PNG", ".gif": "GIF"}, (".svg", ".pdf", ".png")
@@ -36,29 +37,23 @@ class Pose(NamedTuple):
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the film or the strip, and print its path; the exit code is 1 if there is no such gait."""
+    """Write the film or the strip, and print its path."""
     endings = _STRIPS if options.strip else _FILMS
     if options.out.suffix.lower() not in endings:
         raise StudyError(f"The file must end in {', '.join(endings)}; got {options.out.name!a}.")
     for name, low, high in (("steps", 1, 50), ("push", -10, 10), ("slow", 0.1, 100)):
         if not low <= getattr(options, name) <= high:  # nan
             raise StudyError(f"`--{name}` must lie in [{low}, {high}]; got {getattr(options, name)}.")
-    walker = files.walker(options.walker, Path())
-    found = gaits(walker, options.slope, **options.set)
-    labels = [str(gait) for gait in found["gait"].values if np.isfinite(found["stance_angle"].sel(gait=gait))]
-    if options.gait not in labels:
-        terminal.say(f"gaitsweep: There is no {options.gait} gait here; {', '.join(labels) or 'none'} found.")
-        return 1
-    gait = found.sel(gait=options.gait)
-    state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    walker, keys = led(files.walker(options.walker, Path()), options.set)
+    state = state_of(walker, options.slope, keys, options.gait)
     push = {0: [options.push * state[1]] * 2} if options.push else None
-    motion = simulate(walker, options.slope, state, options.steps, motion=True, pushes=push, **options.set)
+    motion = simulate(walker, options.slope, state, options.steps, motion=True, pushes=push, **keys)
+    known = ask("check_walker", {"walker": walker, "set": keys})
     from gaitsweep.pipeline.report.figures.body import Body
 
-    body = Body.of(found.attrs)
+    body = Body.of(known["parameters"])
     assert body is not None  # the walker was checked
-    si = found.attrs["units"] == "SI"
-    poses = _poses(motion, body, _moments(motion, options, 1.0 if si else math.sqrt(1 / 9.81)))
+    poses = _poses(motion, body, _moments(motion, options, 1.0 if known["si"] else math.sqrt(1 / 9.81)))
     words = f"{options.walker}, {options.gait} step, γ = {options.slope:g} rad"
     end = str(motion["reason"].item()) if int(motion["steps_taken"]) < options.steps else ""
     try:

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import files
-from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.single_point import led, solve
-from gaitsweep.tasks.registry import GAITS
+from gaitsweep.pipeline.study.single_point import led, state_of
 
 _STATE = ("stance_angle", "stance_rate", "thigh_rate")
 
@@ -24,24 +21,13 @@ def run(options: argparse.Namespace) -> int:
     """Print the steps and how they end, which may be a fall; the exit code is 1 if there is no gait to begin with."""
     if options.state and options.gait:
         raise StudyError("Steps begin either at a `--state` or at a `--gait`.")
-    label = options.gait or "long"
-    if label not in GAITS:
-        raise Location("", "gait").unknown(label, GAITS)
     pushes: dict[Any, list[float]] = {}
     for step, *change in options.push:
         if step in pushes:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
     walker, keys = led(files.walker(options.walker, Path()), options.set)
-    state = options.state
-    if not state:
-        answer = solve(walker, options.slope, keys, every=False)
-        gait = next((gait for gait in answer["gaits"] if gait["gait"] == label), None)
-        if gait is None:
-            why = [sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")]
-            terminal.say(f"gaitsweep: {why[0] if why else f'There is no {label} gait at this slope.'}")
-            return 1
-        state = [gait[name] for name in _STATE]
+    state = options.state or state_of(walker, options.slope, keys, options.gait or "long")
     found = simulate(walker, options.slope, state, options.steps, pushes=pushes, **keys)
     kinds.show(options, {name: _plain(values) for name, values in found.variables.items()}, _lines(found))
     return 0

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.errors import NoGaitError
 from gaitsweep.pipeline.study import files, slopes
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.options import violation_limits
 from gaitsweep.pipeline.study.parse import accuracy
-from gaitsweep.tasks.registry import MAX_STEPS
+from gaitsweep.tasks.registry import GAITS, MAX_STEPS
 
 
 def solve(
@@ -64,6 +65,26 @@ def solve(
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
     return ask("solve", params)
+
+
+def state_of(walker: str | dict[str, Any], slope: float, keys: Mapping[str, Any], label: str) -> list[float]:
+    """State of a gait just after heelstrike, (stance_angle, stance_rate, thigh_rate), in the walker's units.
+
+    Raises
+    ------
+    StudyError
+        As `solve`, and if there is no such label.
+    NoGaitError
+        If the walker has no such gait.
+    """
+    if label not in GAITS:
+        raise Location("", "gait").unknown(label, GAITS)
+    answer = solve(walker, slope, keys, every=False)
+    for gait in answer["gaits"]:
+        if gait["gait"] == label:
+            return [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    why = [sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")]
+    raise NoGaitError(why[0] if why else f"There is no {label} gait at this slope.")
 
 
 def led(
