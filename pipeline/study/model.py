@@ -54,8 +54,8 @@ class Plane:
 
 
 def about(n: int) -> int:
-    """The power of four nearest to a number: grids that are refined a little share their charts."""
-    return int(4 ** round(math.log(n, 4)))
+    """The largest power of two up to a number: grids that are refined a little share their charts."""
+    return 1 << n.bit_length() - 1
 
 
 @dataclass(frozen=True)
