@@ -219,6 +219,7 @@ def residuals(source: Source) -> Sketch | None:
         return None
     sketch = Sketch(210)
     (axes,) = sketch.panels
+    names = _line_titles(source, source.lines)
     for k, line in enumerate(source.lines):
         curves = list(line.curves("stance_angle"))
         for gait in source.gaits:
@@ -234,7 +235,7 @@ def residuals(source: Source) -> Sketch | None:
                 percent = 100 * used["residual"]
                 axes.plot(used["slope"], percent, color=colour(k), lw=1.2, ls=dash(gait))
                 regime = getattr(row, "regime", "")
-                label = f"{gait} step · {line.label} · {regime} slopes"
+                label = f"{gait} step · {names[k]} · {regime} slopes"
                 tips = {"slope": "γ (rad)", "percent": "residual (%)"}
                 sketch.mark_gaits(axes, used.assign(percent=percent), label, line.command, tips, y="percent")
                 used = used.drop(columns=list(RATES), errors="ignore")
@@ -247,5 +248,5 @@ def residuals(source: Source) -> Sketch | None:
     axes.set_xlabel("slope γ (rad)")
     set_heading(axes, "relative residual of the stance angle (%)")
     sketch.gait_keys(data[["gait"]])
-    sketch.line_keys([line.label for line in source.lines])
+    sketch.line_keys(names)
     return sketch.finish(data, 4, worst=100 * data["residual"].abs().max())

@@ -135,7 +135,7 @@ class Sketch:
         """Draw the legend, without what a page has told already; that of this figure is told from then on."""
         if keys := [key for key in self.keys if key.get_label() not in told]:
             self.figure.legend(handles=keys, loc="outside upper left", ncols=self.columns)
-        told |= {str(key.get_label()) for key in keys}
+        told |= {*(str(key.get_label()) for key in keys), *map(shorten, self.lines)}
 
     def words(self, name: str) -> tuple[str, str, str, str]:
         """Title, caption, alt text and finding, of the figure's name."""
