@@ -95,11 +95,15 @@ class Scheduler:
                         study.put_back(node)
                     self.running, self._held = {}, {}
 
-    def _has_jobs(self) -> bool:
-        """Whether a job is ready, and results are not read more slowly than they arrive: joblib would keep them all."""
+    def _ready(self) -> list[tuple[Jobs, Node]]:
+        """The next job of each study; none if results are read more slowly than they arrive: joblib would keep all."""
         with self._lock:
-            can_run = len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received
-            return can_run and any(study.peek() for study in self.studies)
+            if len(self.running) >= _JOBS_PER_WORKER * self.engine.jobs or self.signals.received:
+                return []
+            return [(study, node) for study in self.studies if (node := study.peek())]
+
+    def _has_jobs(self) -> bool:
+        return bool(self._ready())
 
     def _next(self) -> tuple[int, Request] | None:
         """Number and request of the most urgent job; None if there is none.
@@ -109,8 +113,7 @@ class Scheduler:
         with self._lock:
             me = threading.get_ident()
             self._recorded.wait_for(lambda: not self._is_awaited(self._latest.get(me, -1)), _PATIENCE)
-            while self._has_jobs():
-                ready = [(study, node) for study in self.studies if (node := study.peek())]
+            while ready := self._ready():
                 study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
                 taken = study.take()
                 if taken is None:

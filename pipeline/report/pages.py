@@ -53,7 +53,7 @@ class Page:
     `undrawn` says why figures are missing; `lines` are those whose gaits its script can start,
     `states` those states that its marks start from, once each; `absent` lists the points without a converged gait,
     `listed` those in the CSV file; `tables` are those of results, by their place on the page; `files` are the texts of
-    its data files, by file name, and `csv` the names of those of figures and tables: equal data is in one file.
+    its data files, by file name, and `csv` those of figures and tables, without folder: equal data is in one file.
     """
 
     slug: str
@@ -283,8 +283,8 @@ def _page(source: Source, slug: str) -> Page:
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
     texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
     first: dict[str, str] = {}
-    csv = {name: first.setdefault(text, f"csv/{slug}-{name}.csv") for name, text in texts.items()}
-    files = {name: text for text, name in first.items()}
+    csv = {name: first.setdefault(text, f"{slug}-{name}.csv") for name, text in texts.items()}
+    files = {f"csv/{name}": text for text, name in first.items()}
     states = _share_states(drawings)
     return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files, csv)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 #: Words of figures, tables and columns, by their names.
 WORDS = tomllib.loads((Path(__file__).parent / "words.toml").read_text(encoding="utf-8"))
@@ -82,6 +83,11 @@ def titled(name: str, unit: str, words: str = "") -> str:
 def shorten(name: str, most: int = 30) -> str:
     """Cut a name to a length."""
     return name if len(name) <= most else name[: most - 1] + "…"
+
+
+def yes_or_no(flags: pd.Series) -> pd.Series:
+    """Flags 1 and 0 in words; others stay missing."""
+    return flags.map({1: "yes", 0: "no"})
 
 
 def axis_values(at: Mapping[str, Any]) -> str:

@@ -87,7 +87,7 @@ def test_a_strip_is_a_picture_that_is_the_same_each_time(tmp_path):
         (["x.webp", *GAIT, "--strip"], 2, "must end in .svg, .pdf, .png"),
         (["x.webp", "--walker", "physical", "--slope", "0.001"], 1, "No long gait: none below 0.0191229 rad."),
         (["x.webp", "--walker", "physical", "--slope", "2"], 2, "degrees? 2 degrees are 0.0349066 rad."),
-        (["x.webp", *GAIT, "--gait", "short"], 1, "No short gait"),
+        (["x.webp", *GAIT, "--gait", "short"], 1, "No short gait: none between 0.0221901 and 0.036387 rad."),
         (["x.webp", *GAIT, "--steps", "51"], 2, "`--steps` must lie in [1, 50]; got 51."),
         (["x.webp", *GAIT, "--push", "nan"], 2, "`--push` must lie in [-10, 10]; got nan."),
         (["x.webp", *GAIT, "--slow", "90"], 2, "more than 1,000: show fewer steps, or faster."),

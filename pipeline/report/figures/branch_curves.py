@@ -20,7 +20,7 @@ from gaitsweep.pipeline.report.figures.style import (
     write_at,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import WORDS, axis_values, shorten, spaced
+from gaitsweep.pipeline.report.words import WORDS, axis_values, shorten, spaced, yes_or_no
 
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
@@ -118,7 +118,7 @@ def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame
 def _mark_branch(sketch: Sketch, axes: Axes, source: Source, frame: pd.DataFrame, at: dict[str, Any]) -> None:
     rows = thin(frame.dropna(subset=["stance_angle"]), 300)
     if "stable" in rows:
-        rows = rows.assign(stable=np.where(rows["stable"] == 1, "yes", "no"))
+        rows = rows.assign(stable=yes_or_no(rows["stable"]))
     sketch.mark_gaits(axes, rows, axis_values(at) or "branch", source.line_command(frame), TIPS | {"stable": "stable"})
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from gaitsweep.pipeline.report.figures.style import COLOURS, INK, PRINTED, canvas, colour, dash
-from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten
+from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten, yes_or_no
 
 #: What a gait's columns are called under the pointer.
 TIPS = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "period": "period"}
@@ -127,7 +127,7 @@ class Sketch:
             stable = self.data[self.data["stable"] == 1] if "stable" in self.data else self.data[:0]
             known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
         if "stable" in self.data:
-            self.data = self.data.assign(stable=self.data["stable"].map(lambda of: {0: "no", 1: "yes"}.get(of, of)))
+            self.data = self.data.assign(stable=yes_or_no(self.data["stable"]))
         self.lines, self.values = list(lines), known | values
         return self
 
