@@ -91,8 +91,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         )
         if possible:
             each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
-            request = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT}
-            request |= {"plane": params["plane"]}
+            request: dict[str, Any] = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT}
+            request |= {"plane": params["plane"], "slope_from": at_slope, "slope_to": at_slope, "slopes": 1}
             gaits[:, possible] = _long(lines_of_plane(request, [charts(request, [])])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
