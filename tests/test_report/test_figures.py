@@ -656,4 +656,7 @@ def test_words_of_guides_and_landmarks_stand_beside_the_curves():
 
 def test_a_design_map_says_where_its_best_walkers_are(sources):
     finding = draw(sources["design"], "design", "design").finding
+    table = sources["design"].table("design", "smallest_slope", "fastest_froude_speed")
+    assert f"γ (rad): {plain(table['smallest_slope'].min())} (" in finding
+    assert f"v/√(gl): {plain(table['fastest_froude_speed'].max())} (" in finding
     assert re.search(r"^Smallest slope γ \(rad\): \S+ \(.+ = .+\); largest stable γ \(rad\): \S+ \(.+\); f", finding)
