@@ -56,7 +56,7 @@ TASKS = {
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
         Task("points", "gaitsweep.tasks.solve_points:points", 20, needs=("atlas",)),
-        Task("charts", "gaitsweep.tasks.solve_planes:charts", 4),
+        Task("charts", "gaitsweep.tasks.solve_planes:charts", 5),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 6, needs=("atlas",)),
         Task("branch", "gaitsweep.tasks.follow_branches:branch", 17, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 9, needs=("atlas",)),

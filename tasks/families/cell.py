@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -190,18 +190,20 @@ def make_cell(
 
 @dataclass(frozen=True)
 class _End:
-    """Where a piece ends over the keys: ln slopes at coordinates, the kind, the error, how far from it walking ends.
+    """Where a piece ends over the keys: the chart of its ln slope with its error, the kind, and where walking ends.
 
     `kind` is `cut`, `fold`, `end`, a located one, or `beyond`: then the chart ends beyond that of walking, at most by
     `reach`. `vanishing` is as spans have it.
     """
 
     kind: str
-    at: Callable[[np.ndarray], np.ndarray]
-    error: float = 0.0
+    chart: Chart
     reach: float = 0.0
     vanishing: float = 0.0
-    sizes: tuple[int, ...] = ()
+
+    def at(self, unit: np.ndarray) -> np.ndarray:
+        """Return ln slopes (n,) at coordinates (n, d)."""
+        return self.chart(unit)[0]
 
 
 class _Maker:
@@ -283,7 +285,7 @@ class _Maker:
         beyond = sign * (q - edge)
         if (beyond > _CLEAR).all():
             cut = edge + sign * min(2 * _CLEAR, 0.5 * float(beyond.min()))
-            return _End("cut", lambda unit: np.full(len(unit), cut))
+            return _End("cut", Chart((1,) * self.d, np.array([[cut]]), error=0.0))
         kinds = {piece.kinds[k] for piece in group}
         if beyond.max() > _REACH:
             raise Refused("a piece ends in the window or far from it", self.rougher(np.clip(beyond, -1, _REACH)))
@@ -297,58 +299,44 @@ class _Maker:
             numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
             raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
         scalar = "short_steps" if kind == "zero step length" else kind
-        point = group[0].end_point(k)
-        # Two pieces meet at a fold.
-        points = self.located.get(point.tobytes()) or self.special.ends(scalar, self.unit[0], point, self.total)
-        self.located[point.tobytes()] = points
+        known = np.column_stack([piece.end_point(k) for piece in group])
+        name = known[:, 0].tobytes()
+        if name not in self.located:  # two pieces meet at a fold
+            self.located[name] = self.special.ends(scalar, self.unit[: self.few], known, self.total)
+        points = self.located[name]
         m = self.structure.dimension
-
-        def at(unit: np.ndarray) -> np.ndarray:
-            return np.asarray(points(unit)[m])
-
-        if kind == "fold":
-            return _End("fold", at, points.error, sizes=points.sizes)
-        return _End("end", at, points.error, vanishing=vanishing, sizes=points.sizes)
+        slope = replace(points, coefficients=points.coefficients[:, m : m + 1])
+        return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)
 
     def event(self, q: np.ndarray, sign: int, vanishing: float) -> _End:
         """An end beyond that of walking, from ln slopes at the centre and the corners."""
-
-        def terms(unit: np.ndarray) -> np.ndarray:
-            powers = itertools.product((0, 1), repeat=self.d)
-            products = [np.prod(unit ** np.array(power), axis=1) for power in powers]
-            return np.column_stack([*products, (unit**2).mean(axis=1)])
-
-        coefficients = np.linalg.solve(terms(self.unit[: self.few]), q)
         reach = _CLEAR + 0.02 * float(np.ptp(q))
-
-        def at(unit: np.ndarray) -> np.ndarray:
-            return np.asarray(terms(unit) @ coefficients + sign * reach)
-
-        return _End("beyond", at, 0.0, 2 * reach, vanishing, (3,) * self.d)
+        chart = Chart.of_corners(self.unit[: self.few], q[None] + sign * reach)
+        return _End("beyond", replace(chart, error=0.0), 2 * reach, vanishing)
 
     def patch(self, group: list[Piece]) -> Patch:
         """The patch of a piece."""
         ends = self.ends(group)
-        sizes = tuple(max((end.sizes[k] for end in ends if end.sizes), default=1) for k in range(self.d))
+        sizes = tuple(np.max([end.chart.sizes for end in ends], axis=0).tolist())
         nodes = tensor_nodes(sizes)
         folds = ends[0].kind == "fold", ends[1].kind == "fold"
         vanishing = ends[0].vanishing, ends[1].vanishing
         span = Span(Chart.through(sizes, np.array([end.at(nodes) for end in ends])), folds, vanishing)
-        gaits, side = self.gaits(group[0], span)
+        gaits, side = self.gaits(group, span)
         points = tensor_nodes((_MEASURED[0], *[_MEASURED[1]] * self.d))
         along = measured(self.problem(points[:, 1:]), gaits(points), span.log_slope(points), _MEASURED[1] ** self.d)
         if any(vanishing):  # rounding over step size grows from node to node: it is measured at each gait
             along[-1][:] = np.nan
         numbers = np.array([[piece.number, piece.place] for piece in group])
-        errors = np.array([end.error for end in ends])
+        errors = np.array([end.chart.error for end in ends])
         reach = np.array([end.reach for end in ends])
         kinds = ends[0].kind, ends[1].kind
         return Patch(self.unit[: self.few], numbers, span, kinds, errors, reach, gaits, along, side)
 
-    def gaits(self, piece: Piece, span: Span) -> tuple[Chart, float]:
-        """The chart of the gaits of a piece at the centre over a span, and the side of a fold on which all lie."""
-        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {piece.number} {piece.place}")
-        way = _Way(self, piece, span)
+    def gaits(self, group: list[Piece], span: Span) -> tuple[Chart, float]:
+        """The chart of the gaits of a piece over a span, and the side of a fold on which all lie."""
+        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {group[0].number} {group[0].place}")
+        way = _Way(self, group, span)
 
         def attempt(sizes: tuple[int, ...], before: Chart | None) -> Chart:
             chart = Chart.through(sizes, way.solved(tensor_nodes(sizes), before))
@@ -414,31 +402,41 @@ class _Maker:
 
 
 class _Way:
-    """Gaits of a piece of the line at the centre of a box, carried to other points of a span."""
+    """Gaits of a piece, of lines at the centre and the corners of a box, carried to other points of a span."""
 
-    def __init__(self, maker: _Maker, piece: Piece, span: Span):
-        self.maker, self.piece, self.span = maker, piece, span
-        inside = span.points(np.array(piece.q), np.repeat(maker.unit[:1], 2, axis=0))[:, 0]
+    def __init__(self, maker: _Maker, group: list[Piece], span: Span):
+        self.maker, self.group, self.piece, self.span = maker, group, group[0], span
+        inside = span.points(np.array(self.piece.q), np.repeat(maker.unit[:1], 2, axis=0))[:, 0]
         self.low, self.high = (float(np.clip(x, -1, 1)) for x in inside)
         middle = np.array([[0.5 * (self.low + self.high), *maker.unit[0]]])
-        self.side = float(side_of_fold(maker.stride(span, middle, piece.gaits(span.log_slope(middle))))[0])
+        self.side = float(side_of_fold(maker.stride(span, middle, self.piece.gaits(span.log_slope(middle))))[0])
 
     def newton(self, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gaits near guesses (m + k, n), and whether they are on the right side of folds, (n,)."""
         problem, q = self.maker.problem(points[:, 1:]), self.span.log_slope(points)
         result = newton(problem, guess, q, enough=_ENOUGH)
-        fair = result.converged & (np.abs(result.w - guess).max(axis=0) < _MAX_STRIDE_ERROR)
+        off = np.abs(result.w - guess) / np.maximum(1.0, np.abs(guess) / _FAST)
+        fair = result.converged & (off.max(axis=0) < _MAX_STRIDE_ERROR)
         fair &= side_of_fold(problem.stride(result.w, q)[0]) == self.side
         return result.w, fair
 
     def solved(self, points: np.ndarray, before: Chart | None) -> np.ndarray:
         """Gaits at points (n, 1 + d), shape (m + k, n)."""
-        if before is None:
-            return self.carried(points)
-        w, fair = self.newton(points, before(points))
+        w, fair = self.newton(points, before(points) if before else self.between(points))
         if not fair.all():
             w[:, ~fair] = self.carried(points[~fair])
         return w
+
+    def between(self, points: np.ndarray) -> np.ndarray:
+        """Guesses (m + k, n) between the lines, at the positions of points (n, 1 + d)."""
+        lines = self.maker.unit[: self.maker.few]
+        position, place = np.unique(points[:, 0], return_inverse=True)
+        of_lines = []
+        for piece, unit in zip(self.group, lines, strict=True):
+            q = self.span.log_slope(np.column_stack([position, np.tile(unit, (len(position), 1))]))
+            of_lines.append(piece.gaits(q).ravel())
+        every = Chart.of_corners(lines, np.array(of_lines).T)(points[:, 1:]).reshape(-1, len(position), len(points))
+        return np.asarray(every[:, place, np.arange(len(points))])
 
     def carried(self, points: np.ndarray) -> np.ndarray:
         """Gaits carried to points along straight lines."""

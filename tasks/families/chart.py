@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +51,27 @@ class Chart:
             inverse[0] *= 0.5
             coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis)
         return cls(sizes, coefficients.reshape(values.shape[1], -1), size=size)
+
+    @classmethod
+    def of_corners(cls, unit: np.ndarray, values: np.ndarray) -> Chart:
+        """Return the chart of values (c, 1 + 2^d) at points inside and near the corners of the cube (1 + 2^d, d).
+
+        It is linear in each dimension but for squares, of which all have one coefficient.
+        """
+        d = unit.shape[1]
+        basis = [chebvander(x, 2) for x in unit.T]
+        linear = list(itertools.product((0, 1), repeat=d))
+        squares = [tuple(2 * (k == axis) for k in range(d)) for axis in range(d)]
+
+        def term(degrees: tuple[int, ...]) -> np.ndarray:
+            return np.prod([own[:, k] for own, k in zip(basis, degrees, strict=True)], axis=0)
+
+        terms = np.column_stack([*map(term, linear), sum(map(term, squares))])
+        solved = np.linalg.solve(terms, values.T)
+        coefficients = np.zeros((*(3,) * d, len(values)))
+        for degrees, own in zip([*linear, *squares], [*solved, *[solved[-1]] * (d - 1)], strict=True):
+            coefficients[degrees] = own
+        return cls((3,) * d, coefficients.reshape(-1, len(values)))
 
     def to_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Return the chart as plain arrays, whose names begin with its own."""

@@ -123,14 +123,14 @@ class Maker:
         return _Extension(self, kind, target, unit, Z).manifold()
 
     def ends(self, kind: str, unit: np.ndarray, Z: np.ndarray, total: int) -> Chart:
-        """Return the chart of the special points of a kind through one, of Z (c values), over the whole box.
+        """Return the chart of the special points of a kind through some of them, Z (c, 1 + 2^d), over the whole box.
 
         Parameters
         ----------
         kind : str
-        unit : ndarray, shape (d,)
-            Coordinates of keys.
-        Z : ndarray, shape (c,)
+        unit : ndarray, shape (1 + 2^d, d)
+            Coordinates of keys: inside the box, and near its corners.
+        Z : ndarray, shape (c, 1 + 2^d)
         total : int
             Nodes from which on no more are added.
 
@@ -139,7 +139,9 @@ class Maker:
         Refused
             If they are not smooth enough, or do not extend over the box.
         """
-        return _Extension(self, kind, 0.0, unit, Z).ends(total)
+        rows = gradient(self.problem(unit), kind, Z)
+        between = Chart.of_corners(unit, np.vstack([Z, rows]))
+        return _Extension(self, kind, 0.0, unit[0], Z[:, 0]).ends(total, between)
 
 
 class _Points(Carried):
@@ -175,14 +177,9 @@ class _Extension:
     def fit(self, region: Region, first: Chart, good: float, total: int) -> Chart:
         return fit(first, partial(self.chart, region), (_MAX_NODES,) * self.d, total, good, _FAIR, self.d)
 
-    def ends(self, total: int) -> Chart:
-        sizes = (_FIRST,) * self.d
-        nodes, region = tensor_nodes(sizes), Region.whole(self.d)
-        points, there = self.carried(nodes, region)
-        if not there.all():
-            lost = np.abs(nodes[~there] - self.unit).sum(axis=0)
-            raise Refused(f"a {self.kind} does not extend over the box", int(lost.argmax()))
-        chart = self.fit(region, self.chart(region, sizes, points=points), _GOOD_ENDS, total)
+    def ends(self, total: int, before: Chart) -> Chart:
+        region = Region.whole(self.d)
+        chart = self.fit(region, self.chart(region, (_FIRST,) * self.d, before), _GOOD_ENDS, total)
         nodes = tensor_nodes(chart.sizes)
         guess, rows = np.split(chart(nodes), 2)
         solved = solve(self.problem(nodes), self.kind, guess, self.target, rows)

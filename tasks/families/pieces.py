@@ -109,7 +109,7 @@ def _distance(a: Piece, b: Piece, low: float, high: float) -> float:
 
 
 def match(lines: list[list[Piece]], low: float, high: float) -> list[list[Piece | None]]:
-    """Group the pieces of lines that continue those of the first.
+    """Group the pieces of lines that continue those of the first: the nearest first.
 
     Parameters
     ----------
@@ -122,19 +122,19 @@ def match(lines: list[list[Piece]], low: float, high: float) -> list[list[Piece 
     list of list of Piece or None
         For each group, its piece on every line; None where there is none.
     """
-    # This takes as long to import as all other modules that solve points together: only planes need it.
-    from scipy.optimize import linear_sum_assignment
-
     groups: list[list[Piece | None]] = [[piece, *[None] * (len(lines) - 1)] for piece in lines[0]]
-    known = len(groups)
     for i, pieces in enumerate(lines[1:], 1):
         new = set(range(len(pieces)))
-        if pieces and known:
-            cost = np.array([[_distance(first, piece, low, high) for piece in pieces] for first in lines[0]])
-            for row, column in zip(*linear_sum_assignment(cost), strict=True):
-                if cost[row, column] < _FAR:
-                    groups[row][i] = pieces[column]
-                    new.remove(int(column))
+        pairs = [
+            (distance, row, column)
+            for row, first in enumerate(lines[0])
+            for column, piece in enumerate(pieces)
+            if (distance := _distance(first, piece, low, high)) < _FAR
+        ]
+        for _, row, column in sorted(pairs):
+            if groups[row][i] is None and column in new:
+                groups[row][i] = pieces[column]
+                new.remove(column)
         for column in sorted(new):
             groups.append([None] * len(lines))
             groups[-1][i] = pieces[column]

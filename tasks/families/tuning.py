@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.walkers.statics import leg_moment
@@ -63,10 +64,8 @@ class Tuning:
         crossing = np.flatnonzero(signs[1:] != signs[:-1])
         if not len(crossing) or any(self.at_faces()):
             return None
-        from scipy.optimize import brentq  # as long to import as the solver
-
-        k = int(crossing[0])
-        at = brentq(lambda x: self.balanced(np.array([x]))[0], *_PLACES[k : k + 2], xtol=1e-15, rtol=1e-15)
+        low, high = _PLACES[crossing[0] : crossing[0] + 2].tolist()
+        at = bracketed_root(lambda x: float(self.balanced(np.array([x]))[0]), low, high)
         unit = np.full((1, len(self.box.keys)), self.others)
         unit[0, self.axis] = at
         return float(self.box.at(unit)[0, self.axis])

@@ -289,6 +289,43 @@ def test_pieces_end_where_their_folds_and_steps_do():
         assert short.q[0] == pytest.approx(of["end", "cut"].span.ends(unit)[0, i], abs=3e-8)
 
 
+def test_a_chart_of_corners_is_linear_but_for_squares():
+    box = Box(("a", "b"), (0.0, 0.0), (1.0, 1.0))
+    x, y = points = box.draw(7, 2, "points").T
+    corners = np.vstack([[[0.1, -0.2]], box.corners(0.9)])
+
+    def value(x, y):
+        return np.array([3 - x + 2 * y + 5 * x * y + 4 * (x**2 + y**2), x])
+
+    np.testing.assert_allclose(Chart.of_corners(corners, value(*corners.T))(points.T), value(x, y), atol=1e-13)
+    line = np.array([[0.0], [-1.0], [0.5]])
+    assert Chart.of_corners(line, 7 * line.T**2)(np.array([[0.25]])) == pytest.approx(7 / 16)
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_nodes_begin_between_the_lines(name, monkeypatch):
+    """On these lines the guesses are their own gaits, and hardly a node must be carried from the centre."""
+    carried, carry = [], cells._Way.carried
+
+    def counted(way, points):
+        carried.append(len(points))
+        return carry(way, points)
+
+    def checked(way, points):
+        for piece, unit in zip(way.group, way.maker.unit, strict=False):
+            at = np.column_stack([points[:, 0], np.tile(unit, (len(points), 1))])
+            np.testing.assert_allclose(between(way, at), piece.gaits(way.span.log_slope(at)), atol=1e-9)
+        return between(way, points)
+
+    between = cells._Way.between
+    monkeypatch.setattr(cells._Way, "carried", counted)
+    monkeypatch.setattr(cells._Way, "between", checked)
+    maker, right = maker_of(name)
+    patches = maker.patches()
+    assert len(patches) == len(right.patches)
+    assert sum(carried) < 0.1 * sum(np.prod(patch.gaits.sizes) for patch in patches)
+
+
 def test_an_invented_branch_is_found():
     maker, right = maker_of("B")
     maker.checked(right.patches)
@@ -700,6 +737,9 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
     other = piece(1.0, -4.5, -3.5, ("fold", "a fall"))
     assert pieces.match([[one], [other]], -5.0, -3.0) == [[one, None], [None, other]]
+    # Both of the first line are nearest to the same piece of the second: it continues the nearer one.
+    near, far = piece(1.1, -4.5, -3.5), piece(3.0, -4.5, -3.5)
+    assert pieces.match([[piece(1.3, -4.5, -3.5), one], [far, near]], -5.0, -3.0)[1] == [one, near]
 
 
 @pytest.mark.parametrize(("beyond", "off"), [(0.035, 0.0175), (1.0, 0.06)])
