@@ -51,7 +51,7 @@ TASKS = {
         Task(
             "atlas",
             "gaitsweep.tasks.solve_points:atlas",
-            28,
+            29,
             side_by_side="gaitsweep.tasks.solve_points:lines",
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
@@ -63,14 +63,14 @@ TASKS = {
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 16, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 11, needs=("atlas",)),
         Task("curve", "gaitsweep.tasks.follow_curves:curve", 12, needs=("atlas",)),
-        Task("design", "gaitsweep.tasks.map_designs:design", 21),
-        Task("census", "gaitsweep.tasks.count_gaits:census", 13),
+        Task("design", "gaitsweep.tasks.map_designs:design", 22),
+        Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
         Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 5, needs=("atlas",)),
         Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 4, needs=("atlas",)),
         Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 6, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 18, needs=("points", "atlas")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 19, needs=("points", "atlas")),
     )
 }
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,17 +40,24 @@ class Box:
     """Values of keys from `low` to `high`, in the walker's units.
 
     Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere. With `log` the coordinates
-    of keys that span more than a factor of eight are those of their logarithms.
+    of keys whose distance from their origin, 0 unless it is given, grows by more than a factor of eight are those of
+    its logarithm.
     """
 
     keys: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
     log: bool = False
+    origin: tuple[float, ...] = ()
 
-    @property
-    def _is_log(self) -> np.ndarray:
-        return np.array([self.log and 0 < 8 * a < b for a, b in zip(self.low, self.high, strict=True)])
+    @cached_property
+    def _distances(self) -> tuple[np.ndarray, ...]:
+        """Of each key the origin, the side of it, 1 or -1, the distances of both faces, and whether these are far."""
+        low, high = np.array(self.low), np.array(self.high)
+        origin = np.array(self.origin or np.zeros(len(low)))
+        side = np.where(low < origin, -1, 1)
+        ends = np.sort(side * (np.array([low, high]) - origin), axis=0)
+        return origin, side, *ends, self.log & (ends[0] > 0) & (8 * ends[0] < ends[1])
 
     def share(self, part: Box) -> float:
         """Return the share of its coordinates' range that a part has."""
@@ -62,7 +70,7 @@ class Box:
     def common(self, other: Box) -> Box:
         """Return the part that another box of the same keys has too; it holds nothing if there is none."""
         low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
-        return Box(self.keys, tuple(low.tolist()), tuple(high.tolist()), self.log)
+        return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()))
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
         """Return Chebyshev nodes, the last key fastest.
@@ -91,11 +99,12 @@ class Box:
         ndarray, shape (n, d) [the walker's units]
         """
         low, high = np.array(self.low), np.array(self.high)
-        if not self._is_log.any():
-            return 0.5 * (low + high) + 0.5 * (high - low) * unit
-        linear = Box(self.keys, self.low, self.high).at(unit)
+        linear = 0.5 * (low + high) + 0.5 * (high - low) * unit
+        origin, side, near, far, is_log = self._distances
+        if not is_log.any():
+            return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(self._is_log, low * (high / low) ** (0.5 * (1 + unit)), linear)
+            return np.where(is_log, origin + side * near * (far / near) ** (0.5 * (1 + side * unit)), linear)
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.
@@ -109,11 +118,13 @@ class Box:
         ndarray, shape (n, d)
         """
         low, high = np.array(self.low), np.array(self.high)
-        if not self._is_log.any():
-            return (2 * points - low - high) / (high - low)
-        linear = Box(self.keys, self.low, self.high).unit(points)
+        linear = (2 * points - low - high) / (high - low)
+        origin, side, near, far, is_log = self._distances
+        if not is_log.any():
+            return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(self._is_log, 2 * np.log(points / low) / np.log(high / low) - 1, linear)
+            share = np.log(side * (points - origin) / near) / np.log(far / near)
+        return np.where(is_log, side * (2 * share - 1), linear)
 
     def corners(self, at: float) -> np.ndarray:
         """Return the coordinates of points near the corners.
@@ -129,12 +140,14 @@ class Box:
         """
         return at * np.array(list(itertools.product((-1.0, 1.0), repeat=len(self.keys))))
 
-    def parts(self, axis: int, at: float | None = None) -> tuple[Box, Box]:
-        """Return both parts along one key, divided at a value of it, or in the middle."""
+    def parts(self, axis: int, at: float | None = None, origin: float | None = None) -> tuple[Box, Box]:
+        """Return both parts along one key, divided at a value of it, or in the middle; its origin may be another."""
         middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
+        origins = self.origin or (0.0,) * len(self.keys)
+        own = self if origin is None else replace(self, origin=(*origins[:axis], origin, *origins[axis + 1 :]))
         return (
-            Box(self.keys, self.low, (*self.high[:axis], middle, *self.high[axis + 1 :]), self.log),
-            Box(self.keys, (*self.low[:axis], middle, *self.low[axis + 1 :]), self.high, self.log),
+            replace(own, high=(*self.high[:axis], middle, *self.high[axis + 1 :])),
+            replace(own, low=(*self.low[:axis], middle, *self.low[axis + 1 :])),
         )
 
     def draw(self, n: int, d: int, purpose: str) -> np.ndarray:
@@ -165,8 +178,11 @@ class Box:
 
 
 class Refused(Exception):
-    """Why a box cannot be described as one, and the key along which, and the value at which, it should be divided."""
+    """Why a box cannot be described as one, the key along which, and the value at which, it should be divided.
 
-    def __init__(self, why: str, axis: int = 0, at: float | None = None):
+    Beside its `origin`, if there is one, gaits are smooth functions of the logarithm of the distance from it.
+    """
+
+    def __init__(self, why: str, axis: int = 0, at: float | None = None, origin: float | None = None):
         super().__init__(why)
-        self.axis, self.at = axis, at
+        self.axis, self.at, self.origin = axis, at, origin

@@ -46,7 +46,7 @@ _CLEAR = 0.03
 #: Least width of a piece that is cut at one end, in ln slope.
 _WIDTH = 0.1
 #: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
-_REACH = 5.0
+_REACH = 4.0
 #: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none.
 _EVENTS = {
     f"end_{kind}"
@@ -80,6 +80,7 @@ def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
         arrays |= {
             f"{i}/low": np.array(cell.box.low),
             f"{i}/high": np.array(cell.box.high),
+            f"{i}/origin": np.array(cell.box.origin),
             f"{i}/why": np.array(cell.why),
         }
         for j, patch in enumerate(cell.patches):
@@ -91,7 +92,8 @@ def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
     """Return the cells of a family that arrays hold."""
     cells = []
     for own in parts(arrays):
-        box = Box(family.keys, tuple(own["low"].tolist()), tuple(own["high"].tolist()), log=True)
+        low, high, origin = (tuple(own[name].tolist()) for name in ("low", "high", "origin"))
+        box = Box(family.keys, low, high, log=True, origin=origin)
         patches = [Patch.from_arrays(each) for each in parts(own)]
         cells.append(Cell(box, structure_of(family, box), patches, str(own["why"].item())))
     return cells
@@ -243,8 +245,8 @@ class _Maker:
             if tuning.largest < _BALANCED * np.exp(self.window[0]):
                 continue
             if any(at := tuning.at_faces()):
-                share = _SLIVER if at[0] else 1 - _SLIVER
-                raise Refused("tuned walkers at a face", axis, low + share * (high - low))
+                share, tuned = (_SLIVER, low) if at[0] else (1 - _SLIVER, high)
+                raise Refused("tuned walkers at a face", axis, low + share * (high - low), tuned)
             if (value := tuning.inside()) is not None:
                 raise Refused("tuned walkers inside", axis, value)
 

@@ -55,7 +55,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
             halved = np.bincount([key for _, key in place], minlength=len(box.keys))
             is_even = halved[refused.axis] < halved.min() + _MAX_UNEVENNESS
             axis = refused.axis if is_even or refused.at is not None else int(halved.argmin())
-            left += [((*place, (i, axis)), half) for i, half in enumerate(part.parts(axis, refused.at))]
+            left += [((*place, (i, axis)), half) for i, half in enumerate(part.parts(axis, refused.at, refused.origin))]
     return [parts[place] for place in sorted(parts)]
 
 

@@ -60,7 +60,7 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
         angles, others = 9, [(2.0, 2.5, 3.0, 3.5, 4.0, 5.0)]
     lattices = []
     for i, slope in enumerate(slopes):
-        top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
+        top = np.log(min(2.0 * slope ** (1 / 3), 1.2))
         bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
         grid = np.meshgrid(np.linspace(bottom, top, angles), *others, indexing="ij")
         lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))

@@ -526,14 +526,37 @@ def test_a_box_is_divided_where_its_walkers_are_tuned():
         box = Box(family.keys, (low,), (high,), log=True)
         with pytest.raises(Refused, match="tuned walkers") as why:
             _Maker(family, box, (-5.0, -4.0), Lines(family), 100).check_tuning()
-        return str(why.value), why.value.at
+        return str(why.value), why.value.at, why.value.origin
 
-    assert refused(0.0, 0.5) == ("tuned walkers at a face", pytest.approx(0.5 / 64))
-    assert refused(-0.5, 0.0) == ("tuned walkers at a face", pytest.approx(-0.5 / 64))
-    assert refused(-0.5, 0.3) == ("tuned walkers inside", pytest.approx(0.0, abs=1e-12))
+    assert refused(0.0, 0.5) == ("tuned walkers at a face", pytest.approx(0.5 / 64), 0.0)
+    assert refused(-0.5, 0.0) == ("tuned walkers at a face", pytest.approx(-0.5 / 64), 0.0)
+    assert refused(-0.5, 0.3) == ("tuned walkers inside", pytest.approx(0.0, abs=1e-12), None)
     _Maker(family, Box(family.keys, (0.1,), (0.5,), log=True), (-5.0, -4.0), Lines(family), 100).check_tuning()
     low, high = Box(("a", "b"), (1.0, 2.0), (3.0, 4.0)).parts(1, 2.5)
     assert (low.high, high.low) == ((3.0, 2.5), (1.0, 2.5))
+
+
+@pytest.mark.parametrize(("low", "high", "origin"), [(2.1, 3.0, 2.0), (1.0, 1.9, 2.0), (0.1, 1.0, 0.0)])
+def test_a_box_beside_its_origin_is_measured_by_the_logarithm_of_the_distance(low, high, origin):
+    """Of the second key; the first, whose faces are about as far from its own, is measured as it is."""
+    sides, far = np.log(np.abs(np.array([low, high]) - origin)), 0.03
+    box = Box(("a", "b"), (1.0, low - far), (2.0, high), log=True).parts(1, low, origin)[1]
+    unit = np.array([[-1.0, -1.0], [0.0, 0.0], [0.5, 1.0]])
+    middle = origin + np.sign(low - origin) * np.exp(sides.mean())
+    np.testing.assert_allclose(box.at(unit), [[1.0, low], [1.5, middle], [1.75, high]], rtol=1e-14)
+    np.testing.assert_allclose(box.unit(box.at(unit)), unit, atol=1e-13)
+    assert box.parts(1)[0].high[1] == pytest.approx(middle) and box.parts(0)[1].origin == (0.0, origin)
+
+
+def test_a_plane_beside_tuned_walkers_needs_few_boxes():
+    """A is tuned at R = 0.2 whatever its hip mass; measured from there, its branches are smooth over the keys."""
+    family = Family.of({"walker": "A", "set": {}}, ("m_h", "R"))
+    window = float(np.log(0.001)), float(np.log(0.2))
+    made = make_cells(family, Box(family.keys, (0.0, 0.02), (5.0, 0.2), log=True), window, 400, 12)
+    assert [cell.why for cell in made].count("") <= 3 < len(made) + 2
+    whole = Box(family.keys, (0.0, 0.02), (5.0, 0.2))
+    assert sum(whole.share(cell.box) for cell in made if not cell.why) > 0.95
+    assert {cell.box.origin[1] for cell in made} == {0.2}
 
 
 def test_lines_without_charts_are_followed_by_themselves():

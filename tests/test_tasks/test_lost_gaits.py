@@ -397,3 +397,12 @@ def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     outcome = missed(4)
     assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
+
+
+@pytest.mark.parametrize("hip", [1.0, 2.5, 2.75, 4.0])
+def test_gaits_of_large_angles_are_found(hip):
+    """Of large round feet on steep slopes, on which both gaits have angles of about a radian."""
+    problem = Problem(resolve("A", {"R": 0.4, "m_h": hip}))
+    (branch,) = atlas.survey(problem, COARSE)
+    angles = np.exp(sorted(float(Z[0, 0]) for _, Z, _ in branch.guesses(np.log([0.22]))))
+    assert len(angles) == 2 and 0.9 < angles[0] < angles[1] - 0.05 < 1.2
