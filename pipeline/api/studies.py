@@ -13,8 +13,8 @@ import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.archive import read
-from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.archive import read, unfold
+from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.executors import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
@@ -44,7 +44,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         The grid, in memory, with its flags decoded: `status` and `reason` in words, `violations` as booleans along
         a dimension `violation`, and complex `multipliers` beside their parts. `attrs["tables"]` lists the tables.
     pandas.DataFrame
-        The requested table; `attrs["units"]` holds the units of its columns.
+        The requested table; `attrs["units"]` holds the units of its columns, `attrs["meanings"]` what they are.
 
     Raises
     ------
@@ -64,12 +64,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         if table not in tables:
             raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
         columns = dataset(file[table]).load()
-        if any(column.ndim > 1 for column in columns.values()):
-            frame = unfolded(columns, dataset(file).load())
-        else:
-            frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
-        frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
-    return frame
+        return unfold.table(columns, dataset(file).coords.to_dataset().load())
 
 
 class Dataset(xr.Dataset):

@@ -18,7 +18,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.archive import read as archives
-from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.report.words import axis_values, print_units
 from gaitsweep.pipeline.study.ways import ends, inline
@@ -44,13 +44,6 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
         value, own = at[column], frame[column]
         frame = frame[own == value if isinstance(value, str) else np.isclose(own, value, rtol=tolerance, atol=0)]
     return frame
-
-
-class _Shared(dict[str, str]):
-    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "_Shared":
-        return self
 
 
 @dataclass(frozen=True)
@@ -358,15 +351,15 @@ def read(path: Path) -> Source:
         whole = dataset(file, **_AS_STORED)
         outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
         grid = _thinned(whole).load()
-        tables = {name: _table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
+        tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = tomllib.loads(provenance["study"])
         source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
-        for table in tables.values():
+        for frame in tables.values():
             # In a study of one walker of its own, tables call it `walker`.
-            if source.walker and "walker" in table and set(table["walker"]) == {"walker"}:
-                table["walker"] = source.walker
+            if source.walker and "walker" in frame and set(frame["walker"]) == {"walker"}:
+                frame["walker"] = source.walker
     return source
 
 
@@ -382,20 +375,6 @@ def _name(walker: Any, place: int) -> str:
     if isinstance(walker, dict):
         return str(walker.get("name", walker.get("base", f"walker {place + 1}")))
     return "walker" if walker is None else str(walker)
-
-
-def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something."""
-    variables = dataset.variables
-    if any(variable.ndim > 1 for variable in variables.values()):
-        frame = unfolded(dataset, grid)
-    else:
-        columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
-        rows = max((len(v) for v in columns.values()), default=0)
-        frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = _Shared({str(k): str(v.attrs.get("units", "")) for k, v in variables.items()})
-    frame.attrs["meanings"] = _Shared({str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()})
-    return frame
 
 
 def _run(path: Path) -> dict[str, Any]:
