@@ -99,6 +99,13 @@ class Source:
     study: dict[str, Any]
     run: dict[str, Any] = field(default_factory=dict)
 
+    def given(self, *keys: str) -> Any:
+        """An entry of the study, by its key and those of the tables that hold it; None where there is none."""
+        value: Any = self.study
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return value
+
     @property
     def name(self) -> str:
         """The study's name."""
@@ -132,9 +139,7 @@ class Source:
     @property
     def toward(self) -> str | dict[str, Any]:
         """The walker to which the axis `detuning` leads, as the study writes it; empty if it names none."""
-        axes = self.study.get("axes", {})
-        way = axes.get("detuning") if isinstance(axes, dict) else None
-        toward = way.get("toward", "") if isinstance(way, dict) else ""
+        toward = self.given("axes", "detuning", "toward")
         return toward if isinstance(toward, str | dict) else ""
 
     @property
@@ -146,9 +151,7 @@ class Source:
     @property
     def overlay_file(self) -> str:
         """Name of the file of measurements that the study names; empty if there is none."""
-        figures = self.study.get("figures", {})
-        overlay = figures.get("overlay", {}) if isinstance(figures, dict) else {}
-        return str(overlay.get("file", "")) if isinstance(overlay, dict) else ""
+        return str(self.given("figures", "overlay", "file") or "")
 
     @property
     def file(self) -> str:
@@ -174,8 +177,7 @@ class Source:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that the study wants."""
-        wanted = self.study.get("want", {}).get("figures", [])
-        return [str(name) for name in wanted]
+        return [str(name) for name in self.given("want", "figures") or ()]
 
     @property
     def only_claims(self) -> bool:
@@ -282,8 +284,7 @@ class Source:
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
         if self.toward:
             words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else inline(self.toward)}"]
-        tuned = self.study.get("options", {}).get("tuned", ())
-        words += [word for key in tuned for word in ("--tuned", str(key))]
+        words += [word for key in self.given("options", "tuned") or () for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
@@ -332,8 +333,7 @@ class Source:
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
         """Columns of a table that identify the line of a row."""
-        axes = self.study.get("axes", {})
-        names = {"walker", *(axes if isinstance(axes, dict) else ()), *self.axes} - {"slope"}
+        names = {"walker", *(self.given("axes") or ()), *self.axes} - {"slope"}
         return [c for c in table.columns if c in names]
 
 

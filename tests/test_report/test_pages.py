@@ -24,7 +24,7 @@ from gaitsweep.pipeline.cli import report as report_command
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
-from gaitsweep.pipeline.report.words import plain
+from gaitsweep.pipeline.report.words import plain, typeset
 from gaitsweep.pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
@@ -665,7 +665,7 @@ def test_verdicts_have_signs():
     ],
 )
 def test_signs_are_typeset(text, shown):
-    assert ledger.typeset(text) == shown
+    assert typeset(text) == shown
 
 
 def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(tmp_path, monkeypatch):
