@@ -13,7 +13,7 @@ import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.archive import read, unfold
+from gaitsweep.pipeline.archive import layout, read, unfold
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.executors import MAX_JOBS
@@ -55,7 +55,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     path = Path(archive)
     with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
-        tables = list(read.tables(file))
+        tables = layout.tables(file)
         if table is None:
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
             for name in grid.variables:  # how strings lie in this file; a part of them lies otherwise in another

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from gaitsweep.pipeline.archive.read import columns, open_archive
+from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.statuses import ALL_STATUSES
@@ -58,11 +59,8 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
     """
     tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
-        differences = [
-            f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
-            for what in ("kind",)
-            if getattr(left, what, None) != getattr(right, what, None)
-        ]
+        kinds = [getattr(file, "kind", None) for file in (left, right)]
+        differences = [f"the kind differs: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
         constants, others = _parameters(left), _parameters(right)
         for name in sorted(constants.keys() & others.keys()):
             differences += _compare_values(name, constants[name], others[name], tolerance)
@@ -70,7 +68,7 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         for name in sorted((set(x.indexes) | set(y.indexes)) - (set(x.sizes) & set(y.sizes))):
             differences.append(f"the dimension `{name}` is only in {a if name in x.sizes else b}")
         differences += _compare_groups((left, right), (a, b), (x, y), tolerance)
-        names = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        names = {name for file in (left, right) for name, _ in layout.variables(file)}
         for name in tolerance.own:
             if name not in names:
                 raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")

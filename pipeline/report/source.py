@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive import read as archives
 from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.paths import sidecar_path
@@ -351,7 +352,7 @@ def read(path: Path) -> Source:
         whole = dataset(file, **_AS_STORED)
         outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
         grid = _thinned(whole).load()
-        tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
+        tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in layout.tables(file)}
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = tomllib.loads(provenance["study"])
