@@ -250,7 +250,7 @@ def gaits(
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
     limits = options.violation_limits(violation_limits or {}, Location(""))
-    walker = files.retuned(broadcast.definition(walker), tuned)
+    walker = files.changed(broadcast.definition(walker), tuned=tuned)
     found = in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
     if isinstance(slope, xr.DataArray) or np.ndim(slope) != 1 or not found.slope.dims:
         return found

@@ -198,16 +198,10 @@ def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: tuple[xr.Dataset, xr.Dat
 
 def _rows(table: xr.Dataset, shared: Mapping[Any, pd.Index], by_slope: bool = False) -> np.ndarray:
     """Rows of a table whose line has `shared` coordinates, line by line."""
-    is_shared = np.ones(table.sizes.get("row", 0), bool)
-    order = [table["slope"].values] if by_slope else []
-    for name in sorted(set(shared) & set(table.data_vars)):
-        values = _plain(table[name].values)
-        is_shared &= np.isin(values, _plain(shared[name].values))
-        order.append(values)
-    rows = np.flatnonzero(is_shared)
+    names = sorted(set(shared) & set(table.data_vars), reverse=True)
+    order = [*names, "slope"] if by_slope else names
+    rows = pd.DataFrame({name: table[name].values for name in order}, np.arange(table.sizes.get("row", 0)))
+    for name in names:
+        rows = rows[rows[name].isin(shared[name])]
     # Stable: rows of one line, or of one slope of it, stay as its task has written them.
-    return rows[np.lexsort([values[rows] for values in order])] if order else rows
-
-
-def _plain(values: np.ndarray) -> np.ndarray:
-    return values.astype(str) if values.dtype.kind == "O" else values
+    return np.asarray((rows.sort_values(order, kind="stable") if order else rows).index)

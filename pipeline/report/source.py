@@ -255,10 +255,7 @@ class Source:
     @property
     def reasons(self) -> list[str]:
         """The sentences that `reason` indexes."""
-        for name, variable in self.grid.variables.items():
-            if str(name).startswith("reason") and variable.ndim == 1 and variable.dtype.kind in "OU":
-                return [str(sentence) for sentence in variable.values]
-        return []
+        return list(map(str, self.grid["reason_text"].values)) if "reason_text" in self.grid else []
 
     def units(self, variable: str) -> str:
         """Units to print after a quantity; empty if it is dimensionless."""
