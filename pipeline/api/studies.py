@@ -1,6 +1,5 @@
 """Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
 
-import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.executors import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
-from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point
+from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point, toml
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.registry import MAX_STEPS
 
@@ -154,7 +153,7 @@ def run(
 
 def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
-        wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
+        wanted = "".join(f"{key} = {toml.written(value, key)}\n" for key, value in wanted.items())
     elif not isinstance(wanted, str | Path):
         raise StudyError(f"A study must be a file, a text or a mapping; got {type(wanted).__name__}.")
     elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
@@ -167,25 +166,6 @@ def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = N
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"The study cannot be read: {error}.") from error
     return parse.parse(table, wanted, Path("study"), accuracy)
-
-
-def _to_toml(value: Any, key: str) -> str:
-    """Format a value as TOML; mappings become inline tables."""
-    if isinstance(value, np.ndarray | np.generic | xr.DataArray | pd.Series):
-        value = np.asarray(value).tolist()
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_to_toml(str(k), key)} = {_to_toml(v, key)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple | range):
-        return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
-    if isinstance(value, str | Path):
-        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, and the text is refused.
-        text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
-        return text.encode(errors="backslashreplace").decode()
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, bool | int | float):
-        return json.dumps(value)
-    raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
 
 
 @in_turn

@@ -22,7 +22,8 @@ from gaitsweep.pipeline.archive import read as archives
 from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.report.words import axis_values, print_units
-from gaitsweep.pipeline.study.ways import ends, inline
+from gaitsweep.pipeline.study import toml
+from gaitsweep.pipeline.study.ways import ends
 
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -281,7 +282,7 @@ class Source:
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
         if self.toward:
-            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else inline(self.toward)}"]
+            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else toml.written(self.toward)}"]
         words += [word for key in self.given("options", "tuned") or () for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
