@@ -72,7 +72,7 @@ def write(
     Returns
     -------
     Path
-        The file of the index.
+        The page of a single archive; of several, or of a study that only feeds the ledger, the index.
 
     Raises
     ------
@@ -84,10 +84,12 @@ def write(
     sources = [read(Path(archive)) for archive in archives]
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pages = _in_processes(sources, _slugs(sources), tell)
+    slugs = _slugs(sources)
+    pages = _in_processes(sources, slugs, tell)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
-    return out / "index.html"
+    is_shown = len(sources) == 1 and not sources[0].only_claims
+    return out / (f"{slugs[0]}.html" if is_shown else "index.html")
 
 
 def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:

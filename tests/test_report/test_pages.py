@@ -308,7 +308,7 @@ def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tm
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
     """One archive after the other, in any order, gives what all of them give at once."""
     for archive in reversed(archives):
-        index = pages.write([archive], tmp_path)
+        index = pages.write([archive], tmp_path).parent / "index.html"
     assert _files(tmp_path) == _files(report)
     pages.write([], tmp_path)
     assert index.read_bytes() == (report / "index.html").read_bytes()
