@@ -50,10 +50,12 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
 
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and the archive's data along it."""
+    """One walker with every axis but `slope` fixed, and the archive's data along it.
 
-    walker: str
-    set: dict[str, Any]
+    `at` is its place: `walker`, by name, then the values of the axes.
+    """
+
+    at: dict[str, Any]
     label: str
     data: xr.Dataset
     command: str
@@ -214,25 +216,26 @@ class Source:
         """The study's first walker: the only one where there is no axis of walkers."""
         return next(iter(self.walkers), "")
 
-    def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
+    def parameters(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
-        table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
+        walker = str(at.get("walker", self.walker))
+        table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **at}
         for key, axes in self.varied.items():
             column = self.grid.get(key)
-            if key not in axes and column is not None and all(a in settings and a in column.coords for a in axes):
-                near = column.sel({axis: settings[axis] for axis in axes}, method="nearest")
+            if key not in axes and column is not None and all(a in at and a in column.coords for a in axes):
+                near = column.sel({axis: at[axis] for axis in axes}, method="nearest")
                 if "walker" in near.dims:
                     near = near.isel(walker=list(self.walkers).index(walker))
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
-    def moved(self, walker: str, settings: Mapping[str, float], key: str, axes: Sequence[str]) -> np.ndarray:
+    def moved(self, at: Mapping[str, Any], key: str, axes: Sequence[str]) -> np.ndarray:
         """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
         column = self.grid[key]
         if "walker" in column.dims:
-            column = column.isel(walker=list(self.walkers).index(walker))
-        at = {name: value for name, value in settings.items() if name in column.dims and name not in axes}
-        column = column.sel(at).transpose(*axes)
+            column = column.isel(walker=list(self.walkers).index(at["walker"]))
+        fixed = {name: value for name, value in at.items() if name in column.dims and name not in axes}
+        column = column.sel(fixed).transpose(*axes)
         order = [np.argsort(self.grid[axis].values) for axis in axes]
         return np.asarray(column.values[np.ix_(*order)]).ravel()
 
@@ -266,9 +269,9 @@ class Source:
             return "rad"
         return print_units(units)
 
-    def command(self, walker: str, settings: dict[str, Any]) -> str:
+    def command(self, at: Mapping[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""
-        overrides = dict(settings)
+        walker, overrides = at["walker"], {key: value for key, value in at.items() if key not in ("walker", "slope")}
         table = self.study.get("walker")
         if isinstance(table, str):
             walker = table
@@ -303,25 +306,22 @@ class Source:
             varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
             named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
             label = axis_values({**named, **varying})
-            yield Line(walker, settings, label, self.grid.isel(at), self.command(walker, settings))
+            line = {"walker": walker, **settings}
+            yield Line(line, label, self.grid.isel(at), self.command(line))
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs; None if there is none."""
         table = self.tables.get(name)
         return table if table is not None and len(table) and set(columns) <= set(table.columns) else None
 
-    def position(self, line: Line) -> dict[str, Any]:
-        """Values of a line's axes, as columns of tables."""
-        return {**line.set, **({"walker": line.walker} if len(self.walkers) > 1 else {})}
-
-    def line_of(self, rows: pd.DataFrame) -> tuple[str, dict[str, float]]:
-        """The walker and the values of the axes of the line on which rows of a table lie."""
+    def line_of(self, rows: pd.DataFrame) -> dict[str, Any]:
+        """The place of the line on which rows of a table lie."""
         settings = {c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"}
-        return str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, settings
+        return {"walker": str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, **settings}
 
     def line_command(self, rows: pd.DataFrame) -> str:
         """The `gaitsweep solve` command of the line of some rows, without the slope."""
-        return self.command(*self.line_of(rows))
+        return self.command(self.line_of(rows))
 
     def line_groups(self, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
         """Rows of a table by line, in the archive's order, with the values that differ between lines."""
