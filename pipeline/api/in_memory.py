@@ -1,11 +1,12 @@
 """Gaits of arrays of walkers and slopes, in memory: studies without files, computed in this process."""
 
 import functools
-from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Generator, Hashable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline import dispatch
@@ -31,6 +32,8 @@ _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
 _CHARACTERS = {"dtype": "S1"}
 Arrays = dict[str, np.ndarray]
+#: Points, and their places in the grid.
+_Found = tuple[np.ndarray, Points]
 
 
 class _Line:
@@ -91,21 +94,6 @@ def _over(base: Study, slope: np.ndarray, keys: Mapping[str, np.ndarray], check:
     return replace(base, axes=axes, checks=(check,))
 
 
-@dataclass
-class _Found:
-    """Points in the order in which they are found, and the row of each point of the grid among them."""
-
-    rows: np.ndarray
-    parts: list[Points] = field(default_factory=list)
-    count: int = 0
-
-    def add(self, points: Points) -> int:
-        """Add points; returns the row of the first."""
-        self.parts.append(points)
-        self.count += len(points)
-        return self.count - len(points)
-
-
 def gaits(
     walker: str | dict[str, Any],
     wanted: tuple[str, ...],
@@ -156,27 +144,28 @@ def gaits(
             if isinstance(check, StudyError):
                 raise check
         slopes.check(float(slope[0]))
-    found = _Found(np.empty(len(slope), int))
+    found: list[_Found] = []
     wrong, which = np.unique(slope[~is_slope], return_inverse=True)
     for k, value in enumerate(wrong.tolist()):
-        points = Points.of_ending(1, "raised", f"`slope` {slopes.BOUND}; got {value!r}.", wanted)
-        found.rows[np.flatnonzero(~is_slope)[which == k]] = found.add(points)
+        at = np.flatnonzero(~is_slope)[which == k]
+        sentence = f"`slope` {slopes.BOUND}; got {value!r}."
+        found.append((at, Points.of_ending(len(at), "raised", sentence, wanted)))
     solvable = []
     for (line, at), check in zip(lines, checks, strict=True):
         at = at[is_slope[at]]
         if isinstance(check, StudyError):
-            found.rows[at] = found.add(Points.of_ending(1, "raised", str(check), wanted))
+            found.append((at, Points.of_ending(len(at), "raised", str(check), wanted)))
         elif len(at):
             solvable.append(_Line(base, line, at, slope, check))
-    _solve(base, solvable, found)
+    found += _solve(base, solvable)
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si, answers[:1])) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     constants = _constants(first, answers, varying) if first else {}
-    parts = found.parts or [Points.of_ending(0, "raised", "", wanted)]
     multipliers = max((check["multipliers"] for check in answers), default=3)
-    points = joined(parts, (len(GAITS), multipliers)).take(found.rows)
+    places, parts = zip(*found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))], strict=True)
+    points = joined(parts, (len(GAITS), multipliers)).take(np.argsort(np.concatenate(places)))
     return _dataset(points, grid[0], coordinates, constants, is_si, base)
 
 
@@ -190,15 +179,10 @@ def _lines(
         if n:
             yield {"walker": walker, "set": fixed}, np.arange(n)
         return
-    # Compared as bytes, so that NaN equals NaN.
-    rows = np.ascontiguousarray(np.stack([flat[name].astype(float) for name in varying], axis=1))
-    keys = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(inverse, kind="stable")
-    groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
-    for k in np.argsort(first):
-        values = {name: flat[name][first[k]].item() for name in varying}
-        yield {"walker": walker, "set": {**fixed, **values}}, groups[k]
+    number = pd.DataFrame({name: flat[name] for name in varying}).groupby(varying, sort=False, dropna=False).ngroup()
+    order = np.argsort(number.to_numpy(), kind="stable")
+    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]):
+        yield {"walker": walker, "set": {**fixed, **{name: flat[name][at[0]].item() for name in varying}}}, at
 
 
 def _constants(
@@ -219,18 +203,18 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
         return error
 
 
-def _solve(base: Study, lines: list[_Line], found: _Found) -> None:
+def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
     """Solve the points of lines, as one study if they form a plane of keys, else as one study each."""
-    left = _solve_plane(base, lines, found)
+    left = yield from _solve_plane(base, lines)
     while left:
         block = left[:_BLOCK]
         del left[:_BLOCK]  # with their graphs
         _survey([one for one in block if one.graph.method is Method.ALONE and one.key not in _REMEMBERED])
         for one in block:
-            found.rows[one.at] = found.add(one.points()) + one.row
+            yield one.at, one.points().take(one.row)
 
 
-def _solve_plane(base: Study, lines: list[_Line], found: _Found) -> list[_Line]:
+def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, list[_Line]]:
     """Solve lines that form a plane of keys; returns the lines that are left."""
     if len(lines) < 2 or any(not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]):
         return lines
@@ -253,12 +237,12 @@ def _solve_plane(base: Study, lines: list[_Line], found: _Found) -> list[_Line]:
             if node.needs[0] not in charts:
                 made = graph.line_node(int(chunk.lines[0]), "charts")
                 charts = {node.needs[0]: dispatch.resolve(graph.function(made))(graph.params(made), [])}
-            first = found.add(_computed(graph, node, [charts[node.needs[0]]]))
+            points = _computed(graph, node, [charts[node.needs[0]]])
         except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue
-        for place, one in enumerate(own):
-            found.rows[one.at] = first + place * len(one.slopes) + one.row
+        rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
+        yield np.concatenate([one.at for one in own]), points.take(np.concatenate(rows))
     return left
 
 

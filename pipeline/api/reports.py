@@ -2,14 +2,13 @@
 
 import io
 import sys
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gaitsweep import extensions
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.archive import read
 from gaitsweep.pipeline.errors import ArchiveError, unwritten
 from gaitsweep.pipeline.study.location import Location
 
@@ -63,15 +62,9 @@ def write(
     # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
     no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
-        from gaitsweep.pipeline.report import entry, pages
+        from gaitsweep.pipeline.report import pages
 
-        index = pages.write(archives, folder, only, tell, bundle)
-        if len(archives) == 1 and (record := provenance.stored(archives[0])):
-            name = tomllib.loads(record["study"])["name"]
-            for page, known in entry.read_all(folder).items():
-                if known.name == name and not known.text:
-                    return folder / page
-        return index
+        return pages.write(archives, folder, only, tell, bundle)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:

@@ -12,10 +12,10 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import attributes
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import changes, definition, number
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.registry import SI_UNITS, VARIABLES
+from gaitsweep.tasks.registry import VARIABLES
 
 _MAX_STEPS = 100_000
 #: Variables of a simulation that archives do not have: kind of quantity and meaning.
@@ -219,7 +219,7 @@ def _padded(values: np.ndarray, n: int) -> np.ndarray:
 def _attributes(name: str, is_si: bool) -> dict[str, Any]:
     if name in _LONG_NAMES:
         kind, long_name = _LONG_NAMES[name]
-        return {"long_name": long_name, "units": SI_UNITS[kind] if is_si or kind == "angle" else "1"}
+        return units.described(long_name, kind, is_si)
     of_variable = attributes.of_variable(VARIABLES[name], is_si)
     del of_variable["ancillary_variables"]
     return of_variable

@@ -1,6 +1,5 @@
 """Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
 
-import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,12 +12,12 @@ import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.archive import read
-from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.archive import layout, read, unfold
+from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.executors import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
-from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point
+from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point, toml
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.registry import MAX_STEPS
 
@@ -44,7 +43,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         The grid, in memory, with its flags decoded: `status` and `reason` in words, `violations` as booleans along
         a dimension `violation`, and complex `multipliers` beside their parts. `attrs["tables"]` lists the tables.
     pandas.DataFrame
-        The requested table; `attrs["units"]` holds the units of its columns.
+        The requested table; `attrs["units"]` holds the units of its columns, `attrs["meanings"]` what they are.
 
     Raises
     ------
@@ -55,7 +54,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     path = Path(archive)
     with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
-        tables = list(read.tables(file))
+        tables = layout.tables(file)
         if table is None:
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
             for name in grid.variables:  # how strings lie in this file; a part of them lies otherwise in another
@@ -64,12 +63,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         if table not in tables:
             raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
         columns = dataset(file[table]).load()
-        if any(column.ndim > 1 for column in columns.values()):
-            frame = unfolded(columns, dataset(file).load())
-        else:
-            frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
-        frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
-    return frame
+        return unfold.table(columns, dataset(file).coords.to_dataset().load())
 
 
 class Dataset(xr.Dataset):
@@ -159,7 +153,7 @@ def run(
 
 def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
-        wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
+        wanted = "".join(f"{key} = {toml.written(value, key)}\n" for key, value in wanted.items())
     elif not isinstance(wanted, str | Path):
         raise StudyError(f"A study must be a file, a text or a mapping; got {type(wanted).__name__}.")
     elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
@@ -172,25 +166,6 @@ def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = N
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"The study cannot be read: {error}.") from error
     return parse.parse(table, wanted, Path("study"), accuracy)
-
-
-def _to_toml(value: Any, key: str) -> str:
-    """Format a value as TOML; mappings become inline tables."""
-    if isinstance(value, np.ndarray | np.generic | xr.DataArray | pd.Series):
-        value = np.asarray(value).tolist()
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_to_toml(str(k), key)} = {_to_toml(v, key)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple | range):
-        return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
-    if isinstance(value, str | Path):
-        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, and the text is refused.
-        text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
-        return text.encode(errors="backslashreplace").decode()
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, bool | int | float):
-        return json.dumps(value)
-    raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
 
 
 @in_turn
@@ -255,7 +230,7 @@ def gaits(
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
     limits = options.violation_limits(violation_limits or {}, Location(""))
-    walker = files.retuned(broadcast.definition(walker), tuned)
+    walker = files.changed(broadcast.definition(walker), tuned=tuned)
     found = in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
     if isinstance(slope, xr.DataArray) or np.ndim(slope) != 1 or not found.slope.dims:
         return found

@@ -41,16 +41,13 @@ def write(
         From plan, group and column to the attributes of a variable.
     """
     study, lines = plan.study, plan.graph.grid
-    places = [_walkers(study, columns) if d == "walker" else _find(columns[d], _axis(study, d)) for d in lines.lines]
-    sizes = [lines.sizes[d] for d in lines.lines]
-    slopes = study.slope
-    places.append(_find(columns["slope"], slopes))
-    sizes.append(len(slopes))
-    case = np.ravel_multi_index(places, sizes) if len(case_rows := columns["slope"]) else np.zeros(len(case_rows), int)
-    netcdf_group = file.createGroup(group)
     dims = [*lines.lines, "slope"]
-    netcdf_group.createDimension("slope", len(slopes))
-    _variable(netcdf_group, "slope", ("slope",), slopes, attributes(plan, group, "slope"))
+    known = {"walker": np.array(study.names), **{axis.name: axis.values for axis in study.axes}}
+    sizes = [len(known[d]) for d in dims]
+    case = np.ravel_multi_index([_find(columns[d], known[d]) for d in dims], sizes)
+    netcdf_group = file.createGroup(group)
+    netcdf_group.createDimension("slope", len(study.slope))
+    _variable(netcdf_group, "slope", ("slope",), study.slope, attributes(plan, group, "slope"))
     inner: dict[str, tuple[np.ndarray, int]] = {}
     for name in LAYOUTS[group][1:]:
         dim = _RENAMED.get(name, name)
@@ -71,9 +68,8 @@ def write(
         shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
         text, words = values.dtype.kind == "U", np.unique(values)
         codes = np.searchsorted(words, values).astype(np.int8) if text else values
-        array = np.full(
-            shape, -1 if codes.dtype.kind in "iu" else np.nan, np.int32 if codes.dtype.kind in "iu" else "f8"
-        )
+        is_whole = codes.dtype.kind in "iu"
+        array = np.full(shape, -1 if is_whole else np.nan, np.int32 if is_whole else "f8")
         array[(case, *(inner[c][0] for c in kept))] = codes
         described: dict[str, Any] = dict(attributes(plan, group, name))
         if text:
@@ -81,23 +77,10 @@ def write(
                 "flag_values": np.arange(len(words), dtype=np.int8),
                 "flag_meanings": " ".join(str(word).replace(" ", "_") for word in words),
             }
-        small = (
-            array
-            if array.dtype.kind == "f"
-            else array.astype(np.int8 if text else np.min_scalar_type(-array.max() - 1))
-        )
+        if is_whole:
+            array = array.astype(np.int8 if text else np.min_scalar_type(-array.max() - 1))
         names = (*dims, *(_RENAMED.get(c, c) for c in kept))
-        _variable(netcdf_group, name, names, small.reshape(*sizes, *shape[1:]), described)
-
-
-def _axis(study: Any, name: str) -> np.ndarray:
-    return next(axis.values for axis in study.axes if axis.name == name)
-
-
-def _walkers(study: Any, columns: Columns) -> np.ndarray:
-    names = np.array(study.names)
-    order = np.argsort(names)
-    return order[np.searchsorted(names[order], columns["walker"])]
+        _variable(netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described)
 
 
 def _find(values: np.ndarray, among: np.ndarray) -> np.ndarray:

@@ -83,7 +83,7 @@ def of_variable(
 
     `limits` are those of violations that are not the registry's.
     """
-    attrs: dict[str, Any] = {"long_name": over_steps(variable.long_name, steps), "units": variable.units(is_si)}
+    attrs = units.described(over_steps(variable.long_name, steps), variable.kind, is_si, is_mixed)
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
         attrs |= {"flag_values": np.array(list(flags.values()), np.int8), "flag_meanings": " ".join(flags)}
@@ -95,8 +95,6 @@ def of_variable(
         attrs |= {"flag_limits": values, "flag_limit_units": units_of}
     if variable.name not in ("status", "reason"):
         attrs["ancillary_variables"] = "status reason"
-    if is_mixed and variable.kind not in ("number", "angle"):
-        attrs["comment"] = "in the units of each walker: see walker_units"
     return attrs
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from gaitsweep.pipeline.archive.read import columns, open_archive
+from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.statuses import ALL_STATUSES
@@ -58,11 +59,8 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
     """
     tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
-        differences = [
-            f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
-            for what in ("kind",)
-            if getattr(left, what, None) != getattr(right, what, None)
-        ]
+        kinds = [getattr(file, "kind", None) for file in (left, right)]
+        differences = [f"the kind differs: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
         constants, others = _parameters(left), _parameters(right)
         for name in sorted(constants.keys() & others.keys()):
             differences += _compare_values(name, constants[name], others[name], tolerance)
@@ -70,7 +68,7 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         for name in sorted((set(x.indexes) | set(y.indexes)) - (set(x.sizes) & set(y.sizes))):
             differences.append(f"the dimension `{name}` is only in {a if name in x.sizes else b}")
         differences += _compare_groups((left, right), (a, b), (x, y), tolerance)
-        names = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        names = {name for file in (left, right) for name, _ in layout.variables(file)}
         for name in tolerance.own:
             if name not in names:
                 raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
@@ -200,16 +198,10 @@ def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: tuple[xr.Dataset, xr.Dat
 
 def _rows(table: xr.Dataset, shared: Mapping[Any, pd.Index], by_slope: bool = False) -> np.ndarray:
     """Rows of a table whose line has `shared` coordinates, line by line."""
-    is_shared = np.ones(table.sizes.get("row", 0), bool)
-    order = [table["slope"].values] if by_slope else []
-    for name in sorted(set(shared) & set(table.data_vars)):
-        values = _plain(table[name].values)
-        is_shared &= np.isin(values, _plain(shared[name].values))
-        order.append(values)
-    rows = np.flatnonzero(is_shared)
+    names = sorted(set(shared) & set(table.data_vars), reverse=True)
+    order = [*names, "slope"] if by_slope else names
+    rows = pd.DataFrame({name: table[name].values for name in order}, np.arange(table.sizes.get("row", 0)))
+    for name in names:
+        rows = rows[rows[name].isin(shared[name])]
     # Stable: rows of one line, or of one slope of it, stay as its task has written them.
-    return rows[np.lexsort([values[rows] for values in order])] if order else rows
-
-
-def _plain(values: np.ndarray) -> np.ndarray:
-    return values.astype(str) if values.dtype.kind == "O" else values
+    return np.asarray((rows.sort_values(order, kind="stable") if order else rows).index)

@@ -29,6 +29,19 @@ def dims(variable: Any) -> tuple[str, ...]:
     return tuple(dim for dim in variable.dimensions if not is_of_characters(dim))
 
 
+def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Variables of an open archive by name, and columns of its tables, as "fits/scaling/exponent"."""
+    for name, variable in parent.variables.items():
+        yield f"{path}{name}", variable
+    for name, group in parent.groups.items():
+        yield from variables(group, f"{path}{name}/")
+
+
+def tables(file: Any) -> list[str]:
+    """Names of the tables in an open archive, as "fits/scaling"."""
+    return list(dict.fromkeys(name.rpartition("/")[0] for name, _ in variables(file) if "/" in name))
+
+
 def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
     """Split a box that starts at the corner of a chunk into chunks.
 

@@ -10,7 +10,6 @@ from gaitsweep.pipeline.archive.attributes import put
 from gaitsweep.pipeline.archive.written import write_variable
 from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks.registry import SI_UNITS
 
 
 def write(file: Any, study: Study) -> None:
@@ -30,7 +29,6 @@ def write(file: Any, study: Study) -> None:
     """
     kinds = dispatch.resolve("gaitsweep.tasks.walkers.walker:KEYS")
     axes = {axis.name: axis.values for axis in study.line_axes}
-    is_si = units.is_si(study)
     tables = [check["table"] for check in study.checks]
     for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
         if key in axes:
@@ -46,10 +44,7 @@ def write(file: Any, study: Study) -> None:
             put(file, {key: float(values.ravel()[0])})
             continue
         shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
-        unit = SI_UNITS[kinds[key]] if is_si or kinds[key] == "angle" else "1"
-        about = {"long_name": f"walker's {key}", "units": unit}
-        if not is_si and kinds[key] not in ("angle", "number") and any(check["si"] for check in study.checks):
-            about["comment"] = "in the units of each walker: see walker_units"
+        about = units.described(f"walker's {key}", kinds[key], units.is_si(study), units.is_mixed(study))
         write_variable(file, key, dims, values.reshape(shape), about)
 
 

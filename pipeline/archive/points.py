@@ -103,7 +103,7 @@ class PointWriter:
             file.createDimension("multiplier", multipliers)
             numbers = np.arange(multipliers, dtype=np.int32)
             write_variable(file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER)
-        is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        is_si, is_mixed = units.is_si(self.study), units.is_mixed(self.study)
         limits = self.study.options.get("violation_limits")
         for name in names:
             description = VARIABLES[name]

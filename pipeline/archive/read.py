@@ -208,20 +208,6 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
 
-def tables(parent: Any, path: str = "") -> Iterator[str]:
-    """Names of the tables in an open archive, as "fits/scaling"."""
-    for name, group in parent.groups.items():
-        if group.variables:
-            yield f"{path}{name}"
-        yield from tables(group, f"{path}{name}/")
-
-
-def columns(parent: Any) -> Iterator[str]:
-    """Names of all columns of tables, as "fits/scaling/exponent"."""
-    for name, group in parent.groups.items():
-        yield from (f"{name}/{column}" for column in (*group.variables, *columns(group)))
-
-
 def probe(paths: Iterable[Path]) -> None:
     """Read archives completely in another process first: a damaged file can crash or hang the netCDF library.
 
@@ -269,16 +255,13 @@ def _read_whole(path: Path) -> None:
     """Read all variables; errors are left to the actual reader."""
     with contextlib.suppress(Exception), open_archive(path) as file:
         file.set_auto_mask(False)  # masking takes longer than reading
-        groups = [file]
-        for group in groups:
-            for variable in group.variables.values():
-                with contextlib.suppress(Exception):
-                    stored = variable.chunking()
-                    chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
-                    sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
-                    for box in grid.boxes(sizes, chunk, _MAX_VALUES):
-                        variable[box or ...]
-            groups += group.groups.values()
+        for _, variable in layout.variables(file):
+            with contextlib.suppress(Exception):
+                stored = variable.chunking()
+                chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
+                sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
+                for box in grid.boxes(sizes, chunk, _MAX_VALUES):
+                    variable[box or ...]
 
 
 def _one_line(error: Exception) -> str:

@@ -142,10 +142,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         kind, meaning = keys[name], f"walker's {name}"
     elif name in ("slope", "detuning"):
         kind, meaning = COLUMNS.get(name, ("angle", ""))[0], of_axis(name, is_si, study.checks)["long_name"]
-    meaning = over_steps(meaning, study.steps)
-    attributes = {"long_name": meaning, "units": registry.SI_UNITS[kind] if is_si or kind == "angle" else "1"}
+    attributes = units.described(over_steps(meaning, study.steps), kind, is_si, units.is_mixed(study))
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
         attributes["units"] = units.axis_units(str(registry.options("curve", study.options)["key"]), is_si)
-    if len({check["si"] for check in study.checks}) > 1 and kind not in ("number", "angle"):
-        attributes["comment"] = "in the units of each walker: SI, or any consistent ones"
     return attributes

@@ -80,7 +80,9 @@ def _coordinates(file: Any) -> Iterator[str]:
     )
     tuned = json.loads(file.provenance).get("tuned", ())
     axes = {name for name in file.dimensions if name != "slope"}  # tables give the slope of what was not found, too
-    for path, variable in _numbers(file):
+    for path, variable in layout.variables(file):
+        if np.dtype(variable.dtype).kind != "f":
+            continue
         name, is_coordinate = variable.name, variable.dimensions == (variable.name,)
         is_parameter = path == name and "gait" not in variable.dimensions
         if not (is_coordinate or is_parameter or name in axes):
@@ -92,15 +94,6 @@ def _coordinates(file: Any) -> Iterator[str]:
             yield f"`{path}` holds a value twice."
         elif is_coordinate and name == "slope" and not slopes.is_slope(values).all():
             yield f"`slope` {slopes.BOUND}."
-
-
-def _numbers(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Variables of decimals, in tables too, each with its path."""
-    for name, variable in parent.variables.items():
-        if np.dtype(variable.dtype).kind == "f":
-            yield f"{path}{name}", variable
-    for name, group in parent.groups.items():
-        yield from _numbers(group, f"{path}{name}/")
 
 
 def _required(file: Any) -> tuple[str, ...]:
@@ -170,9 +163,7 @@ def _parts(variable: Any) -> Iterator[np.ndarray]:
         yield np.asarray(variable[box])
 
 
-def _groups(parent: Any, path: str = "") -> Iterator[str]:
-    for name, group in parent.groups.items():
-        for column, variable in group.variables.items():
-            if any(_described(variable, column)):
-                yield f"`{path}/{name}/{column}` has no units or long_name."
-        yield from _groups(group, f"{path}/{name}")
+def _groups(file: Any) -> Iterator[str]:
+    for path, variable in layout.variables(file):
+        if "/" in path and any(_described(variable, path)):
+            yield f"`/{path}` has no units or long_name."

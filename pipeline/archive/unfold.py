@@ -1,4 +1,4 @@
-"""Arrays of an archive as tables; reading needs neither the tasks nor the plan."""
+"""Groups of an archive as tables; reading needs neither the tasks nor the plan."""
 
 from typing import Any
 
@@ -23,8 +23,15 @@ def dataset(group: Any, **options: Any) -> xr.Dataset:
     return opened
 
 
-def unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """Turn arrays of a group into rows again.
+class _Shared(dict[str, str]):
+    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "_Shared":
+        return self
+
+
+def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
+    """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something.
 
     Parameters
     ----------
@@ -36,8 +43,22 @@ def unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Coordinates and variables as columns, flags as words; rows without a number or a flag are left out.
+        Its `attrs` hold the units and the meanings of the columns.
     """
+    variables = dataset.variables
+    if any(variable.ndim > 1 for variable in variables.values()):
+        frame = _unfolded(dataset, grid)
+    else:
+        columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
+        rows = max((len(v) for v in columns.values()), default=0)
+        frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+    for what, attribute in (("units", "units"), ("meanings", "long_name")):
+        frame.attrs[what] = _Shared({str(k): str(v.attrs.get(attribute, "")) for k, v in variables.items()})
+    return frame
+
+
+def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
+    """Turn arrays of a group into rows again, flags into words; rows without a number or a flag are left out."""
     dims = max((v.dims for v in dataset.variables.values()), key=len)
     whole = dataset.assign_coords({d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords})
     own = {f"{d}_values" for d in dims}

@@ -180,8 +180,8 @@ def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str
     """
     sums = writer.sums
     file.set_auto_mask(False)  # a mask is as long as a line
-    small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
-    checksums = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
+    small = ((name, variable) for name, variable in layout.variables(file) if name not in sums)
+    checksums = {name: layout.checksum(np.ma.getdata(variable[...])) for name, variable in small}
     chunk = {"checksum_chunk": np.array(writer.chunk, np.int64)} if isinstance(writer, PointWriter) else {}
     modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
     attributes.put(file, {**chunk, "checksums": json.dumps(modulo, sort_keys=True)})

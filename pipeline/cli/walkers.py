@@ -1,14 +1,13 @@
 """`gaitsweep walkers`: the catalogue of walkers, or one walker."""
 
 import argparse
-import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.dispatch import ask
-from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study import files, toml
 
 
 def run(options: argparse.Namespace) -> int:
@@ -24,7 +23,7 @@ def table(name: str, values: dict[str, Any]) -> Iterator[str]:
     """Format a TOML table."""
     yield f"[{name}]"
     for key, value in values.items():
-        yield f"{key} = {json.dumps(value)}"
+        yield f"{key} = {toml.written(value)}"
 
 
 def _lines(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[str]:

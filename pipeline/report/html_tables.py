@@ -166,11 +166,8 @@ def points(source: Source) -> pd.DataFrame:
 
 def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
     """Expand codes to values; words become categories, each stored once."""
-    if getattr(values, "dtype", None) is not None and values.dtype.kind not in "OU":  # type: ignore[union-attr]
-        return np.asarray(values)[codes]
-    words = list(dict.fromkeys(map(str, values)))
-    places = {word: i for i, word in enumerate(words)}
-    return pd.Categorical.from_codes(np.array([places[str(v)] for v in values], np.int32)[codes], words)
+    values = np.asarray(values)
+    return values[codes] if values.dtype.kind not in "OU" else pd.Categorical(values.astype(str)).take(codes)
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ import pandas as pd
 from gaitsweep.pipeline.report import paper
 from gaitsweep.pipeline.report.cells import Cell, cell
 from gaitsweep.pipeline.report.entry import Entry
-from gaitsweep.pipeline.report.words import WORDS, phrased, plain, spaced, superscript
+from gaitsweep.pipeline.report.words import WORDS, plain, spaced, typeset
 
 
 @dataclass(frozen=True)
@@ -112,31 +111,6 @@ def table(ledger: Mapping[str, list[ClaimRow]]) -> pd.DataFrame:
     }
     rows = list(itertools.chain(*ledger.values()))
     return pd.DataFrame({name: [value(row) for row in rows] for name, value in columns.items()})
-
-
-#: What plain text writes for signs, in the order of replacement.
-_SIGNS_IN_TEXT = (
-    (r"(?<![\w.])1e([+-]\d+)\b", lambda m: "10" + superscript(int(m[1]))),
-    (r"(?<=\d)e([+-]\d+)\b", lambda m: " × 10" + superscript(int(m[1]))),
-    (r"\^\(1/3\)", lambda _: "¹ᐟ³"),
-    (r"\^\(3/2\)", lambda _: "³ᐟ²"),
-    (r"\^(\d+)\b(?!\.)", lambda m: superscript(int(m[1]))),
-    (r"\^p\b", lambda _: "ᵖ"),
-    (r"->", lambda _: "→"),
-    (r"\+-", lambda _: "±"),
-    (r" ~ ", lambda _: " ∝ "),
-    (r"x'/y'", lambda _: "ẋ/ẏ"),
-    (r"(?<=\d)-(?=\d)", lambda _: "–"),
-    (r"(?<![\w)])-(?=\d)", lambda _: "−"),
-)
-
-
-def typeset(text: str) -> str:
-    """Text with the signs of print: powers, products, arrows, minus signs and ranges."""
-    text = phrased(text)
-    for pattern, sign in _SIGNS_IN_TEXT:
-        text = re.sub(pattern, sign, text)
-    return text
 
 
 def sign(verdict: str) -> str:

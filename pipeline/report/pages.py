@@ -8,8 +8,8 @@ import multiprocessing
 import os
 import pickle
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from multiprocessing import connection
 from pathlib import Path
@@ -46,29 +46,6 @@ _RUN |= {"seconds": "finished after (s)"}
 _MAX_PROCESSES = 4
 
 
-@dataclass(frozen=True)
-class Page:
-    """One study as its page shows it.
-
-    `undrawn` says why figures are missing; `lines` are those whose gaits its script can start,
-    `states` those states that its marks start from, once each; `absent` lists the points without a converged gait,
-    `listed` those in the CSV file; `tables` are those of results, by their place on the page; `files` are the texts of
-    its data files, by file name, and `csv` those of figures and tables, without folder: equal data is in one file.
-    """
-
-    slug: str
-    source: Source
-    drawings: list[Drawing]
-    undrawn: dict[str, str]
-    lines: list[dict[str, Any]]
-    states: list[list[float]]
-    absent: pd.DataFrame
-    listed: pd.DataFrame
-    tables: dict[str, Any]
-    files: dict[str, str]
-    csv: dict[str, str]
-
-
 def write(
     archives: Iterable[Path],
     out: Path,
@@ -95,7 +72,7 @@ def write(
     Returns
     -------
     Path
-        The file of the index.
+        The page of a single archive; of several, or of a study that only feeds the ledger, the index.
 
     Raises
     ------
@@ -107,10 +84,12 @@ def write(
     sources = [read(Path(archive)) for archive in archives]
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pages = _in_processes(sources, _slugs(sources), tell)
+    slugs = _slugs(sources)
+    pages = _in_processes(sources, slugs, tell)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
-    return out / "index.html"
+    is_shown = len(sources) == 1 and not sources[0].only_claims
+    return out / (f"{slugs[0]}.html" if is_shown else "index.html")
 
 
 def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
@@ -118,9 +97,8 @@ def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
     with blamed_if_damaged(source.path):
         if source.only_claims:
             parts: Any = _environment().get_template("parts.html").module
-            return str(parts.entry([vars(_entry(_bare(source, slug)))])), {}
-        page = _page(source, slug)
-        return _study(_environment(), page), page.files
+            return str(parts.entry([vars(_entry(source, slug))])), {}
+        return _study(source, slug)
 
 
 def _in_processes(
@@ -192,66 +170,81 @@ def _deliver(
         os._exit(0)
 
 
-def _study(environment: jinja2.Environment, page: Page) -> str:
-    """Render the page of one study, which depends on no other."""
-    source = page.source
-    record = _entry(page)
-    return environment.get_template("study.html").render(
-        page=page,
-        entries=[vars(record)],
-        **page.tables,
-        sentence=html_tables.outcome_sentence(source),
-        outcomes=html_tables.outcomes(source, page.absent),
-        failures=html_tables.failures(page.absent),
-        failed_tasks=html_tables.failed_tasks(source),
-        walkers=html_tables.walkers(source),
-        run=html_tables.pairs({_RUN[k]: v for k, v in source.run.items() if k in _RUN}),
+def _study(source: Source, slug: str) -> tuple[str, dict[str, str]]:
+    """The page of one study, which depends on no other, and its data files."""
+    drawings, undrawn = _drawings(source, slug)
+    tables: dict[str, Any] = {
+        "landmarks": html_tables.landmarks(source),
+        "residuals": html_tables.residuals(source),
+        "fits": html_tables.fits(source),
+        "special": html_tables.special_points(source),
+        "results": results.tables(source),
+    }
+    absent = html_tables.points(source)
+    listed = html_tables.listed(absent)
+    every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
+    frames = {drawing.name: drawing.data for drawing in drawings}
+    frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
+    frames |= {"absent": listed} if len(absent) else {}
+    csv, files = _data_files(source, slug, frames)
+    template, lines, states = _environment().get_template("study.html"), starts.lines(source), _share_states(drawings)
+    text = template.render(
+        source=source,
+        slug=slug,
+        drawings=drawings,
+        undrawn=undrawn,
+        lines=lines,
+        states=states,
+        entries=[vars(_entry(source, slug, drawings, lines, files))],
+        **tables,
+        csv=csv,
+        absent=absent,
+        listed=listed,
+        run={_RUN[k]: v for k, v in source.run.items() if k in _RUN},
         origin=_origin(source),
-        provenance=html_tables.pairs(_rest(source)),
+        software=_software(source),
     )
+    return text, files
 
 
-def _entry(page: Page) -> entry.Entry:
-    """The record for the index and the ledger."""
-    source = page.source
+def _entry(
+    source: Source,
+    slug: str,
+    drawings: Sequence[Drawing] = (),
+    lines: list[dict[str, Any]] | None = None,
+    files: Iterable[str] = (),
+) -> entry.Entry:
+    """The record for the index and the ledger; a study that only feeds the latter draws nothing."""
+    words = paper.words(source)
     return entry.Entry(
-        slug=page.slug,
+        slug=slug,
         study=source.slug,
         name=source.name,
-        title=paper.words(source).get("title", source.title),
+        title=words.get("title", source.title),
         about=source.about,
         whole=source.whole,
-        section=paper.words(source).get("section", ""),
-        place=paper.PLACES.get(source.name, 0) if paper.words(source) else len(paper.PLACES),
+        section=words.get("section", ""),
+        place=paper.PLACES.get(source.name, 0) if words else len(paper.PLACES),
         statuses=html_tables.statuses(source),
         figures=[
             {
                 "name": drawing.name,
                 "title": drawing.title,
                 "finding": drawing.finding,
-                "claims": _shown(source, drawing),
+                "claims": list(words.get(drawing.name, {}).get("claims", [])),
             }
-            for drawing in page.drawings
+            for drawing in drawings
         ],
         claims=html_tables.claims(source),
-        files=list(page.files),
-        thumbnail=page.drawings[0].small if page.drawings else "",
-        lines=starts.brief(page.lines),
+        files=list(files),
+        thumbnail=drawings[0].small if drawings else "",
+        lines=starts.brief(lines or []),
         text=source.provenance["study"] if source.only_claims else "",
     )
 
 
-def _shown(source: Source, drawing: Drawing) -> list[str]:
-    """Claims that a figure of the paper shows, besides those that name it."""
-    return list(paper.words(source).get(drawing.name, {}).get("claims", []))
-
-
-def _bare(source: Source, slug: str) -> Page:
-    """A study that only feeds the ledger, as far as its record needs it."""
-    return Page(slug, source, [], {}, [], [], pd.DataFrame(), pd.DataFrame(), {}, {}, {})
-
-
-def _page(source: Source, slug: str) -> Page:
+def _drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
+    """The figures of a study, and why others that it wants are missing."""
     added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
     wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
     drawings: list[Drawing] = []
@@ -264,29 +257,21 @@ def _page(source: Source, slug: str) -> Page:
             undrawn |= {name: str(why)} if name in source.figures and name != "claims" else {}
             continue
         drawings.append(replace(drawing, title=paper.words(source).get(name, {}).get("title", drawing.title)))
-    tables: dict[str, Any] = {
-        "landmarks": html_tables.landmarks(source),
-        "residuals": html_tables.residuals(source),
-        "fits": html_tables.fits(source),
-        "special": html_tables.special_points(source),
-        "results": results.tables(source),
-    }
-    absent = html_tables.points(source)
-    listed = html_tables.listed(absent)
-    frames = {drawing.name: drawing.data for drawing in drawings}
-    every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
-    frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
-    frames |= {"absent": listed} if len(absent) else {}
-    # Longer ones are in the archive, which reads faster.
-    frames = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
+    return drawings, undrawn
+
+
+def _data_files(source: Source, slug: str, frames: Mapping[str, pd.DataFrame]) -> tuple[dict[str, str], dict[str, str]]:
+    """Names of the CSV files of figures and tables, without folder, and the texts of all: equal data is in one file.
+
+    What is longer than the list of points without a gait is in the archive alone, which reads faster.
+    """
     known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
-    texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in frames.items()}
+    short = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
+    texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in short.items()}
     first: dict[str, str] = {}
     csv = {name: first.setdefault(text, f"{slug}-{name}.csv") for name, text in texts.items()}
-    files = {f"csv/{name}": text for text, name in first.items()}
-    states = _share_states(drawings)
-    return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files, csv)
+    return csv, {f"csv/{name}": text for text, name in first.items()}
 
 
 def _share_states(drawings: list[Drawing]) -> list[list[float]]:
@@ -326,7 +311,7 @@ def _times(run: dict[str, Any]) -> list[str]:
     return [f"{own:.2g} s CPU, {workers}"] if isinstance(own, float) else []
 
 
-def _rest(source: Source) -> dict[str, Any]:
+def _software(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
     shown = ("study", "walkers", "varied", "ways")
     return {key: value for key, value in source.provenance.items() if key not in shown and value not in ("", [])}
@@ -357,6 +342,7 @@ def _environment() -> jinja2.Environment:
         digest_of=_digest,
         opener=(_SCRIPTS / "bundle.js").read_text(encoding="utf-8"),
         paper=PAPER,
+        tables=html_tables,
     )
     environment.filters.update(plain=plain, grouped=grouped)
     return environment

@@ -17,11 +17,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive import read as archives
-from gaitsweep.pipeline.archive.unfold import dataset, unfolded
+from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.report.words import axis_values, print_units
-from gaitsweep.pipeline.study.ways import ends, inline
+from gaitsweep.pipeline.study import toml
+from gaitsweep.pipeline.study.ways import ends
 
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -46,19 +48,14 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
     return frame
 
 
-class _Shared(dict[str, str]):
-    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "_Shared":
-        return self
-
-
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and the archive's data along it."""
+    """One walker with every axis but `slope` fixed, and the archive's data along it.
 
-    walker: str
-    set: dict[str, Any]
+    `at` is its place: `walker`, by name, then the values of the axes.
+    """
+
+    at: dict[str, Any]
     label: str
     data: xr.Dataset
     command: str
@@ -106,6 +103,13 @@ class Source:
     study: dict[str, Any]
     run: dict[str, Any] = field(default_factory=dict)
 
+    def given(self, *keys: str) -> Any:
+        """An entry of the study, by its key and those of the tables that hold it; None where there is none."""
+        value: Any = self.study
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return value
+
     @property
     def name(self) -> str:
         """The study's name."""
@@ -139,9 +143,7 @@ class Source:
     @property
     def toward(self) -> str | dict[str, Any]:
         """The walker to which the axis `detuning` leads, as the study writes it; empty if it names none."""
-        axes = self.study.get("axes", {})
-        way = axes.get("detuning") if isinstance(axes, dict) else None
-        toward = way.get("toward", "") if isinstance(way, dict) else ""
+        toward = self.given("axes", "detuning", "toward")
         return toward if isinstance(toward, str | dict) else ""
 
     @property
@@ -153,9 +155,7 @@ class Source:
     @property
     def overlay_file(self) -> str:
         """Name of the file of measurements that the study names; empty if there is none."""
-        figures = self.study.get("figures", {})
-        overlay = figures.get("overlay", {}) if isinstance(figures, dict) else {}
-        return str(overlay.get("file", "")) if isinstance(overlay, dict) else ""
+        return str(self.given("figures", "overlay", "file") or "")
 
     @property
     def file(self) -> str:
@@ -181,8 +181,7 @@ class Source:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that the study wants."""
-        wanted = self.study.get("want", {}).get("figures", [])
-        return [str(name) for name in wanted]
+        return [str(name) for name in self.given("want", "figures") or ()]
 
     @property
     def only_claims(self) -> bool:
@@ -217,25 +216,26 @@ class Source:
         """The study's first walker: the only one where there is no axis of walkers."""
         return next(iter(self.walkers), "")
 
-    def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
+    def parameters(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
-        table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
+        walker = str(at.get("walker", self.walker))
+        table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **at}
         for key, axes in self.varied.items():
             column = self.grid.get(key)
-            if key not in axes and column is not None and all(a in settings and a in column.coords for a in axes):
-                near = column.sel({axis: settings[axis] for axis in axes}, method="nearest")
+            if key not in axes and column is not None and all(a in at and a in column.coords for a in axes):
+                near = column.sel({axis: at[axis] for axis in axes}, method="nearest")
                 if "walker" in near.dims:
                     near = near.isel(walker=list(self.walkers).index(walker))
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
-    def moved(self, walker: str, settings: Mapping[str, float], key: str, axes: Sequence[str]) -> np.ndarray:
+    def moved(self, at: Mapping[str, Any], key: str, axes: Sequence[str]) -> np.ndarray:
         """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
         column = self.grid[key]
         if "walker" in column.dims:
-            column = column.isel(walker=list(self.walkers).index(walker))
-        at = {name: value for name, value in settings.items() if name in column.dims and name not in axes}
-        column = column.sel(at).transpose(*axes)
+            column = column.isel(walker=list(self.walkers).index(at["walker"]))
+        fixed = {name: value for name, value in at.items() if name in column.dims and name not in axes}
+        column = column.sel(fixed).transpose(*axes)
         order = [np.argsort(self.grid[axis].values) for axis in axes]
         return np.asarray(column.values[np.ix_(*order)]).ravel()
 
@@ -259,10 +259,7 @@ class Source:
     @property
     def reasons(self) -> list[str]:
         """The sentences that `reason` indexes."""
-        for name, variable in self.grid.variables.items():
-            if str(name).startswith("reason") and variable.ndim == 1 and variable.dtype.kind in "OU":
-                return [str(sentence) for sentence in variable.values]
-        return []
+        return list(map(str, self.grid["reason_text"].values)) if "reason_text" in self.grid else []
 
     def units(self, variable: str) -> str:
         """Units to print after a quantity; empty if it is dimensionless."""
@@ -272,9 +269,9 @@ class Source:
             return "rad"
         return print_units(units)
 
-    def command(self, walker: str, settings: dict[str, Any]) -> str:
+    def command(self, at: Mapping[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""
-        overrides = dict(settings)
+        walker, overrides = at["walker"], {key: value for key, value in at.items() if key not in ("walker", "slope")}
         table = self.study.get("walker")
         if isinstance(table, str):
             walker = table
@@ -288,9 +285,8 @@ class Source:
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
         if self.toward:
-            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else inline(self.toward)}"]
-        tuned = self.study.get("options", {}).get("tuned", ())
-        words += [word for key in tuned for word in ("--tuned", str(key))]
+            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else toml.written(self.toward)}"]
+        words += [word for key in self.given("options", "tuned") or () for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
@@ -310,25 +306,22 @@ class Source:
             varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
             named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
             label = axis_values({**named, **varying})
-            yield Line(walker, settings, label, self.grid.isel(at), self.command(walker, settings))
+            line = {"walker": walker, **settings}
+            yield Line(line, label, self.grid.isel(at), self.command(line))
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs; None if there is none."""
         table = self.tables.get(name)
         return table if table is not None and len(table) and set(columns) <= set(table.columns) else None
 
-    def position(self, line: Line) -> dict[str, Any]:
-        """Values of a line's axes, as columns of tables."""
-        return {**line.set, **({"walker": line.walker} if len(self.walkers) > 1 else {})}
-
-    def line_of(self, rows: pd.DataFrame) -> tuple[str, dict[str, float]]:
-        """The walker and the values of the axes of the line on which rows of a table lie."""
+    def line_of(self, rows: pd.DataFrame) -> dict[str, Any]:
+        """The place of the line on which rows of a table lie."""
         settings = {c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"}
-        return str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, settings
+        return {"walker": str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, **settings}
 
     def line_command(self, rows: pd.DataFrame) -> str:
         """The `gaitsweep solve` command of the line of some rows, without the slope."""
-        return self.command(*self.line_of(rows))
+        return self.command(self.line_of(rows))
 
     def line_groups(self, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
         """Rows of a table by line, in the archive's order, with the values that differ between lines."""
@@ -339,8 +332,7 @@ class Source:
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
         """Columns of a table that identify the line of a row."""
-        axes = self.study.get("axes", {})
-        names = {"walker", *(axes if isinstance(axes, dict) else ()), *self.axes} - {"slope"}
+        names = {"walker", *(self.given("axes") or ()), *self.axes} - {"slope"}
         return [c for c in table.columns if c in names]
 
 
@@ -358,15 +350,15 @@ def read(path: Path) -> Source:
         whole = dataset(file, **_AS_STORED)
         outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
         grid = _thinned(whole).load()
-        tables = {name: _table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
+        tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in layout.tables(file)}
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = tomllib.loads(provenance["study"])
         source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
-        for table in tables.values():
+        for frame in tables.values():
             # In a study of one walker of its own, tables call it `walker`.
-            if source.walker and "walker" in table and set(table["walker"]) == {"walker"}:
-                table["walker"] = source.walker
+            if source.walker and "walker" in frame and set(frame["walker"]) == {"walker"}:
+                frame["walker"] = source.walker
     return source
 
 
@@ -382,20 +374,6 @@ def _name(walker: Any, place: int) -> str:
     if isinstance(walker, dict):
         return str(walker.get("name", walker.get("base", f"walker {place + 1}")))
     return "walker" if walker is None else str(walker)
-
-
-def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something."""
-    variables = dataset.variables
-    if any(variable.ndim > 1 for variable in variables.values()):
-        frame = unfolded(dataset, grid)
-    else:
-        columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
-        rows = max((len(v) for v in columns.values()), default=0)
-        frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = _Shared({str(k): str(v.attrs.get("units", "")) for k, v in variables.items()})
-    frame.attrs["meanings"] = _Shared({str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()})
-    return frame
 
 
 def _run(path: Path) -> dict[str, Any]:

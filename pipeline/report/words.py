@@ -17,6 +17,9 @@ WORDS = tomllib.loads((Path(__file__).parent / "words.toml").read_text(encoding=
 #: The paper's symbols.
 SYMBOLS: dict[str, str] = WORDS["symbols"]
 
+#: A whole power in plain text.
+_POWER = r"\^([+-]?\d+)\b(?!\.)"
+
 #: Superscripts of the characters of an integer.
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -63,11 +66,17 @@ def spaced(name: Any) -> str:
     return str(WORDS["names"].get(name) or str(name).replace("_", " "))
 
 
-def phrased(text: str) -> str:
+def phrased(text: str, patterns: str = "phrases") -> str:
     """A sentence of an archive in the words of a page."""
-    for pattern, words in WORDS["phrases"].items():
+    for pattern, words in WORDS[patterns].items():
         text = re.sub(pattern, words, text)
     return text
+
+
+def typeset(text: str) -> str:
+    """A sentence of an archive with the signs of print: powers, products, arrows, minus signs and ranges."""
+    raised = re.sub(_POWER, lambda power: superscript(int(power[1])), phrased(phrased(text), "powers"))
+    return phrased(raised, "signs")
 
 
 def symbol(name: str) -> str:

@@ -24,6 +24,8 @@ _SCHEMA = (
 _HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
 _NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
 _READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
+#: How a damaged file is read: a schema that cannot be parsed is no reason to read nothing.
+_OF_DAMAGED = ("trusted_schema=OFF", "writable_schema=ON")
 _MAX_GAP = 1000  # records missing in a row where a damaged file is taken to end
 #: Files of a store, and how those of SQLite begin, which it writes over and removes.
 _BEGINNINGS = {
@@ -124,7 +126,11 @@ def repair(path: Path) -> None:
     draft = paths.of(path)
     paths.discard(path)
     try:
-        with contextlib.closing(connect(draft, new=True)) as new, _opened(path) as old:
+        damaged = sqlite3.connect(path, isolation_level=None)
+        with contextlib.closing(connect(draft, new=True)) as new, contextlib.closing(damaged) as old:
+            for pragma in _OF_DAMAGED:
+                with contextlib.suppress(sqlite3.DatabaseError):
+                    old.execute(f"PRAGMA {pragma}")
             for row in _readable(old):
                 new.execute("INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", row)
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -136,26 +142,10 @@ def repair(path: Path) -> None:
         paths.discard(path)
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[sqlite3.Connection | None]:
-    """Open a damaged store to read; None if even that cannot be done."""
-    try:
-        db = sqlite3.connect(path, isolation_level=None)
-        db.execute("PRAGMA trusted_schema=OFF")
-        db.execute("PRAGMA writable_schema=ON")  # a schema that cannot be parsed is no reason to read nothing
-    except sqlite3.DatabaseError:
-        yield None
-        return
-    try:
-        yield db
-    finally:
-        db.close()
-
-
-def _readable(db: sqlite3.Connection | None) -> Iterator[tuple[Any, ...]]:
+def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
     """Whole records of a damaged store, looked up one by one."""
     number, gap = 1, 0
-    while db and gap < _MAX_GAP:
+    while gap < _MAX_GAP:
         gap += 1
         with contextlib.suppress(sqlite3.DatabaseError, UnicodeDecodeError):
             for row in db.execute("SELECT * FROM records WHERE id = ?", (number,)):

@@ -88,7 +88,7 @@ class Points:
         }
         for name in want:
             if name not in values:
-                extent = (points, 0, 0) if "multiplier" in VARIABLES[name].dims else (points, 0)
+                extent = (points, 0, 0) if has_multipliers(name) else (points, 0)
                 values[name] = np.empty(extent, VARIABLES[name].dtype)
         return cls(values, {number: reason})
 
@@ -118,13 +118,9 @@ def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarra
     """Values of points with so many gaits and multipliers, of which the last are absent."""
     if values.shape[1:] == shape:
         return values
-    whole = np.full((len(values), *shape), _absent(name), values.dtype)
+    whole = np.full((len(values), *shape), VARIABLES[name].absent, values.dtype)
     whole[(slice(None), *map(slice, values.shape[1:]))] = values
     return whole
-
-
-def _absent(name: str) -> float:
-    return 0 if name in ("status", "reason") else VARIABLES[name].absent
 
 
 def _without_absent(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -134,7 +130,7 @@ def _without_absent(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
     def is_absent(g: int) -> bool:
         return all(
-            np.array_equal(a[:, g], np.full_like(a[:, g], _absent(name)), equal_nan=a.dtype.kind == "f")
+            np.array_equal(a[:, g], np.full_like(a[:, g], VARIABLES[name].absent), equal_nan=a.dtype.kind == "f")
             for name, a in others.items()
             if g < a.shape[1]
         )
@@ -201,7 +197,7 @@ def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
 
 def has_multipliers(name: str) -> bool:
     """Whether a variable has a value for each multiplier."""
-    return name in VARIABLES and "multiplier" in VARIABLES[name].dims
+    return "multiplier" in VARIABLES[name].dims
 
 
 def _status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:

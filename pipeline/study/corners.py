@@ -1,12 +1,16 @@
 """The walkers of a study at the corners of its grid: whether each is valid, and if not, where the study is wrong."""
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks import registry
+
+#: Most corners of a grid at which a walker is checked.
+_MOST = 256
 
 
 def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str, Any], ...]:
@@ -19,32 +23,32 @@ def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str,
     StudyError
         If a walker is invalid.
     """
-    ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
-    names = [a.name for a in study.line_axes]
-    checks = []
-    for candidate in study.walkers:
-        for corner in itertools.islice(itertools.product(*ends), 256):
-            values = dict(zip(names, corner, strict=True))
-            try:
-                check = dispatch.call("check_walker", {"walker": candidate, "set": values})
-            except ValueError as error:
-                place = way if getattr(error, "key", "") == "toward" else _fault(candidate, values, error, top)
-                raise place.error(str(error)) from error
-            if study.kind == "curve":
-                _check_curve(study, candidate, values, top.at("options"))
-        checks.append(check)
-    return tuple(checks)
+    checks = {}
+    for number, candidate, values in _corners(study):
+        try:
+            check = dispatch.call("check_walker", {"walker": candidate, "set": values})
+        except ValueError as error:
+            place = way if getattr(error, "key", "") == "toward" else _fault(candidate, values, error, top)
+            raise place.error(str(error)) from error
+        if study.kind == "curve":
+            _check_curve(study, candidate, values, top.at("options"))
+        checks[number] = check
+    return tuple(checks.values())
+
+
+def _corners(study: Study) -> Iterator[tuple[int, str | dict[str, Any], dict[str, float]]]:
+    """Number of each walker, the walker, and values of the axes at the corners of the grid."""
+    ends = [sorted({float(axis.values[0]), float(axis.values[-1])}) for axis in study.line_axes]
+    names = [axis.name for axis in study.line_axes]
+    for number, walker in enumerate(study.walkers):
+        for corner in itertools.islice(itertools.product(*ends), _MOST):
+            yield number, walker, dict(zip(names, corner, strict=True))
 
 
 def notes(study: Study) -> list[str]:
     """What a user may not know of the walkers of a study: keys that move a tuned one off the static conditions."""
-    corners = itertools.product(*(sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes))
-    every = [
-        {"walker": walker, "set": dict(zip((a.name for a in study.line_axes), corner, strict=True))}
-        for corner in itertools.islice(corners, 256)
-        for walker in study.walkers
-    ]
-    sentences = {str(line["walker"]): sentence for line in every if (sentence := dispatch.ask("untuned", line))}
+    lines = ({"walker": walker, "set": values} for _, walker, values in _corners(study))
+    sentences = {str(line["walker"]): sentence for line in lines if (sentence := dispatch.ask("untuned", line))}
     return [*sentences.values(), *_not_led(study)]
 
 

@@ -174,17 +174,17 @@ def other(
     return walker(value, folder, location, number, is_end=True)
 
 
-def retuned(value: str | dict[str, Any], keys: str | Sequence[str]) -> str | dict[str, Any]:
-    """A walker of which some keys, if any, are changed by least so that it meets the static conditions."""
-    if not keys:
-        return value
-    names = [keys] if isinstance(keys, str) else list(keys)
-    return {**({"base": value} if isinstance(value, str) else value), "tuned": names}
+def changed(
+    value: str | dict[str, Any], toward: str | dict[str, Any] | None = None, tuned: str | Sequence[str] = ()
+) -> str | dict[str, Any]:
+    """A walker with the one, if any, toward which `detuning` leads it, and with keys that are `tuned`.
 
-
-def detuned(value: str | dict[str, Any], toward: str | dict[str, Any] | None) -> str | dict[str, Any]:
-    """A walker with the one, if any, toward which `detuning` leads it."""
-    return value if toward is None else {**({"base": value} if isinstance(value, str) else value), "toward": toward}
+    These are changed by least so that it meets the static conditions.
+    """
+    keys: dict[str, Any] = {} if toward is None else {"toward": toward}
+    if tuned:
+        keys["tuned"] = [tuned] if isinstance(tuned, str) else list(tuned)
+    return {**({"base": value} if isinstance(value, str) else value), **keys} if keys else value
 
 
 def _walker_file(

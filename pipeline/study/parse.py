@@ -19,7 +19,7 @@ from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import options, overlay, slopes, units
 from gaitsweep.pipeline.study.corners import check_walkers
-from gaitsweep.pipeline.study.files import detuned, other, read_toml, retuned, walker
+from gaitsweep.pipeline.study.files import changed, other, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Axis, Limits, Study
 from gaitsweep.pipeline.study.plot import Plot
@@ -130,7 +130,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         names=tuple(table["walker"] if listed else (w if isinstance(w, str) else "walker" for w in walkers)),
         gaits=tuple(g for g in GAITS if g in gaits),
         limits=_limits(table, top),
-        walkers=tuple(retuned(detuned(each, toward), tuned) for each in walkers),
+        walkers=tuple(changed(each, toward, tuned) for each in walkers),
         axes=axes,
         accuracy=asked,
         **want,

@@ -58,7 +58,7 @@ def solve(
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
     given, changes = led(files.walker(definition, Path()), keys)
-    walker = files.retuned(given, tuned)
+    walker = files.changed(given, tuned=tuned)
     params = {"walker": walker, "slope": slope, "set": changes, "all": every, "steps": steps}
     if limits:
         params["violation_limits"] = violation_limits(limits, Location(""))
@@ -103,4 +103,4 @@ def led(
         return walker, changes
     if "detuning" not in changes and "detuning" not in walker:
         raise place.wrong("needs `detuning`, which says how far the walker is led", toward)
-    return files.detuned(walker, files.other(toward, Path(), place, number)), changes
+    return files.changed(walker, files.other(toward, Path(), place, number)), changes

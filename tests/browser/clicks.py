@@ -102,7 +102,7 @@ def archived(path: Path) -> pd.DataFrame:
         for i, j in np.argwhere(np.isfinite(line.data["stance_angle"].values)):
             point = line.data.isel(slope=i, gait=j)
             known = {name: float(point[name]) for name in ("stance_angle", "period") if name in point}
-            rows.append({"walker": line.walker, **line.set, "slope": float(point["slope"]), **known})
+            rows.append({**line.at, "slope": float(point["slope"]), **known})
     for name in ("branches", "special_points", "census", "cascade"):
         rows += _of_table(source, name)
     return pd.DataFrame(rows)

@@ -24,7 +24,7 @@ import pytest
 
 from conftest import ROOT
 from gaitsweep import load
-from gaitsweep.pipeline.archive import diff, read, verify, write
+from gaitsweep.pipeline.archive import diff, layout, read, verify, write
 from gaitsweep.pipeline.errors import ArchiveError, GaitsweepError
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.report import pages
@@ -256,7 +256,7 @@ def _craft(file, dice):
 
 def _mend_checksums(file):
     file.set_auto_mask(False)
-    sums = {name: read._checksum(file[name]) for name in (*file.variables, *read.columns(file))}
+    sums = {name: read._checksum(variable) for name, variable in layout.variables(file)}
     file.checksums = json.dumps(sums, sort_keys=True)
 
 

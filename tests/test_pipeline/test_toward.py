@@ -15,8 +15,7 @@ from gaitsweep.pipeline.archive.attributes import of_axis
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report.source import Source, read
-from gaitsweep.pipeline.study import corners, parse
-from gaitsweep.pipeline.study.ways import inline
+from gaitsweep.pipeline.study import corners, parse, toml
 from gaitsweep.tasks.walkers.resolve import resolve
 
 ROUND = {"base": "E", "R": 0.3}
@@ -247,7 +246,7 @@ def test_a_gait_on_a_way_is_proved_with_every_digit(capsys):
 
 @pytest.mark.parametrize("table", [ROUND, {"base": 'a "b".toml', "m_t": math.inf, "knees": False, "tuned": ["w_t"]}])
 def test_a_table_on_one_line_is_read_as_it_was(table):
-    assert tomllib.loads(f"toward = {inline(table)}") == {"toward": table}
+    assert tomllib.loads(f"toward = {toml.written(table)}") == {"toward": table}
 
 
 def test_python_is_told_where_toward_stands():

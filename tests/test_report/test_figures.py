@@ -624,7 +624,7 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
         }
     )
     data = xr.Dataset({"slope": [1e-5, 1e-2]})
-    lines = [types.SimpleNamespace(set={"foot_mass_ratio": ratio}, data=data) for ratio in ratios]
+    lines = [types.SimpleNamespace(at={"foot_mass_ratio": ratio}, data=data) for ratio in ratios]
     axes = Figure().subplots()
     axes.loglog(data.slope, data.slope)
     source = types.SimpleNamespace(table=lambda name, *columns: {"fits/transition": table}.get(name))

@@ -24,7 +24,7 @@ from gaitsweep.pipeline.cli import report as report_command
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
-from gaitsweep.pipeline.report.words import plain
+from gaitsweep.pipeline.report.words import plain, typeset
 from gaitsweep.pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
@@ -194,7 +194,7 @@ def test_numbered_figures_come_first_and_in_order(tmp_path):
 def test_the_command_under_the_pointer_can_be_typed(tmp_path, walker, command):
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
     archive = write(tmp_path / "s.nc", f'name = "s"\nwalker = {walker}', status, {}, {"w": POINT})
-    assert read(archive).command("w", {}) == command
+    assert read(archive).command({"walker": "w"}) == command
 
 
 def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
@@ -308,7 +308,7 @@ def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tm
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
     """One archive after the other, in any order, gives what all of them give at once."""
     for archive in reversed(archives):
-        index = pages.write([archive], tmp_path)
+        index = pages.write([archive], tmp_path).parent / "index.html"
     assert _files(tmp_path) == _files(report)
     pages.write([], tmp_path)
     assert index.read_bytes() == (report / "index.html").read_bytes()
@@ -665,7 +665,7 @@ def test_verdicts_have_signs():
     ],
 )
 def test_signs_are_typeset(text, shown):
-    assert ledger.typeset(text) == shown
+    assert typeset(text) == shown
 
 
 def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(tmp_path, monkeypatch):
@@ -674,7 +674,7 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
     def stumble(*_):
         raise IndexError("out of bounds")
 
-    monkeypatch.setattr(pages, "_page", stumble)
+    monkeypatch.setattr(pages, "_study", stumble)
     # It is laid out for the pages only.
     with pytest.raises(ArchiveError, match=r"s\.nc is damaged: The attribute `title` is missing\."):
         pages.write([path], tmp_path / "out")

@@ -144,7 +144,7 @@ def test_a_cell_of_a_map_has_the_key_that_both_its_axes_move(tmp_path):
     coords = {"R": radius, "m_s": mass, "gait": np.array(["long"], object)}
     varied = {"R": ["R"], "m_s": ["m_s"], "w_t": ["R", "m_s"]}
     source = read(write(tmp_path / "m.nc", text, grid, coords, {"B": POINT}, varied=varied))
-    assert source.parameters("B", {"R": 0.1, "m_s": 2.0})["w_t"] == 4.0
+    assert source.parameters({"walker": "B", "R": 0.1, "m_s": 2.0})["w_t"] == 4.0
     panel = starts.cells(source, {"slope": 0.01}, ("R", "m_s"), {}, (), 1, "gait")
     assert panel["moved"] == {"w_t": [["R", "m_s"], [3.0, 4.0, 1.0, 2.0]]}
     table = html_tables.walkers(source)

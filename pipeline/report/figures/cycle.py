@@ -50,15 +50,14 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
     steps = [rows for _, rows in known.groupby([*source.line_columns(table), "gait", "slope"], sort=False)]
     for frame in evenly(steps, _MAX_STEPS):
         gait, slope = str(frame["gait"].iloc[0]), float(frame["slope"].iloc[0])
-        walker, settings = source.line_of(frame)
-        body = Body.of(source.parameters(walker, settings))
+        at = source.line_of(frame)
+        body = Body.of(source.parameters(at))
         frame = frame.sort_values("time", kind="stable").reset_index(drop=True)
         if body is None or len(frame) < 2:
             continue
         shank = frame.get("theta_sh", frame["theta_th"])
         frame = frame.assign(time=frame["time"] - frame["time"].iloc[0], theta_sh=shank.fillna(frame["theta_th"]))
-        label = axis_values({"walker": walker, **settings})
-        yield TracedStep(label, gait, slope, source.command(walker, settings), body, frame)
+        yield TracedStep(axis_values(at), gait, slope, source.command(at), body, frame)
 
 
 def angles(source: Source) -> Sketch | None:

@@ -136,7 +136,7 @@ def _line_titles(source: Source, lines: list[Line]) -> list[str]:
     if table is not None and len(table) == 1 and {"pair", "foot_mass_ratios"} <= set(table.columns):
         pair, ratios = str(table["pair"].iloc[0]).split(" / "), str(table["foot_mass_ratios"].iloc[0]).split(" / ")
         names = {float(ratio): walker for walker, ratio in zip(pair, ratios, strict=True)}
-    called = [names.get(line.set.get("foot_mass_ratio", np.nan), "") for line in lines]
+    called = [names.get(line.at.get("foot_mass_ratio", np.nan), "") for line in lines]
     return [f"{name} ({line.label})" if name else line.label for name, line in zip(called, lines, strict=True)]
 
 
@@ -149,7 +149,7 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     words: list[str] = []
     left, right = axes.get_xlim()
     for line, name in zip(lines, names, strict=True):
-        fits = rows_at(table, {"foot_mass_ratio": line.set.get("foot_mass_ratio", np.nan)})
+        fits = rows_at(table, {"foot_mass_ratio": line.at.get("foot_mass_ratio", np.nan)})
         for row in fits[np.isfinite(fits["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
             ink: Any = {"color": INK, "lw": 0.6, "zorder": 1.6}
@@ -183,7 +183,7 @@ def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:
     table = table.rename(columns={"from": "slope_from", "to": "slope_to"})
     keep = (table["quantity"] == "stance_angle") & (table["gait"] == gait)
     table = table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
-    return rows_at(table, source.position(line))
+    return rows_at(table, line.at)
 
 
 def _is_one_curve(rows: pd.DataFrame) -> bool:

@@ -198,13 +198,13 @@ def basin(source: Source) -> Sketch | None:
 def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     """What the script needs to start any initial condition: the line, its slope and the ratio of the rates."""
     row = table.iloc[0]
-    walker, settings = source.line_of(table)
-    if not (keys := parameters(source, walker, settings)) or "slope" not in row:
+    at = source.line_of(table)
+    if not (keys := parameters(source, at)) or "slope" not in row:
         return {}
     start = {"slope": float(row["slope"])}
     if np.isfinite(row.get("swing_rate", np.nan)):
         start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
-    return {"at": {"walker": walker, **settings}, "keys": keys, "command": source.command(walker, settings), **start}
+    return {"at": at, "keys": keys, "command": source.command(at), **start}
 
 
 def _cells(panels: list[Axes], table: pd.DataFrame, plane: list[str], start: dict[str, Any]) -> list[Panel]:

@@ -47,7 +47,7 @@ def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.Dat
     """Lines of the study: name, values of the axes, and curves with `slope`, `gait` and variables."""
     if source.lines:
         names = [v for v in variables(source) if v in source.grid]
-        return [(line.label, source.position(line), list(line.curves(*names))) for line in source.lines]
+        return [(line.label, line.at, list(line.curves(*names))) for line in source.lines]
     branches = source.tables.get("branches")
     if branches is None:
         return []

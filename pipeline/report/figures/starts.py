@@ -30,9 +30,9 @@ def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
     return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in map(float, values)]
 
 
-def parameters(source: Source, walker: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a line's walker that its script flies, and the limits of violations; empty if one is missing."""
-    table = source.parameters(walker, dict(settings))
+    table = source.parameters(at)
     kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
     needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
     if not needed <= set(kept):
@@ -40,10 +40,10 @@ def parameters(source: Source, walker: str, settings: Mapping[str, Any]) -> dict
     return {**kept, "units": str(table.get("units", "1")), "violation_limits": source.violation_limits}
 
 
-def address(walker: str, settings: Mapping[str, Any], **start: float) -> str:
+def address(at: Mapping[str, Any], **start: float) -> str:
     """Address of a gait on its page: the line, then the slope and the stance angle."""
     near = {k: float(f"{v:.8g}") for k, v in start.items()}
-    return urlencode([("walker", walker), *settings.items(), *near.items()])
+    return urlencode([*at.items(), *near.items()])
 
 
 def addresses(source: Source, table: pd.DataFrame) -> list[str]:
@@ -54,9 +54,8 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     texts = []
     for row in table.to_dict("records"):
         start = {name: float(row[name]) for name in ("slope", "stance_angle")}
-        settings = {c: float(row[c]) for c in columns}
-        known = all(np.isfinite(list(start.values())))
-        texts.append(address(str(row.get("walker", source.walker)), settings, **start) if known else "")
+        at = {"walker": str(row.get("walker", source.walker)), **{c: float(row[c]) for c in columns}}
+        texts.append(address(at, **start) if all(np.isfinite(list(start.values()))) else "")
     return texts
 
 
@@ -71,30 +70,29 @@ def lines(source: Source) -> list[dict[str, Any]]:
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
         for _, rows in [] if table is None else source.line_groups(table):
-            walker, at = source.line_of(rows)
+            at = source.line_of(rows)
             known = name == "branches" and set(START[:4]) <= set(rows.columns)
             branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
-            by_line.setdefault((walker, *at.values()), (walker, at, branches))
-    chosen = [(w, at, [] if source.steps > 1 else own) for w, at, own in [*by_line.values()][:_MAX_LINES]]
-    total = sum(len(branch) for _, _, branches in chosen for branch in branches)
+            by_line.setdefault(tuple(at.values()), (at, branches))
+    chosen = [(at, [] if source.steps > 1 else own) for at, own in [*by_line.values()][:_MAX_LINES]]
+    total = sum(len(branch) for _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
-    for walker, at, branches in chosen:
-        if keys := parameters(source, walker, at):
-            every = {"walker": walker, **at}
+    for at, branches in chosen:
+        if keys := parameters(source, at):
             records.append(
                 {
-                    "name": axis_values(every),
-                    "at": every,
+                    "name": axis_values(at),
+                    "at": at,
                     "keys": keys,
-                    "command": source.command(walker, at),
-                    "first": _first(walker, at, branches),
+                    "command": source.command(at),
+                    "first": _first(at, branches),
                     "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
                 }
             )
     return records
 
 
-def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any], list[pd.DataFrame]]]:
+def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[dict[str, Any], list[pd.DataFrame]]]:
     """Lines of a grid with their branches: the pieces of each joined at its folds."""
     by_line = {}
     for line in source.lines[:_MAX_LINES]:
@@ -106,7 +104,7 @@ def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any],
                 piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
             )
         joined = [pd.concat(pieces) for number, pieces in branches.items() if number >= 0]
-        by_line[(line.walker, *line.set.values())] = (line.walker, line.set, joined)
+        by_line[tuple(line.at.values())] = (line.at, joined)
     return by_line
 
 
@@ -118,7 +116,7 @@ def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | N
     return [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]] if len(columns) > 2 else []
 
 
-def _first(walker: str, settings: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
+def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
     """Address of the gait that a line shows at first: a stable one where there is one; empty without gaits."""
     every = pd.concat(branches).dropna(subset=list(START[:3])) if branches else pd.DataFrame()
     if every.empty:
@@ -126,7 +124,7 @@ def _first(walker: str, settings: Mapping[str, Any], branches: list[pd.DataFrame
     stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
     rows = (stable if len(stable) else every).sort_values("slope")
     row = rows.iloc[2 * len(rows) // 3]
-    return address(walker, settings, slope=float(row["slope"]), stance_angle=float(row["stance_angle"]))
+    return address(at, slope=float(row["slope"]), stance_angle=float(row["stance_angle"]))
 
 
 def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -171,20 +169,20 @@ def cells(
         numbers of the cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and
         rates over the stance angle, and what is shown.
     """
-    walker = str(at.get("walker", source.walker))
     fixed = {key: float(value) for key, value in at.items() if key != "walker"}
-    keys = parameters(source, walker, fixed)
+    line = {"walker": str(at.get("walker", source.walker)), **fixed}
+    keys = parameters(source, line)
     own = {name: values for name, values in columns.items() if name not in (*names, *fixed)}
     moved = {}
     for key, axes in source.varied.items():
         across = [axis for axis in axes if axis in names]
         if across and key not in axes and key in source.grid:
-            moved[key] = [across, rounded(source.moved(walker, fixed, key, across), 10)]
+            moved[key] = [across, rounded(source.moved(line, key, across), 10)]
     return {
-        "at": {"walker": walker, **fixed},
+        "at": line,
         "keys": keys,
-        "command": source.command(walker, {k: v for k, v in fixed.items() if k != "slope"}),
-        "label": f"{called} · {walker}",
+        "command": source.command(line),
+        "label": f"{called} · {line['walker']}",
         "shown": [[symbol(name), name] for name in shown],
         "moved": moved,
         "fields": _fields(own, bool(keys.get("knees")), maps),
