@@ -10,9 +10,9 @@ import numpy as np
 from gaitsweep.tasks.fits import power_law
 from gaitsweep.tasks.fits import transition as laws
 from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
-Arrays = dict[str, np.ndarray]
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
 #: Factor of the smallest abscissa within which a law begins there: the first points of a plateau may be left out.
@@ -55,7 +55,7 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
                 curves = {key: _sort(x[points], y[points]) for key, points in _curves(data, g, good).items()}
                 rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
-    return _table("fits/scaling", rows)
+    return table("fits/scaling", rows)
 
 
 def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
@@ -190,11 +190,11 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 if after is None
                 else float(np.log(row[key] / after[key]) / np.log(row["foot_mass_ratio"] / after["foot_mass_ratio"]))
             )
-    table = _table("fits/transition", rows)
+    fitted_laws = table("fits/transition", rows)
     by_ratio = {round(r["foot_mass_ratio"], 12): r for r in rows}
     if 0.1 in by_ratio and 0.05 in by_ratio:
         heavy, light = by_ratio[0.1], by_ratio[0.05]
-        table |= _table(
+        fitted_laws |= table(
             "fits/transition_ratio",
             [
                 {
@@ -206,13 +206,8 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 }
             ],
         )
-    return table
+    return fitted_laws
 
 
 def _coordinates(line: Mapping[str, Any]) -> dict[str, Any]:
     return {"walker": line.get("name", line["walker"]), **line["set"]}
-
-
-def _table(group: str, rows: list[dict[str, Any]]) -> Arrays:
-    """Rows as the columns of one group."""
-    return {f"{group}/{k}": np.array([r[k] for r in rows]) for k in (rows[0] if rows else {})}

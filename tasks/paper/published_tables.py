@@ -9,14 +9,14 @@ import numpy as np
 
 from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
 from gaitsweep.tasks.paper.kneed_chaos import chaos
-from gaitsweep.tasks.paper.lines import LONG, SHORT, line, memoize
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
 
-Columns = dict[str, np.ndarray]
 #: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
 VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
 #: Figure 10 as printed: whether steps (short, long) scale as slope^(1/3) at those slopes, and the faster gait at
@@ -33,11 +33,7 @@ TOLERANCE, CHECKED_FOR_CHAOS = 0.01, ("D", "C")
 ROWS = ("D", "E", "F", "A", "B", "C")
 
 
-def _columns(group: str, rows: list[dict[str, Any]]) -> Columns:
-    return {f"{group}/{k}": np.array([row[k] for row in rows]) for k in rows[0]}
-
-
-def figure9() -> Columns:
+def figure9(paper: Paper) -> Arrays:
     """Tabulate the parameters of the tuned walkers, as used and as printed, in each walker's units.
 
     Returns
@@ -59,14 +55,14 @@ def figure9() -> Columns:
                 "shank_offset": residual.get("shank_offset", np.nan),
             }
         )
-    return _columns("figure9", rows)
+    return table("figure9", rows)
 
 
 @memoize
-def _figure10() -> tuple[dict[str, Any], ...]:
+def _figure10(paper: Paper) -> tuple[dict[str, Any], ...]:
     rows = []
     for name in ROWS:
-        gaits = line(name)
+        gaits = paper.line(name)
         row: dict[str, Any] = {
             "walker": name,
             "description": DESCRIPTIONS[name],
@@ -79,13 +75,13 @@ def _figure10() -> tuple[dict[str, Any], ...]:
         for when, slope in (("vanishing", VANISHING), ("larger", LARGE)):
             speed = gaits.at([slope])["speed"][0]
             row[f"faster_{when}"] = "short" if speed[SHORT] > speed[LONG] else "long"
-        row["crossing_slope"] = speed_crossing(name)
-        row["chaotic"], row["chaos"] = chaos(name)
+        row["crossing_slope"] = speed_crossing(paper, name)
+        row["chaotic"], row["chaos"] = chaos(paper, name)
         rows.append(row)
     return tuple(rows)
 
 
-def figure10() -> Columns:
+def figure10(paper: Paper) -> Arrays:
     """Tabulate figure 10: exponents of the stance angle in slope and of power in speed, the faster gait, and chaos.
 
     Returns
@@ -93,10 +89,10 @@ def figure10() -> Columns:
     dict
         Table `figure10`, a row per walker.
     """
-    return _columns("figure10", list(_figure10()))
+    return table("figure10", _figure10(paper))
 
 
-def rounding() -> Columns:
+def rounding(paper: Paper) -> Arrays:
     """Tabulate every landmark by every printed parameter.
 
     Returns
@@ -108,7 +104,7 @@ def rounding() -> Columns:
     """
     rows = []
     for name, mark in LANDMARKS.items():
-        bounds = interval(name)
+        bounds = interval(paper, name)
         rows += [
             {
                 "landmark": name,
@@ -118,7 +114,7 @@ def rounding() -> Columns:
                 "stance_angle": bounds.angle,
                 "slope_low": bounds.low,
                 "slope_high": bounds.high,
-                "printed": mark.printed,
+                "printed": mark.printed.number,
                 "parameter": key,
                 "sensitivity": s,
                 "angle_sensitivity": bounds.angle_sensitivity[key],
@@ -128,7 +124,7 @@ def rounding() -> Columns:
             }
             for key, s in bounds.sensitivity.items()
         ]
-    return _columns("rounding", rows)
+    return table("rounding", rows)
 
 
 @dataclass(frozen=True)
@@ -153,9 +149,9 @@ class _Cell:
 
 
 @memoize
-def _cells() -> tuple[_Cell, ...]:
+def _cells(paper: Paper) -> tuple[_Cell, ...]:
     """Every cell of figure 10, in the order of its rows."""
-    rows = {row["walker"]: row for row in _figure10()}
+    rows = {row["walker"]: row for row in _figure10(paper)}
     words = {0: "no", 1: "yes"}
     cells = []
     for name, (short, long, vanishing, larger) in PRINTED.items():
@@ -180,7 +176,7 @@ def _cells() -> tuple[_Cell, ...]:
     return tuple(cells)
 
 
-def figure10_cells() -> Columns:
+def figure10_cells(paper: Paper) -> Arrays:
     """Tabulate the cells of figure 10 as printed and as computed.
 
     Returns
@@ -189,17 +185,17 @@ def figure10_cells() -> Columns:
         Table `figure10_cells`: walker, column, slopes, printed, computed, verdict.
     """
     names = ("walker", "column", "slopes", "printed", "computed", "verdict")
-    return _columns("figure10_cells", [{name: getattr(cell, name) for name in names} for cell in _cells()])
+    return table("figure10_cells", [{name: getattr(cell, name) for name in names} for cell in _cells(paper)])
 
 
 @claim("Z6")
-def whole_table() -> ClaimResult:
+def whole_table(paper: Paper) -> ClaimResult:
     """Compare every cell of figure 10 with the computed exponents."""
-    cells = [cell for cell in _cells() if not np.isnan(cell.deviation)]
+    cells = [cell for cell in _cells(paper) if not np.isnan(cell.deviation)]
     strict = sum(cell.deviation < TOLERANCE for cell in cells)
     loose = sum(cell.deviation < 10 * TOLERANCE for cell in cells)
     worst = max(cells, key=lambda cell: cell.deviation)
-    rows = {row["walker"]: row for row in _figure10()}
+    rows = {row["walker"]: row for row in _figure10(paper)}
     # A semicolon ends a part of a claim's answer.
     unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
     return ClaimResult(
@@ -209,6 +205,4 @@ def whole_table() -> ClaimResult:
         f"walkers that the paper did not check: {unchecked}",
         verdict(strict == len(cells), loose == len(cells)),
         float(strict),
-        printed=float(len(cells)),
-        half_unit=0,
     )
