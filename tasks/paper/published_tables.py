@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,8 @@ PRINTED = {
 #: Largest deviation of an exponent of the stance angle in a cell that is reproduced, and the walkers whose chaos the
 #: paper reports.
 TOLERANCE, CHECKED_FOR_CHAOS = 0.01, ("D", "C")
+#: What an interval says of each parameter.
+_OF_PARAMETERS = ("sensitivity", "angle_sensitivity", "half_unit", "contribution")
 ROWS = ("D", "E", "F", "A", "B", "C")
 
 
@@ -116,48 +117,34 @@ def rounding(paper: Paper) -> Arrays:
                 "slope_high": bounds.high,
                 "printed": mark.printed.number,
                 "parameter": key,
-                "sensitivity": s,
-                "angle_sensitivity": bounds.angle_sensitivity[key],
-                "half_unit": bounds.half_unit[key],
-                "contribution": bounds.contribution[key],
+                **{name: getattr(bounds, name)[key] for name in _OF_PARAMETERS},
                 "matters_most": int(key == bounds.most),
             }
-            for key, s in bounds.sensitivity.items()
+            for key in bounds.sensitivity
         ]
     return table("rounding", rows)
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """An entry of figure 10: its walker, column and range of slopes, printed and computed, and how far they differ.
+@memoize
+def _cells(paper: Paper) -> list[dict[str, Any]]:
+    """Every cell of figure 10, in the order of its rows: columns of its table, and how far both entries differ.
 
     `deviation` is in the exponent of the stance angle, or a tenth of that of the power; NaN without an entry.
     """
+    cells: list[dict[str, Any]] = []
 
-    walker: str
-    column: str
-    slopes: str
-    printed: str
-    computed: str
-    deviation: float
+    def enter(column: str, printed: str, computed: str, deviation: float, slopes: str = "") -> None:
+        said = NOT_CHECKABLE
+        if not np.isnan(deviation):
+            said = verdict(deviation < TOLERANCE, deviation < 10 * TOLERANCE)
+        cell = {"walker": name, "column": column, "slopes": slopes, "printed": printed, "computed": computed}
+        cells.append({**cell, "verdict": said, "deviation": deviation})
 
-    @property
-    def verdict(self) -> str:
-        if np.isnan(self.deviation):
-            return NOT_CHECKABLE
-        return verdict(self.deviation < TOLERANCE, self.deviation < 10 * TOLERANCE)
-
-
-@memoize
-def _cells(paper: Paper) -> tuple[_Cell, ...]:
-    """Every cell of figure 10, in the order of its rows."""
-    rows = {row["walker"]: row for row in _figure10(paper)}
-    words = {0: "no", 1: "yes"}
-    cells = []
+    rows, words = {row["walker"]: row for row in _figure10(paper)}, ("no", "yes")
     for name, (short, long, vanishing, larger) in PRINTED.items():
         row = rows[name]
-        capable = int(row["zero_slope_capable"])
-        cells.append(_Cell(name, "zero-slope capable", "", "yes", words[capable], 0.0 if capable else 1.0))
+        capable, chaotic = row["zero_slope_capable"], row["chaotic"]
+        enter("zero-slope capable", "yes", words[capable], 1.0 - capable)
         for gait, laws in (("short", short), ("long", long)):
             for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
                 if cube is None:
@@ -165,15 +152,15 @@ def _cells(paper: Paper) -> tuple[_Cell, ...]:
                 angle, power = row[f"{gait}_angle_{when}"], row[f"{gait}_power_{when}"]
                 deviation = max(abs(angle - (1 / 3 if cube else 1)), abs(power - (4 if cube else 2)) / 10)
                 printed = "P ∝ v⁴, θ* ∝ γ¹ᐟ³" if cube else "P ∝ v², θ* ∝ γ"
-                computed = f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}"
-                cells.append(_Cell(name, f"{gait}-step scaling", when, printed, computed, deviation))
+                enter(f"{gait}-step scaling", printed, f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}", deviation, when)
         for when, printed in (("vanishing", vanishing), ("larger", larger)):
             faster = row[f"faster_{when}"]
-            cells.append(_Cell(name, "faster gait", when, printed, faster, 0.0 if faster == printed else 1.0))
-        is_checked, is_chaotic = name in CHECKED_FOR_CHAOS, int(row["chaotic"])
-        deviation = (0.0 if is_chaotic else 1.0) if is_checked else np.nan
-        cells.append(_Cell(name, "chaos", "", "yes" if is_checked else "not checked", words[is_chaotic], deviation))
-    return tuple(cells)
+            enter("faster gait", printed, faster, float(faster != printed), when)
+        if name in CHECKED_FOR_CHAOS:
+            enter("chaos", "yes", words[chaotic], 1.0 - chaotic)
+        else:
+            enter("chaos", "not checked", words[chaotic], np.nan)
+    return cells
 
 
 def figure10_cells(paper: Paper) -> Arrays:
@@ -184,25 +171,24 @@ def figure10_cells(paper: Paper) -> Arrays:
     dict
         Table `figure10_cells`: walker, column, slopes, printed, computed, verdict.
     """
-    names = ("walker", "column", "slopes", "printed", "computed", "verdict")
-    return table("figure10_cells", [{name: getattr(cell, name) for name in names} for cell in _cells(paper)])
+    cells = [{name: value for name, value in cell.items() if name != "deviation"} for cell in _cells(paper)]
+    return table("figure10_cells", cells)
 
 
 @claim("Z6")
 def whole_table(paper: Paper) -> ClaimResult:
     """Compare every cell of figure 10 with the computed exponents."""
-    cells = [cell for cell in _cells(paper) if not np.isnan(cell.deviation)]
-    strict = sum(cell.deviation < TOLERANCE for cell in cells)
-    loose = sum(cell.deviation < 10 * TOLERANCE for cell in cells)
-    worst = max(cells, key=lambda cell: cell.deviation)
+    cells = [cell for cell in _cells(paper) if not np.isnan(cell["deviation"])]
+    strict, loose = (sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10))
+    worst = max(cells, key=lambda cell: cell["deviation"])
     rows = {row["walker"]: row for row in _figure10(paper)}
     # A semicolon ends a part of a claim's answer.
     unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
     return ClaimResult(
         f"{strict} of {len(cells)} cells agree to within {TOLERANCE:g} in the exponent of the angle and "
         f"{10 * TOLERANCE:g} in that of the power, {loose} to within ten times as much (larger slopes: {LARGE:g}); "
-        f"largest deviation: {worst.walker} {worst.column} at {worst.slopes} slopes: {worst.computed}; chaos in "
-        f"walkers that the paper did not check: {unchecked}",
+        f"largest deviation: {worst['walker']} {worst['column']} at {worst['slopes']} slopes: {worst['computed']}; "
+        f"chaos in walkers that the paper did not check: {unchecked}",
         verdict(strict == len(cells), loose == len(cells)),
         float(strict),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from decimal import Context, Decimal, Inexact, localcontext
 from fractions import Fraction
 from typing import Any
 
@@ -21,8 +22,8 @@ TUNED = {"A": ("A-printed", "physical-straight"), "C": ("C-printed", "physical")
 Numbers = dict[str, Number]
 #: A centre of mass off its line by less than this part of its distance from the pivot is meant to lie on it.
 TUNED_TO = 4e-16
-#: Characters of a number that is read exactly, and of a zero's exponent.
-MAX_CHARACTERS, MAX_EXPONENT = 1000, 5
+#: Characters of a number that is read exactly, of a zero's exponent, and digits of a decimal number that is quoted.
+MAX_CHARACTERS, MAX_EXPONENT, MAX_DIGITS = 1000, 5, 10000
 #: Keys that are no numbers.
 _TEXTS = ("toward", "base", "name", "units")
 #: Keys a table may leave out.
@@ -262,18 +263,23 @@ def written(value: Number) -> str:
     if isinstance(value, arb):
         with ctx.workprec(KEY_BITS):
             return str(value.str(40, radius=True))
-    denominator = int(value.q)
-    twos, fives = 0, 0
-    while denominator % 2 == 0:
-        denominator, twos = denominator // 2, twos + 1
-    while denominator % 5 == 0:
-        denominator, fives = denominator // 5, fives + 1
-    if denominator != 1:
-        return f"{value.p}/{value.q}"
-    digits = max(twos, fives)
-    whole = str(abs(int(value.p * fmpq(10) ** digits / value.q if digits else value.p / value.q)))
-    sign = "-" if value.p < 0 else ""
-    if not digits:
-        return sign + whole
-    whole = whole.rjust(digits + 1, "0")
-    return f"{sign}{whole[:-digits]}.{whole[-digits:]}"
+    with localcontext(Context(prec=MAX_DIGITS, traps=[Inexact])):
+        try:
+            return f"{Decimal(int(value.p)) / Decimal(int(value.q)):f}"
+        except Inexact:
+            return f"{value.p}/{value.q}"
+
+
+def written_table(keys: Mapping[str, Number], kneed: bool) -> dict[str, str]:
+    """A walker's table as a certificate quotes it.
+
+    Parameters
+    ----------
+    keys : mapping of str to fmpq or arb
+    kneed : bool
+
+    Returns
+    -------
+    dict of str to str
+    """
+    return {**{key: written(value) for key, value in keys.items()}, "knees": str(kneed).lower()}

@@ -178,8 +178,10 @@ def _moved_values(
     owners: dict[str, str] = {}
     for owner, value in derived.items():
         is_way = owner == "detuning"
-        own_values = _mixed(table, float(value)) if is_way else _of_feet(start, float(value), table.get("base"))
-        keys = tuple(own_values) if is_way else owned(owner, table)
+        if not is_way:
+            _check_feet(start, float(value), table.get("base"))
+        own_values = _values(owner, table, float(value))
+        keys = tuple(own_values)
         # A table's own keys are those of the walker at one end of its way to another.
         is_free = "base" not in table or (is_way and "toward" in table)
         given = changes if is_free else {**table, **changes}
@@ -244,29 +246,44 @@ def _retuned(walkers: _Walkers, free: Sequence[str]) -> _Walkers:
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys that a derived key sets: the masses, or those in which the walkers at both ends of a way differ."""
-    if derived == "foot_mass_ratio":
-        return tuple(key for key, kind in KEYS.items() if kind == "mass")
-    return tuple(_mixed(walker, 0.0))
+    return tuple(_values(derived, walker, 0.0))
 
 
-def _of_feet(walker: Walker, ratio: float, base: str | None) -> dict[str, float]:
-    """Masses of a point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1).
+def _values(derived: str, walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
+    """Values of the keys that a derived key of some amount, a number or an array, sets.
+
+    Detuning interpolates between two walkers. A foot mass ratio is the share of the total mass that each foot of a
+    point-foot walker has; the hip carries the rest (section 4.1).
+    """
+    if derived == "detuning":
+        start, end = (each.table() for each in _detuning_ends(walker))
+        return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}
+    own = _itself(_table(walker))
+    total = own.total_mass
+    if not own.m_t and (own.c_t or own.w_t or own.r_t):  # the centre of no mass need not be at the hip
+        return {"m_t": 0.0, "m_s": amount * total, "m_h": (1 - 2 * amount) * total}
+    return {"m_t": (0.5 - amount) * total, "m_s": amount * total, "m_h": 0.0}
+
+
+def _check_feet(walker: Walker, ratio: float, base: str | None) -> None:
+    """Check a foot mass ratio.
 
     Of a table with a point-foot walker as its `base` the other keys, such as R, are free, as those that a line sets.
+
+    Raises
+    ------
+    WalkerError
+        If no walker with point feet has it.
     """
     if not (walker.point_foot or (base and from_catalogue(base).point_foot)):
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
     if not FOOT_MASS_RATIOS[0] <= ratio < FOOT_MASS_RATIOS[1]:
         raise WalkerError("foot_mass_ratio", ratio, "must lie in [{:g}, {:g})".format(*FOOT_MASS_RATIOS))
-    return _masses(walker, ratio)
 
 
-def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
-    """Masses of a point-foot walker with foot mass ratio `ratio`, a number or an array."""
-    total = walker.total_mass
-    if not walker.m_t and (walker.c_t or walker.w_t or walker.r_t):  # the centre of no mass need not be at the hip
-        return {"m_s": ratio * total, "m_t": 0.0, "m_h": (1 - 2 * ratio) * total}
-    return {"m_s": ratio * total, "m_t": (0.5 - ratio) * total, "m_h": 0.0}
+def _itself(table: Mapping[str, Any]) -> Walker:
+    """The walker of a table without what moves it."""
+    return from_table({key: value for key, value in table.items() if key not in _MORE})
 
 
 def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) -> WalkerArray:
@@ -308,12 +325,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         values |= {key: value for key, value in straight(start).items() if isinstance(value, np.ndarray)}
         arrays = {key: value for key, value in arrays.items() if key in others}
     for key, array in arrays.items():
-        if key == "detuning":
-            values |= _mixed(walker, array)
-        elif key == "foot_mass_ratio":
-            values |= _masses(from_table(start), array)
-        else:
-            values[key] = array
+        values |= _values(key, table, array) if key in _DERIVED else {key: array}
     return WalkerArray(**{**first.table(), **values})
 
 
@@ -407,7 +419,7 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
         raise WalkerError("toward", other, "must be the name or the table of a walker")
     if "toward" in _table(other):
         raise WalkerError("toward", label(other), "must be a walker that has no `toward` itself")
-    start = from_table({key: value for key, value in table.items() if key not in _MORE})
+    start = _itself(table)
     try:
         end = resolve(other)
     except WalkerError as error:
@@ -431,9 +443,3 @@ def label(walker: str | Mapping[str, Any]) -> str:
     keys = ", ".join(f"{key} = {value}" for key, value in table.items() if key not in ("base", "name", "toward"))
     name = table.get("name") or table.get("base")
     return f"{name} with {keys}" if table.get("base") == name and keys else str(name or "a walker of its own")
-
-
-def _mixed(walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
-    """Values of the keys that detuning by `amount`, a number or an array, sets."""
-    start, end = (each.table() for each in _detuning_ends(walker))
-    return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}
