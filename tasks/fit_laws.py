@@ -161,11 +161,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 "amplitude_cube_root": laws.CUBE_ROOT,
                 "slope_transition": exact,
                 "slope_transition_fitted": fitted.slope,
-                "fitted_below": fitted.low,
-                "fitted_above": fitted.high,
-                "fitted_exponent": fitted.exponent,
-                "fitted_amplitude": fitted.amplitude,
-                "fitted_cube_root": fitted.upper_amplitude,
+                **{f"fitted_{name}": value for name, value in vars(fitted).items() if name != "slope"},
                 "asymptotic": float(laws.asymptotic(np.array(ratio))),
             }
         )

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper
+from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, Arrays, Paper
+from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
 
 _WANT = ("stance_angle", *(v for v in VARIABLES if VARIABLES[v].group == "violations"))
@@ -17,6 +18,11 @@ _STRAIGHT = ("A", "B", "D", "E", "physical-straight")
 
 def _measure(paper: Paper, walker: str, slopes: tuple[float, ...]) -> Arrays:
     return paper.line(walker).at(list(slopes), _WANT)
+
+
+def _of_figure_3(paper: Paper) -> dict[str, float]:
+    """Violations of the gait of figure 3."""
+    return {k: float(v[0, LONG]) for k, v in _measure(paper, "physical", (0.036,)).items() if v.ndim == 2}
 
 
 def _flags(gaits: Arrays, name: str) -> np.ndarray:
@@ -31,25 +37,20 @@ def scuffing(paper: Paper) -> ClaimResult:
     """Count the gaits whose swing foot scuffs."""
     straight = np.concatenate([_flags(_measure(paper, w, _SLOPES), "scuff") for w in _STRAIGHT])
     kneed = np.concatenate([_flags(_measure(paper, w, _SLOPES), "scuff") for w in ("C", "physical")])
-    depth = _measure(paper, "physical", (0.036,))["scuff_depth"][0, LONG]
+    depth = _of_figure_3(paper)["scuff_depth"]
     return ClaimResult(
         f"{straight.sum()} of {len(straight)} straight-legged gaits and {kneed.sum()} of {len(kneed)} kneed gaits "
         f"scuff; scuff depth of the gait of figure 3: {1e3 * depth:.3g} mm",
         verdict(bool(straight.all()) and not kneed.all()),
-        float(depth),
+        depth,
     )
 
 
 @claim("A2")
 def unlocking(paper: Paper) -> ClaimResult:
     """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
-    amounts = {
-        k: float(v[0, LONG])
-        for k, v in _measure(paper, "physical", (0.036,)).items()
-        if v.ndim == 2 and k.startswith("unlocking")
-    }
-    impulse = amounts["unlocking_impulse_kneestrike"]
-    torque = amounts["unlocking_torque"]
+    amounts = _of_figure_3(paper)
+    impulse, torque = amounts["unlocking_impulse_kneestrike"], amounts["unlocking_torque"]
     return ClaimResult(
         f"unlocking impulse {impulse:.4g} N m s at kneestrike, {amounts['unlocking_impulse_heelstrike']:.4g} N m s "
         f"at heelstrike; largest unlocking torque over the step {torque:.4g} N m, at "
@@ -66,17 +67,13 @@ def tension(paper: Paper) -> ClaimResult:
     gaits = {w: _measure(paper, w, _SLOPES) for w in names}
     least = min(float(np.nanmin(g["least_normal_force"])) for g in gaits.values())
     tense = sum(int(_flags(g, "contact_tension").sum()) for g in gaits.values())
-    figure3 = _SLOPES.index(0.036)
-    demand = {
-        k: float(gaits["physical"][k][figure3, LONG])
-        for k in ("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")
-    }
+    amounts = _of_figure_3(paper)
     return ClaimResult(
         f"least normal force {least:.3f} of the weight over gaits of {', '.join(names)} at slopes from "
         f"1e-5 to 0.1; an impact requires contact tension in {tense} of them; friction coefficient that the "
-        f"gait of figure 3 requires: {demand['friction_demand']:.3f} during the step, "
-        f"{demand['friction_demand_heelstrike']:.3f} at heelstrike, "
-        f"{demand['friction_demand_kneestrike']:.3f} at kneestrike",
+        f"gait of figure 3 requires: {amounts['friction_demand']:.3f} during the step, "
+        f"{amounts['friction_demand_heelstrike']:.3f} at heelstrike, "
+        f"{amounts['friction_demand_kneestrike']:.3f} at kneestrike",
         verdict(least > 0 and not tense, least > 0),
         least,
     )
@@ -86,12 +83,9 @@ def tension(paper: Paper) -> ClaimResult:
 def hyperextension(paper: Paper) -> ClaimResult:
     """Locate the slopes at which the released knee begins to hyperextend."""
     release = paper.line("physical").special_of("release_hyperextension")
-    tuned = {
-        ("long", "short")[p["branch"] != _branch_of(paper, "C")]: p["slope"]
-        for p in paper.line("C").special_of("release_hyperextension")
-    }
+    tuned = {label: interval(paper, f"C release, {label}").value for label in BOTH}
     deep = _measure(paper, "C", (1e-4,))["hyperextension"][0]
-    limits = ", ".join(f"{k} step below slope {s:.7g}" for k, s in sorted(tuned.items()))
+    limits = ", ".join(f"{k} step below slope {s:.7g}" for k, s in tuned.items())
     return ClaimResult(
         f"the physical walker hyperextends beyond point 3 (slope {release[0]['slope']:.6f}, stance angle "
         f"{release[0]['stance_angle']:.5f}), as does the tuned walker C: {limits}; at slope 1e-4 by "
@@ -99,12 +93,6 @@ def hyperextension(paper: Paper) -> ClaimResult:
         verdict(bool(release)),
         release[0]["slope"],
     )
-
-
-def _branch_of(paper: Paper, walker: str) -> int:
-    """Number of the branch with a walker's long step."""
-    own = paper.line(walker)
-    return next(k for k in range(len(own.branches)) if not own.curve(k)["short"][len(own.branches[k].q) // 2])
 
 
 def _count(paper: Paper, name: str) -> tuple[int, int, str]:

@@ -10,7 +10,7 @@ from gaitsweep.tasks.fixed_points.search import search
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Paper, numbers
+from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, TUNED, Paper, numbers
 from gaitsweep.tasks.paper.zero_slope import VANISHING
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -52,11 +52,7 @@ def balance(paper: Paper) -> ClaimResult:
 @claim("M3")
 def exponents(paper: Paper) -> ClaimResult:
     """Compute the exponents of the stance angle at a vanishing slope."""
-    exponent = {
-        f"{w} {name}": paper.line(w).exponent(g, VANISHING)
-        for w in TUNED
-        for g, name in ((LONG, "long"), (SHORT, "short"))
-    }
+    exponent = paper.exponents_of_both(TUNED, VANISHING)
     deviation = max(min(abs(p - 1), abs(p - 1 / 3)) for p in exponent.values())
     return ClaimResult(
         f"exponents at slope {VANISHING:g}: {numbers(exponent, 6)}", verdict(deviation < 1e-3), deviation
@@ -66,13 +62,9 @@ def exponents(paper: Paper) -> ClaimResult:
 @claim("M4")
 def powers(paper: Paper) -> ClaimResult:
     """Compute the exponents of power in speed at a vanishing slope."""
-    exponent, agrees = {}, []
-    for name in TUNED:
-        for g, gait in ((LONG, "long"), (SHORT, "short")):
-            power = paper.line(name).exponent(g, VANISHING, "power", "speed")
-            step = paper.line(name).exponent(g, VANISHING)
-            exponent[f"{name} {gait}"] = power
-            agrees.append(abs(power - (4 if step < 2 / 3 else 2)) < 0.01)
+    exponent = paper.exponents_of_both(TUNED, VANISHING, "power", "speed")
+    steps = paper.exponents_of_both(TUNED, VANISHING)
+    agrees = [abs(power - (4 if steps[gait] < 2 / 3 else 2)) < 0.01 for gait, power in exponent.items()]
     return ClaimResult(
         f"P ~ v^p at slope {VANISHING:g}: {numbers(exponent, 5)}",
         verdict(all(agrees)),
@@ -83,10 +75,7 @@ def powers(paper: Paper) -> ClaimResult:
 @claim("M5")
 def kneestrike(paper: Paper) -> ClaimResult:
     """Compute the exponent of the kneestrike loss in speed."""
-    exponent = {
-        gait: paper.line("C").exponent(g, VANISHING, "loss_kneestrike", "speed")
-        for g, gait in ((LONG, "long"), (SHORT, "short"))
-    }
+    exponent = {gait: paper.line("C").exponent(g, VANISHING, "loss_kneestrike", "speed") for gait, g in BOTH.items()}
     grid = paper.line("C").grid()
     losses = sum(grid[k][0, :2] for k in ("loss_normal", "loss_tangential", "loss_kneestrike"))
     share = grid["loss_kneestrike"][0, :2] / losses

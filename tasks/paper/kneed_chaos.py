@@ -30,6 +30,8 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
     "C-printed": (0.07, 0.1, 2, (1,)),
     "D": (0.01, 0.0195, 20, (1, 3, 4)),
 }
+#: What curve of folds the branches of C touch on.
+FOLDS_OF_C = {"slope": np.array([1e-3, 0.3]), "key": "detuning", "from": 0.0, "to": 1.2, "kinds": ["fold"]}
 WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
 #: Window of slopes [rad] that holds the doublings and the loss of walking of kneed walkers within their rounding.
 CORNER = (0.06, 0.12)
@@ -157,10 +159,8 @@ def kneed_doublings(paper: Paper) -> ClaimResult:
         f"period doublings of {'; '.join(cascades)}; rounding of the printed parameters allows "
         f"{printed.low:.4f}-{printed.high:.4f} for the first with the offsets as printed, "
         f"{exact.low:.4f}-{exact.high:.4f} exactly tuned",
-        PRINTED["K1"].compare(printed.value, printed.low, printed.high) if continues else NOT_REPRODUCED,
-        printed.value,
-        printed.low,
-        printed.high,
+        PRINTED["K1"].compare(*printed.bounds) if continues else NOT_REPRODUCED,
+        *printed.bounds,
     )
 
 
@@ -221,7 +221,7 @@ def kneed_end(paper: Paper) -> ClaimResult:
 def unstable_beyond(paper: Paper) -> ClaimResult:
     """Follow both gaits of C beyond the loss of walking."""
     loss = crisis(paper, "C", "1")[1]
-    curves = [paper.line("C").curve(k) for k in range(len(paper.line("C").branches))]
+    curves = paper.line("C").curves
     top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in curves}
     least = min(float(c["spectral_radius"][c["slope"] > loss].min()) for c in curves)
     return ClaimResult(
@@ -244,17 +244,7 @@ def re_pairing(paper: Paper) -> ClaimResult:
 
     def compute_curve() -> Arrays:
         own = paper.line("C", detuning=1.0)
-        return curve(
-            {
-                **own.params,
-                "slope": np.array([1e-3, 0.3]),
-                "key": "detuning",
-                "from": 0.0,
-                "to": 1.2,
-                "kinds": ["fold"],
-            },
-            [own.arrays],
-        )
+        return curve({**own.params, **FOLDS_OF_C}, [own.arrays])
 
     turns = paper.table("turnings", "C", compute_curve, detuning=1.0)
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]

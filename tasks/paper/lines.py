@@ -26,6 +26,7 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
+BOTH = {"long": LONG, "short": SHORT}
 #: Variables that a look-up returns by default.
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 #: Special points at which stability may change.
@@ -136,7 +137,7 @@ class Line:
         """
         parts = []
         for k in range(len(self.branches)):
-            radius = self.curve(k)["spectral_radius"]
+            radius = self.curves[k]["spectral_radius"]
             points = [p for p in self.special if p["branch"] == k]
             bounds = [p for p in points if p["kind"] in _EXCHANGES or p in (points[0], points[-1])]
             for a, b in itertools.pairwise(bounds):
@@ -147,18 +148,20 @@ class Line:
                     parts.append((a, b) if a["slope"] < b["slope"] else (b, a))
         return sorted(parts, key=lambda part: part[0]["slope"])
 
-    def curve(self, branch: int = 0) -> Arrays:
-        """Gaits at the nodes of a branch, in its own order.
+    @functools.cached_property
+    def curves(self) -> list[Arrays]:
+        """Gaits at the nodes of every branch, in its own order.
 
-        Returns
-        -------
-        dict of ndarray, shape (nodes,)
-            slope, stance_angle, period and speed in the walker's units; knee_share, the kneestrike's time over the
-            period; closing, the rate at which the foot meets the ground over the angle; short; spectral_radius.
+        Arrays of shape (nodes,): slope, stance_angle, period and speed in the walker's units; knee_share, the
+        kneestrike's time over the period; closing, the rate at which the foot meets the ground over the angle; short;
+        spectral_radius.
         """
-        own, walker, m = self.branches[branch], self.walker, self.problem.m
-        X, times = own.Z[:, : m + 1].T, own.Z[:, m + 1 :].T
-        nodes = correct(self.problem, X, times, own.direction.T)
+        return [self._nodes(branch) for branch in self.branches]
+
+    def _nodes(self, branch: Branch) -> Arrays:
+        walker, m = self.walker, self.problem.m
+        X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
+        nodes = correct(self.problem, X, times, branch.direction.T)
         period, angle = times[-1] * np.sqrt(walker.leg / walker.g), np.exp(X[0])
         return {
             "slope": np.exp(X[m]),
@@ -208,6 +211,10 @@ class Paper:
     def exponents(self, walkers: Iterable[str], gait: int, slope: float) -> dict[str, float]:
         """Local exponents of the stance angle in slope, by walker."""
         return {walker: self.line(walker).exponent(gait, slope) for walker in walkers}
+
+    def exponents_of_both(self, walkers: Iterable[str], slope: float, *of: str) -> dict[str, float]:
+        """Local exponents of both gaits, by walker and gait; `of` names ordinate and abscissa."""
+        return {f"{w} {name}": self.line(w).exponent(g, slope, *of) for w in walkers for name, g in BOTH.items()}
 
     def table(self, group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
         """Look up one table of a line.

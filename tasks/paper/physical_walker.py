@@ -21,21 +21,18 @@ def smallest_slopes(paper: Paper) -> ClaimResult:
     """Locate the folds at the smallest slopes."""
     kneed, straight = interval(paper, "smallest slope, kneed"), interval(paper, "smallest slope, straight")
     marks = {"P1": kneed, "P1, straight legs": straight}
-    verdicts = [PRINTED[name].compare(mark.value, mark.low, mark.high) for name, mark in marks.items()]
+    verdicts = [PRINTED[name].compare(*mark.bounds) for name, mark in marks.items()]
     return ClaimResult(
         f"folds at slope {_format(kneed)} kneed, {_format(straight)} straight-legged",
         max(verdicts, key=VERDICTS.index),
-        kneed.value,
-        kneed.low,
-        kneed.high,
+        *kneed.bounds,
     )
 
 
 @claim("P2")
 def stability(paper: Paper) -> ClaimResult:
     """Evaluate the multipliers along both curves."""
-    straight = [paper.line("physical-straight").curve(k) for k in range(len(paper.line("physical-straight").branches))]
-    shown = [c["spectral_radius"][c["slope"] < 0.1] for c in straight]
+    shown = [c["spectral_radius"][c["slope"] < 0.1] for c in paper.line("physical-straight").curves]
     least = min(float(r.min()) for r in shown if len(r))
     stable = paper.line("physical").stable()
     kneed = " and ".join(
@@ -64,13 +61,11 @@ def one_stable(paper: Paper) -> ClaimResult:
 def point_1(paper: Paper) -> ClaimResult:
     """Locate the end of the kneed curve at large slopes."""
     mark = interval(paper, "point 1")
-    last = paper.line("physical").curve(0)["knee_share"][[0, -1]]
+    last = paper.line("physical").curves[0]["knee_share"][[0, -1]]
     return ClaimResult(
         f"at slope {_format(mark)}, stance angle {mark.angle:.7g}; kneestrike at {100 * last.max():.12g} % of the step",
         verdict(abs(last.max() - 1) < 1e-9),
-        mark.value,
-        mark.low,
-        mark.high,
+        *mark.bounds,
     )
 
 
@@ -78,15 +73,12 @@ def point_1(paper: Paper) -> ClaimResult:
 def point_2(paper: Paper) -> ClaimResult:
     """Locate the end of the straight-legged curve at large slopes."""
     mark = interval(paper, "point 2")
-    straight = paper.line("physical-straight")
-    closing = min(float(np.abs(straight.curve(k)["closing"][[0, -1]]).min()) for k in range(len(straight.branches)))
+    closing = min(float(np.abs(c["closing"][[0, -1]]).min()) for c in paper.line("physical-straight").curves)
     return ClaimResult(
         f"at slope {_format(mark)}, stance angle {mark.angle:.7g}, where the foot meets the ground at a rate of "
         f"{closing:.0e} of the angle",
         verdict(closing < 1e-5),
-        mark.value,
-        mark.low,
-        mark.high,
+        *mark.bounds,
     )
 
 
@@ -102,16 +94,14 @@ def points_3_4(paper: Paper) -> ClaimResult:
         f"{fourth['slope']:.7g}; point 3, where the released knee first moves against its stop, at slope "
         f"{_format(third)}, stance angle {third.angle:.6g}{beyond}",
         verdict(fourth["stance_angle"] < 1e-4),
-        third.value,
-        third.low,
-        third.high,
+        *third.bounds,
     )
 
 
 @claim("P7")
 def slowest(paper: Paper) -> ClaimResult:
     """Compare the speeds at the curves' ends and smallest slopes with those of all their gaits."""
-    kneed, straight = _from_point_3(paper), paper.line("physical-straight").curve(0)
+    kneed, straight = _from_point_3(paper), paper.line("physical-straight").curves[0]
     fourth = paper.line("physical-straight").special_of("end_zero_step")[0]
     least = [int(np.argmin(gaits["slope"])) for gaits in (kneed, straight)]
     knees, locked = (float(gaits["speed"][k]) for gaits, k in zip((kneed, straight), least, strict=True))
@@ -157,7 +147,7 @@ def _from_point_3(paper: Paper) -> Arrays:
     angle, *_, q, knee, period = place(kneed, LANDMARKS["point 3"])
     speed = step_length(kneed.walker, np.exp(angle)) / (period * np.sqrt(kneed.walker.leg / kneed.walker.g))
     at = {"slope": np.exp(q), "knee_share": knee / period, "speed": speed}
-    nodes = kneed.curve(third["branch"])
+    nodes = kneed.curves[third["branch"]]
     rises = third["place"] < first["place"]
     beyond = slice(int(np.ceil(third["place"])), None) if rises else slice(int(np.floor(third["place"])), None, -1)
     return {name: np.append(value, nodes[name][beyond]) for name, value in at.items()}

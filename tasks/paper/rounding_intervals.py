@@ -18,7 +18,7 @@ from gaitsweep.tasks.paper.lines import Line, Paper, memoize
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
 #: Step of the central differences by parameters, relative to their size and the gait's angle: what counts is an offset
 #: of a mass relative to the angle.
@@ -73,6 +73,11 @@ class Interval:
     sensitivity: dict[str, float]
     angle_sensitivity: dict[str, float]
     half_unit: dict[str, float]
+
+    @property
+    def bounds(self) -> tuple[float, float, float]:
+        """The slope, and the ends of its interval."""
+        return self.value, self.low, self.high
 
     @property
     def contribution(self) -> dict[str, float]:
@@ -156,9 +161,8 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
 
 def _size(walker: Walker, key: str) -> float:
     """Scale of a key's steps."""
-    if key in ("m_t", "m_s", "m_h"):
-        return walker.total_mass
-    return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
+    sizes = {"mass": walker.total_mass, "length": walker.leg, "acceleration": walker.g, "angle": 1.0}
+    return sizes[KEYS[key]]
 
 
 @memoize

@@ -74,9 +74,7 @@ def stability(paper: Paper) -> ClaimResult:
 
 def _long_branch(paper: Paper, detuning: float) -> int:
     """Number of the branch that holds the long step at slope 0.02."""
-    gaits = paper.line("C", detuning=detuning)
-    for k in range(len(gaits.branches)):
-        curve = gaits.curve(k)
+    for k, curve in enumerate(paper.line("C", detuning=detuning).curves):
         # A tangential end, where the label is noise, lies far from that slope.
         if (~curve["short"] & (np.abs(np.log(curve["slope"] / 0.02)) < 0.2)).any():
             return k
@@ -88,7 +86,7 @@ def cusp_breaks(paper: Paper) -> ClaimResult:
     """Locate the fold of the long step at each detuning and evaluate the multipliers on both sides."""
     least, unstable, stable = {}, {}, []
     for d in PANELS:
-        curve = paper.line("C", detuning=d).curve(_long_branch(paper, d))
+        curve = paper.line("C", detuning=d).curves[_long_branch(paper, d)]
         slope, radius = curve["slope"], curve["spectral_radius"]
         fold = int(np.argmin(slope))
         slow = curve["speed"] < curve["speed"][fold]
@@ -112,7 +110,7 @@ def short_end(paper: Paper) -> ClaimResult:
     walkers = {f"{d:g}": paper.line("C", detuning=d) for d in PANELS} | {"1": paper.line("physical")}
     ends = {k: _short_end(gaits) for k, gaits in walkers.items()}
     slopes, angles = {k: p["slope"] for k, p in ends.items()}, {k: p["stance_angle"] for k, p in ends.items()}
-    shares = {k: walkers[k].curve(p["branch"])["knee_share"][int(p["place"])] for k, p in ends.items()}
+    shares = {k: walkers[k].curves[p["branch"]]["knee_share"][int(p["place"])] for k, p in ends.items()}
     others = "".join(
         f"; at detuning {k} the foot meets the ground at kneestrike, at {100 * shares[k]:.2f} % of the step, and rises "
         f"again before heelstrike"

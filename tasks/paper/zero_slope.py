@@ -70,10 +70,8 @@ def turns_linear(paper: Paper) -> ClaimResult:
     return ClaimResult(
         f"the local exponent passes 2/3, midway between the laws, at slope {mark.value:.4e}; kneestrike accounts for "
         f"half of the losses at slope {half:.4e}; exponents at slopes {numbers(at, 3)}",
-        PRINTED["Z4"].compare(mark.value, mark.low, mark.high),
-        mark.value,
-        mark.low,
-        mark.high,
+        PRINTED["Z4"].compare(*mark.bounds),
+        *mark.bounds,
     )
 
 

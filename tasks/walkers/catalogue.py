@@ -12,6 +12,8 @@ from gaitsweep.tasks.walkers.walker import KEYS, Walker
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: Each walker in words.
 DESCRIPTIONS = {name: str(table["description"]) for name, table in _TABLES.items()}
+#: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker.
+PARTNERS = {name: str(table["detuned"]) for name, table in _TABLES.items() if "detuned" in table}
 
 
 def tune_exactly(walker: Walker) -> Walker:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
 from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -21,9 +21,6 @@ _DERIVED = ("detuning", "foot_mass_ratio")
 _MORE = (*_DERIVED, "tuned", "toward")
 #: Feet weigh at least the first, and less than the second, share of a walker's mass.
 FOOT_MASS_RATIOS = 0.0, 0.5
-#: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker (paper, section 5.2 and
-#: figure 8).
-_PARTNERS = {"A": "physical-straight", "C": "physical"}
 
 
 def from_table(table: Mapping[str, Any]) -> Walker:
@@ -411,9 +408,9 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
     table = _table(walker)
     if "toward" not in table:
         name = table.get("base")
-        if name not in _PARTNERS:
+        if name not in PARTNERS:
             raise WalkerError("detuning", label(walker), "needs walker A or C, or `toward`, another walker")
-        return from_catalogue(name), from_catalogue(_PARTNERS[str(name)])
+        return from_catalogue(name), from_catalogue(PARTNERS[str(name)])
     other = table["toward"]
     if not isinstance(other, str | Mapping):
         raise WalkerError("toward", other, "must be the name or the table of a walker")

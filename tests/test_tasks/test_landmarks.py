@@ -84,6 +84,6 @@ def test_fitted_lines_recover_two_power_laws_and_their_crossing():
     crossing = (0.9 / 20) ** 1.5
     fitted = fitted_lines(slope, angle, crossing)
     assert fitted.slope == pytest.approx(crossing, rel=1e-10)
-    assert (fitted.exponent, fitted.amplitude, fitted.upper_amplitude) == pytest.approx((1, 20, 0.9), rel=1e-10)
-    assert (fitted.low, fitted.high) == (crossing / 10, 3 * crossing)
+    assert (fitted.exponent, fitted.amplitude, fitted.cube_root) == pytest.approx((1, 20, 0.9), rel=1e-10)
+    assert (fitted.below, fitted.above) == (crossing / 10, 3 * crossing)
     assert np.isnan(fitted_lines(slope[:200], angle[:200], crossing).slope)

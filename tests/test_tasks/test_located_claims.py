@@ -75,7 +75,7 @@ def test_the_short_step_ends_at_small_detuning_where_the_foot_meets_the_ground_a
     assert "slope of the end, by detuning: 0.05 0.00245, 0.2 0.0088, " in (said := CLAIMS["T5"].find(PAPER).computed)
     assert "; its stance angle: 0.05 0.01615, " in said and said.count("at kneestrike, at 95.7") == 1
     (end,) = gaits.special_of("end_earlier_strike")
-    assert gaits.curve(end["branch"])["short"].all()
+    assert gaits.curves[end["branch"]]["short"].all()
     slope = np.array([end["slope"] * (1 + end["error_bound"])])
     motion = trace({**gaits.params, "slope": slope, "gaits": ("short",)}, [gaits.arrays])
     height = motion["trace/theta_st"] + motion["trace/theta_th"]
