@@ -10,16 +10,15 @@ import numpy as np
 from gaitsweep.tasks.paper import published_tables, tuned_walkers
 from gaitsweep.tasks.paper.certificates import backed
 from gaitsweep.tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
-from gaitsweep.tasks.paper.lines import set_tables, use_atlases
-from gaitsweep.tasks.registry import VARIABLES
+from gaitsweep.tasks.paper.lines import Paper, paper_of
+from gaitsweep.tasks.tables import Arrays, table
 
-Arrays = dict[str, np.ndarray]
 #: Tables that go with a claim.
 _TABLES = {
     "P1": (published_tables.rounding,),
     "T1": (published_tables.figure9,),
     "Z6": (published_tables.figure10, published_tables.figure10_cells),
-    "T7": (lambda: {f"offsets/{k}": v for k, v in tuned_walkers.offsets().items()},),
+    "T7": (tuned_walkers.offsets,),
 }
 
 
@@ -50,22 +49,12 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     unknown = [name for name in params["ids"] if name not in CLAIMS]
     if unknown:
         raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
-    # Claims are about walkers of the catalogue, which alone go by a name.
-    named = [
-        (line, data) for line, data in zip(params["lines"], inputs, strict=False) if isinstance(line["walker"], str)
-    ]
-    atlases = (
-        {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
-        for _, data in named
-    )
-    use_atlases((line["walker"], line["set"], a) for (line, _), a in zip(named, atlases, strict=True) if a)
-    set_tables((line["walker"], line["set"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
+    paper = paper_of(params["lines"], inputs)
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
-    rows = [_row(claim, backed(claim.id, _check(claim))) for claim in wanted]
-    out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
+    out = table("claims", [_row(claim, backed(claim.id, _check(claim, paper))) for claim in wanted])
     for claim in wanted if params.get("tables", True) else ():
-        for table in _TABLES.get(claim.id, ()):
-            out |= table()
+        for make in _TABLES.get(claim.id, ()):
+            out |= make(paper)
     return out
 
 
@@ -87,18 +76,17 @@ def check(params: Mapping[str, Any]) -> list[dict[str, Any]]:
     ValueError
         If there is no such claim.
     """
-    set_tables([])
-    table = claims({"lines": [], "ids": list(params["ids"]) or list(CLAIMS), "tables": False}, [])
-    rows = zip(*(column.tolist() for column in table.values()), strict=True)
-    names = [name.removeprefix("claims/") for name in table]
+    found = claims({"lines": [], "ids": list(params["ids"]) or list(CLAIMS), "tables": False}, [])
+    rows = zip(*(column.tolist() for column in found.values()), strict=True)
+    names = [name.removeprefix("claims/") for name in found]
     return [{k: None if v != v else v for k, v in zip(names, row, strict=True)} for row in rows]
 
 
-def _check(claim: Claim) -> ClaimResult:
+def _check(claim: Claim, paper: Paper) -> ClaimResult:
     """Result of a claim's function; a claim whose gaits are lost is not checkable, and says why."""
     try:
         with np.errstate(all="ignore"):
-            return claim.find()
+            return claim.find(paper)
     except (ValueError, ArithmeticError, LookupError, np.linalg.LinAlgError) as error:
         return ClaimResult(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
 
@@ -111,8 +99,8 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
         "source": claim.source,
         "computed": result.computed,
         "value": float(result.value),
-        "printed_value": float(result.printed),
-        "printed_half_unit": float(result.half_unit),
+        "printed_value": claim.number.number,
+        "printed_half_unit": claim.number.half_unit,
         "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
         "interval_low": float(result.low),
         "interval_high": float(result.high),

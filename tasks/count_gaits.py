@@ -14,9 +14,9 @@ from gaitsweep.tasks.fixed_points.newton import newton, newton_step
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
-Arrays = dict[str, np.ndarray]
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
 _MAX_ANGLE, _MIN_ANGLE_RATIO = 1.0, 0.5
 #: Stance rate from barely crossing the vertical, over the angle to it, to much faster, over the stance angle.
@@ -40,20 +40,6 @@ _GAIT_COLUMNS = (
     "period",
     "spectral_radius",
     "hits",
-)
-_COVERAGE_COLUMNS = (
-    "slope",
-    "starts",
-    "struck",
-    "converged",
-    "gaits",
-    "anthropomorphic",
-    "non_anthropomorphic",
-    "not_steps",
-    "found_once",
-    "unseen",
-    "deflated",
-    "found_deflated",
 )
 
 
@@ -88,8 +74,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    rows: dict[str, list[Any]] = {k: [] for k in _GAIT_COLUMNS}
-    cover: dict[str, list[Any]] = {k: [] for k in _COVERAGE_COLUMNS}
+    rows: list[dict[str, Any]] = []
+    cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float):
         y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
         first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
@@ -121,25 +107,23 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     radius[i],
                     int(hits[i]),
                 )
-                for key, value in zip(_GAIT_COLUMNS, values, strict=True):
-                    rows[key].append(value)
+                rows.append(dict(zip(_GAIT_COLUMNS, values, strict=True)))
         once = int((hits == 1).sum())
-        values = (
-            slope,
-            y.shape[1],
-            int(struck.sum()),
-            converged,
-            w.shape[1] - counts["not_steps"],
-            *counts.values(),
-            once,
-            max(once, 1) / max(converged, 1),
-            tried,
-            added,
+        cover.append(
+            {
+                "slope": slope,
+                "starts": y.shape[1],
+                "struck": int(struck.sum()),
+                "converged": converged,
+                "gaits": w.shape[1] - counts["not_steps"],
+                **counts,
+                "found_once": once,
+                "unseen": max(once, 1) / max(converged, 1),
+                "deflated": tried,
+                "found_deflated": added,
+            }
         )
-        for key, value in zip(_COVERAGE_COLUMNS, values, strict=True):
-            cover[key].append(value)
-    tables = {f"census/{k}": np.array(v) for k, v in rows.items()}
-    return tables | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
+    return table("census", rows, _GAIT_COLUMNS) | table("coverage", cover)
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:

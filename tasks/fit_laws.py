@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,15 @@ import numpy as np
 from gaitsweep.tasks.fits import power_law
 from gaitsweep.tasks.fits import transition as laws
 from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
-Arrays = dict[str, np.ndarray]
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
 #: Factor of the smallest abscissa within which a law begins there: the first points of a plateau may be left out.
 _NEAR = 2.0
-#: Entries where there is no plateau.
+#: Columns of a law that are not called as in `PowerLaw`, and the entries where there is no plateau.
+_COLUMNS = {"low": "exponent_low", "high": "exponent_high", "x_from": "from", "x_to": "to"}
 _NO_LAW = power_law.PowerLaw(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
 #: The laws fitted: name, abscissa, ordinate.
 _QUANTITIES = (
@@ -55,7 +56,7 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
                 curves = {key: _sort(x[points], y[points]) for key, points in _curves(data, g, good).items()}
                 rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
-    return _table("fits/scaling", rows)
+    return table("fits/scaling", rows)
 
 
 def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
@@ -92,21 +93,8 @@ def _laws(
         fitted = power_law.fit(*run[1:]) if run else None
         law = fitted or _NO_LAW
         branch, piece = run[0] if run and fitted else (-1, -1)
-        rows.append(
-            {
-                **head,
-                "regime": regime,
-                "branch": branch,
-                "piece": piece,
-                "exponent": law.exponent,
-                "exponent_low": law.low,
-                "exponent_high": law.high,
-                "amplitude": law.amplitude,
-                "from": law.x_from,
-                "to": law.x_to,
-                "n": law.n,
-            }
-        )
+        numbers = {_COLUMNS.get(name, name): value for name, value in vars(law).items()}
+        rows.append({**head, "regime": regime, "branch": branch, "piece": piece, **numbers})
     return rows
 
 
@@ -120,7 +108,7 @@ def _start(run: _Run) -> float:
     return float(run[1][0])
 
 
-def _exponent(x: np.ndarray, y: np.ndarray) -> float:
+def _exponent(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> float:
     return float(np.log(y[-1] / y[0]) / np.log(x[-1] / x[0]))
 
 
@@ -173,28 +161,21 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 "amplitude_cube_root": laws.CUBE_ROOT,
                 "slope_transition": exact,
                 "slope_transition_fitted": fitted.slope,
-                "fitted_below": fitted.low,
-                "fitted_above": fitted.high,
-                "fitted_exponent": fitted.exponent,
-                "fitted_amplitude": fitted.amplitude,
-                "fitted_cube_root": fitted.upper_amplitude,
+                **{f"fitted_{name}": value for name, value in vars(fitted).items() if name != "slope"},
                 "asymptotic": float(laws.asymptotic(np.array(ratio))),
             }
         )
     rows.sort(key=lambda r: -r["foot_mass_ratio"])
     for name, key in (("local_exponent", "slope_transition"), ("local_exponent_fitted", "slope_transition_fitted")):
         for row in rows:
-            after = next((r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]), None)
-            row[name] = (
-                np.nan
-                if after is None
-                else float(np.log(row[key] / after[key]) / np.log(row["foot_mass_ratio"] / after["foot_mass_ratio"]))
-            )
-    table = _table("fits/transition", rows)
+            lighter = [r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]][:1]
+            x, y = ([r[column] for r in (*lighter, row)] for column in ("foot_mass_ratio", key))
+            row[name] = _exponent(x, y) if lighter else np.nan
+    fitted_laws = table("fits/transition", rows)
     by_ratio = {round(r["foot_mass_ratio"], 12): r for r in rows}
     if 0.1 in by_ratio and 0.05 in by_ratio:
         heavy, light = by_ratio[0.1], by_ratio[0.05]
-        table |= _table(
+        fitted_laws |= table(
             "fits/transition_ratio",
             [
                 {
@@ -206,13 +187,8 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 }
             ],
         )
-    return table
+    return fitted_laws
 
 
 def _coordinates(line: Mapping[str, Any]) -> dict[str, Any]:
     return {"walker": line.get("name", line["walker"]), **line["set"]}
-
-
-def _table(group: str, rows: list[dict[str, Any]]) -> Arrays:
-    """Rows as the columns of one group."""
-    return {f"{group}/{k}": np.array([r[k] for r in rows]) for k in (rows[0] if rows else {})}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from flint import arb, ctx
@@ -12,41 +12,11 @@ from gaitsweep.tasks.proofs import covers, crossings, tubes
 from gaitsweep.tasks.proofs.body import body
 from gaitsweep.tasks.proofs.enclosed_step import dimensions
 from gaitsweep.tasks.proofs.gait import named
-from gaitsweep.tasks.proofs.keys import decimal, exact, in_doubles, written
+from gaitsweep.tasks.proofs.keys import decimal, exact, in_doubles, written_table
 from gaitsweep.tasks.proofs.records import STATE, guess, quoted
 from gaitsweep.tasks.proofs.stability import multipliers
 from gaitsweep.tasks.prove_gaits import prove_one
 from gaitsweep.tasks.solve_at_slope import solve_one
-
-#: Both gaits of the paper's walkers at one slope, and E's long step down to vanishing slopes.
-_GAITS = (
-    *(("D", g, "0.009") for g in ("long", "short")),
-    *((w, g, "0.01") for w in "EFBAC" for g in ("long", "short")),
-    ("physical", "long", "0.036"),
-    ("physical-straight", "long", "0.036"),
-    *(("E", "long", s) for s in ("0.003", "0.001", "0.0003", "0.0001")),
-)
-
-
-@dataclass(frozen=True)
-class Special:
-    """A flip or fold: its walker, a gait near it, and half the interval of slope or of stance angle around it [rad]."""
-
-    kind: str
-    walker: str
-    slope: float
-    gait: str
-    half: float
-
-
-_SPECIAL = (
-    Special("flip", "D", 0.015, "long", 1e-15),
-    Special("flip", "C", 0.0765, "long", 1e-13),
-    Special("fold", "physical", 0.0192, "long", 1e-8),
-    Special("fold", "physical-straight", 0.0155, "long", 1e-8),
-)
-#: The tube: walker, gait, slopes.
-_TUBE = ("D", "long", "0.009", "0.0150")
 
 
 def names(params: Mapping[str, Any] | None = None) -> list[str]:
@@ -61,8 +31,7 @@ def names(params: Mapping[str, Any] | None = None) -> list[str]:
     -------
     list of str
     """
-    tube = f"{_TUBE[0]}-{_TUBE[1]}-tube"
-    return [tube, *(f"{s.walker}-{s.kind}" for s in _SPECIAL), *(f"{w}-{g}-{s}" for w, g, s in _GAITS)]
+    return list(_STATEMENTS)
 
 
 def certify(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,15 +53,9 @@ def certify(params: Mapping[str, Any]) -> dict[str, Any]:
         If it is not proved.
     """
     name = params["name"]
-    for walker, label, slope in _GAITS:
-        if name == f"{walker}-{label}-{slope}":
-            return {"name": name, **_gait(walker, label, slope)}
-    for special in _SPECIAL:
-        if name == f"{special.walker}-{special.kind}":
-            return {"name": name, **_special(special)}
-    if name == names()[0]:
-        return {"name": name, **_tube(*_TUBE)}
-    raise ValueError(f"there is no statement {name}")
+    if name not in _STATEMENTS:
+        raise ValueError(f"there is no statement {name}")
+    return {"name": name, **_STATEMENTS[name]()}
 
 
 def _gait(walker: str, label: str, slope: str) -> dict[str, Any]:
@@ -172,7 +135,7 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "kind": params["kind"],
         "statement": statement,
-        "walker": _written(keys, kneed),
+        "walker": written_table(keys, kneed),
         "gait": order.label,
         "slope": list(quoted(interval.slope)),
         "box": {name: list(quoted(x)) for name, x in box.items()},
@@ -183,10 +146,11 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _special(special: Special) -> dict[str, Any]:
-    found = enclose_special(vars(special))
+def _special(kind: str, walker: str, slope: float, gait: str, half: float) -> dict[str, Any]:
+    """A flip or fold of a walker beside a gait."""
+    found = enclose_special({"kind": kind, "walker": walker, "slope": slope, "gait": gait, "half": half})
     del found["multipliers"]
-    m = _dimension(special.walker)
+    m = _dimension(walker)
     box = {name: x for name, x in found["box"].items() if name in (*STATE[:m], *STATE[3:], "slope")}
     return {**found, "box": box}
 
@@ -202,7 +166,7 @@ def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
     return {
         "kind": "tube",
         "statement": statement,
-        "walker": _written(keys, kneed),
+        "walker": written_table(keys, kneed),
         "gait": label,
         "slope": [low, high],
         "events": cover[0].events().names,
@@ -211,5 +175,20 @@ def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
     }
 
 
-def _written(keys: Mapping[str, Any], kneed: bool) -> dict[str, str]:
-    return {**{k: written(v) for k, v in keys.items()}, "knees": str(kneed).lower()}
+#: Both gaits of the paper's walkers at one slope, and E's long step down to vanishing slopes.
+_GAITS = (
+    *(("D", g, "0.009") for g in ("long", "short")),
+    *((w, g, "0.01") for w in "EFBAC" for g in ("long", "short")),
+    ("physical", "long", "0.036"),
+    ("physical-straight", "long", "0.036"),
+    *(("E", "long", s) for s in ("0.003", "0.001", "0.0003", "0.0001")),
+)
+#: What proves each statement, the longest work first.
+_STATEMENTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "D-long-tube": partial(_tube, "D", "long", "0.009", "0.0150"),
+    "D-flip": partial(_special, "flip", "D", 0.015, "long", 1e-15),
+    "C-flip": partial(_special, "flip", "C", 0.0765, "long", 1e-13),
+    "physical-fold": partial(_special, "fold", "physical", 0.0192, "long", 1e-8),
+    "physical-straight-fold": partial(_special, "fold", "physical-straight", 0.0155, "long", 1e-8),
+    **{"-".join(gait): partial(_gait, *gait) for gait in _GAITS},
+}

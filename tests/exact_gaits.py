@@ -25,8 +25,8 @@ def walker(name):
 
 
 def state(links, spread=0.0):
-    """The state as balls."""
-    return tuple([arb(x, spread) for x in part[:links]] for part in STATE)
+    """The state as balls: angles, then rates."""
+    return [arb(x, spread) for part in STATE for x in part[:links]]
 
 
 def reference(name, slope, label):
@@ -46,22 +46,22 @@ def setting(name, slope, **keys):
     return Setting(*exact(name, keys), decimal(slope))
 
 
-def fine(name, links, q, w, time):
+def fine(name, x, time):
     """A motion to more than 60 digits, by short steps at 512 bits."""
     with ctx.workprec(512):
         body = walker(name)
         for _ in range(40):
-            motion = Motion(body, arb(SLOPE), q, w)
+            motion = Motion(body, arb(SLOPE), x)
             for _ in range(40):
                 motion.grow()
-            q, w = ([evaluate(s, arb(time) / 40).mid() for s in part] for part in (motion.q, motion.w))
-        return [*q, *w]
+            x = [evaluate(s, arb(time) / 40).mid() for s in motion.series]
+        return x
 
 
 def coarse(name, links, spread, order=8, tolerance=1e-6, time=0.6, by_slope=None):
     """A flow whose remainders matter: order and tolerance are poor."""
-    q, w = state(links, spread)
-    middle = ([x.mid() for x in q], [x.mid() for x in w])
+    box = state(links, spread)
+    middle = [x.mid() for x in box]
     unit = walker(name).time_unit
     start = arb_mat([[int(i == j) for j in range(2 * links)] for i in range(2 * links)])
     duration = arb(time * unit)
@@ -69,7 +69,7 @@ def coarse(name, links, spread, order=8, tolerance=1e-6, time=0.6, by_slope=None
         walker(name),
         (arb(SLOPE), arb(SLOPE)),
         middle,
-        (q, w),
+        box,
         start,
         (duration, duration),
         Accuracy(order, tolerance),
@@ -80,15 +80,14 @@ def coarse(name, links, spread, order=8, tolerance=1e-6, time=0.6, by_slope=None
 
 def check_remainder(name="C", links=3):
     found = coarse(name, links, 0.0)
-    q, w = state(links)
-    end = fine(name, links, q, w, float(0.6 * walker(name).time_unit))
+    end = fine(name, state(links), float(0.6 * walker(name).time_unit))
     with ctx.workprec(512):
-        for x, ball in zip(end, [*found.middle[0], *found.middle[1]], strict=True):
+        for x, ball in zip(end, found.middle, strict=True):
             assert ball.contains(x)
-        for x, ball in zip(end, [*found.q, *found.w], strict=True):
+        for x, ball in zip(end, found.state, strict=True):
             assert ball.contains(x)
     # The enclosure is not idle: its remainder is what makes it wide.
-    assert max(float(x.rad()) for x in found.middle[1]) > 1e-9
+    assert max(float(x.rad()) for x in found.middle[links:]) > 1e-9
 
 
 def check_durations(spread=2e-3):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gaitsweep.tasks.mechanics.contact import total
+
 
 def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """QR decomposition of many small matrices by the Gram-Schmidt process, applied twice.
@@ -40,19 +42,8 @@ def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Scalar product of every lane, always added in the same order."""
-    total = u[0] * v[0]
-    for a, b in zip(u[1:], v[1:], strict=True):
-        total = total + a * b
-    return total
-
-
-def _matmul(J: np.ndarray, Q: np.ndarray) -> np.ndarray:
-    """Product J Q of every lane, shape (m, k, n)."""
-    total = J[:, :1] * Q[None, 0]
-    for i in range(1, len(Q)):
-        total = total + J[:, i : i + 1] * Q[None, i]
-    return total
+    """Scalar product of every lane."""
+    return total(a * b for a, b in zip(u, v, strict=True))
 
 
 @dataclass
@@ -89,7 +80,9 @@ class Exponents:
         block : int or None
             Block that counts their growth; None while they still converge.
         """
-        self.Q[:, :, lanes], growth = orthogonalised(_matmul(J, self.Q[:, :, lanes]))
+        self.Q[:, :, lanes], growth = orthogonalised(
+            total(J[:, i : i + 1] * q for i, q in enumerate(self.Q[:, :, lanes]))
+        )
         if block is not None:
             with np.errstate(divide="ignore"):
                 self.blocks[block][:, lanes] += np.log(growth)

@@ -75,20 +75,20 @@ class FittedLines:
     ----------
     slope : float [rad]
         Where they cross.
-    low, high : float [rad]
-        The lower line is fitted to slopes below `low`, the upper one, of power 1/3, above `high`.
+    below, above : float [rad]
+        The lower line is fitted to slopes below the one, the upper one, of power 1/3, above the other.
     exponent, amplitude : float
         The lower law, angle = amplitude slope^exponent.
-    upper_amplitude : float
-        The upper law, angle = upper_amplitude slope^(1/3).
+    cube_root : float
+        The upper law, angle = cube_root slope^(1/3).
     """
 
     slope: float
-    low: float
-    high: float
+    below: float
+    above: float
     exponent: float = math.nan
     amplitude: float = math.nan
-    upper_amplitude: float = math.nan
+    cube_root: float = math.nan
 
 
 def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> FittedLines:

@@ -6,7 +6,6 @@ Every item is a flag and an amount, computed on the chain of four links whose st
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.polynomial import polyfromroots
@@ -36,32 +35,15 @@ _POWERS = np.array(
 ).T
 
 
-@dataclass(frozen=True)
 class _Phase:
-    """Samples of one phase: angles and rates of the links, shape (4, samples + 1, n), times, shape (samples + 1, n)."""
+    """Samples of one phase: times, shape (samples + 1, n); angles, rates and accelerations of the links, (4, ...)."""
 
-    q: np.ndarray
-    rate: np.ndarray
-    time: np.ndarray
-    free_knee: bool
-
-
-def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[_Phase]:
-    phases, begin = [], np.zeros(times.shape[1])
-    for samples, end in zip(motion, times, strict=True):
+    def __init__(self, chain: Chain, samples: np.ndarray, begin: np.ndarray, end: np.ndarray, slope: np.ndarray):
         half = samples.shape[1] // 2
-        links = [0, 0, 1, half - 1]
-        clock = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
-        phases.append(
-            _Phase(
-                np.stack([samples[:, i] for i in links]),
-                np.stack([samples[:, half + i] for i in links]),
-                clock,
-                half == 3,
-            )
-        )
-        begin = end
-    return phases
+        self.q, self.rate = (np.stack([samples[:, first + i] for i in (0, 0, 1, half - 1)]) for first in (0, half))
+        self.time = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
+        self.free_knee = half == 3
+        self.acceleration = chain.accelerations(self.q, self.rate, slope, self.free_knee)
 
 
 def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -163,13 +145,13 @@ def _ratio(force: np.ndarray) -> np.ndarray:
         return np.where(force.imag > 0, np.abs(force.real) / force.imag, np.where(np.isnan(force.imag), np.nan, np.inf))
 
 
-def _released(chain: Chain, first: _Phase, slope: np.ndarray) -> Arrays:
+def _released(chain: Chain, first: _Phase) -> Arrays:
     """Items 4 to 6: motion of the leg just released."""
     q, rate = first.q[:, 0], first.rate[:, 0]
     rise = chain.rise(q)
     velocity = (rise * rate).sum(axis=0)
     is_still = np.abs(velocity) <= _ROUNDING * np.abs(rise * rate).sum(axis=0)
-    down = np.where(is_still, chain.lift(q, rate, chain.accelerations(q, rate, slope, first.free_knee)), velocity) < 0
+    down = np.where(is_still, chain.lift(q, rate, first.acceleration[:, 0]), velocity) < 0
     depth = -chain.height(first.q)
     depth[0] = 0.0
     under = np.logical_and.accumulate(depth >= 0, axis=0)
@@ -213,8 +195,8 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
     least, friction, scuff, clearance = np.full(n, np.inf), np.zeros(n), np.zeros(n), np.full(n, np.nan)
     torque, when = np.full(n, -np.inf), np.zeros(n)
     for phase in phases:
-        acceleration = chain.accelerations(phase.q, phase.rate, slope, phase.free_knee)
-        force = chain.ground_force(phase.q, phase.rate, acceleration, slope)
+        motion = phase.q, phase.rate, phase.acceleration
+        force = chain.ground_force(*motion, slope)
         least = np.minimum(least, -greatest(-force.imag)[0])
         pulls = (force.imag <= 0).any(axis=0)
         # With its sign the ratio is smooth where it changes it.
@@ -232,7 +214,7 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
             scuff = np.maximum(scuff, passing)
             clearance = np.where(passing > 0, np.fmin(clearance, -passing), clearance)
             continue
-        worst, position = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
+        worst, position = greatest(-chain.holding(*motion, slope))
         is_worse = worst > torque
         begin, end = phase.time[0], phase.time[-1]
         torque = np.where(is_worse, worst, torque)
@@ -343,9 +325,11 @@ def measure(
     for k in range(0, max(n, 1), _BLOCK):
         lanes = slice(k, k + _BLOCK)
         with np.errstate(invalid="ignore"):
-            phases = _phases([m[..., lanes] for m in motion], times[:, lanes])
+            begins = np.vstack([np.zeros((1, n)), times[:-1]])
+            each = zip(motion, begins, times, strict=True)
+            phases = [_Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes]) for m, b, e in each]
             amounts = _moving(chain, phases, slope[lanes]) | _impacts(chain, phases, impact[:, lanes])
-            amounts |= _released(chain, phases[0], slope[lanes])
+            amounts |= _released(chain, phases[0])
             parts.append(amounts | {"violations": flags(amounts, limits)})
     unit = _units(walker)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

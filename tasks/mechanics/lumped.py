@@ -8,7 +8,6 @@ along y), in units of the leg l + R and of the whole walker's mass,
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -42,8 +41,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
         `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and `_im`; kneed walkers
         also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
     """
-    key = {k: number(getattr(walker, k)) for k in NUMBERS}
-    return _lump(key, walker.massless_leg, walker.eps_T != 0, walker.knees, number)
+    return {name: value[0] for name, value in _lump_all([walker], number).items()}
 
 
 # Constants of invalid walkers, which an array may hold, are NaN.
@@ -57,18 +55,13 @@ def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str
     else:
         key = {k: np.array([getattr(walker, k) for walker in walkers], number) for k in NUMBERS}
         massless = np.array([walker.massless_leg for walker in walkers])
-    constants = _lump(key, massless, key["eps_T"] != 0, walkers[0].knees, number)
-    return {k: np.broadcast_to(v, len(walkers)) for k, v in constants.items()}
-
-
-def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: type) -> dict[str, Any]:
-    """Lumped constants by the walkers' keys: numbers, or arrays of them."""
-    zero, one, two = number(0.0), number(1.0), number(2.0)
-    sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
+    zero, one, two, half = (np.full(len(walkers), number(x)) for x in (0.0, 1.0, 2.0, 0.5))
+    bent, knees = key["eps_T"] != 0, walkers[0].knees
+    sin_T, cos_T = np.sin(key["eps_T"]), np.cos(key["eps_T"])
     d = key["l_s"] - key["R"]
     # sin eps_S = l_t sin eps_T / d closes the leg.
-    sin_S = _choose(bent, key["l_t"] * sin_T / _choose(bent, d, one), zero)
-    cos_S = _power(one - sin_S * sin_S, number(0.5))
+    sin_S = np.where(bent, key["l_t"] * sin_T / np.where(bent, d, one), zero)
+    cos_S = _power(one - sin_S * sin_S, half)
     l = key["l_t"] * cos_T + d * cos_S
     length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
     R, l = key["R"] / length, l / length
@@ -76,8 +69,8 @@ def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: ty
     thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
     shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
     # For a massless leg only ratios of the swing leg's constants remain: a unit mass where the shank's was.
-    eps = _choose(massless, zero, one)
-    m_t, m_s = _choose(massless, zero, key["m_t"] / mass), _choose(massless, one, key["m_s"] / mass)
+    eps = np.where(massless, zero, one)
+    m_t, m_s = np.where(massless, zero, key["m_t"] / mass), np.where(massless, one, key["m_s"] / mass)
     S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
     if knees:
         S_b, S_c = _aligned(S_b), _aligned(S_c)
@@ -103,22 +96,17 @@ def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: ty
     return constants
 
 
-def _choose(condition: Any, value: Any, other: Any) -> Any:
-    """One of two numbers, or of two in each place of arrays."""
-    return np.where(condition, value, other) if isinstance(condition, np.ndarray) else value if condition else other
-
-
-def _power(x: Any, exponent: Any) -> Any:
-    """Power in the argument's type of number; of arrays, with the bits of their numbers'."""
-    return np.power(x, np.full(x.shape, exponent)) if isinstance(x, np.ndarray) else x**exponent
+def _power(x: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+    """Powers; of doubles as C has them, which numpy's own may miss by a bit."""
+    return np.array(list(map(pow, x.tolist(), exponent.tolist()))) if x.dtype == float else np.power(x, exponent)
 
 
 @dataclass(frozen=True)
 class _Vector:
-    """A vector of a leg, in any type of number."""
+    """Vectors of legs, in any type of number."""
 
-    x: Any
-    y: Any
+    x: np.ndarray
+    y: np.ndarray
 
     def __add__(self, other: _Vector) -> _Vector:
         return _Vector(self.x + other.x, self.y + other.y)
@@ -134,25 +122,11 @@ class _Vector:
         return self.x * other.x + self.y * other.y
 
 
-def _sine(x: Any) -> Any:
-    """Sine in the argument's type of number."""
-    if isinstance(x, np.ndarray):
-        return np.sin(x)
-    return math.sin(x) if type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
-
-
-def _cosine(x: Any) -> Any:
-    """Cosine in the argument's type of number."""
-    if isinstance(x, np.ndarray):
-        return np.cos(x)
-    return math.cos(x) if type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
-
-
 def _aligned(v: _Vector) -> _Vector:
     """Vector with parts that are only rounding set to zero: tuned to within doubles is tuned."""
-    x, y = (np.abs(c.astype(float)) if isinstance(c, np.ndarray) else abs(float(c)) for c in (v.x, v.y))
+    x, y = (np.abs(part.astype(float)) for part in (v.x, v.y))
     size = 4e-16 * np.maximum(x, y)
-    return _Vector(_choose(x > size, v.x, v.x - v.x), _choose(y > size, v.y, v.y - v.y))
+    return _Vector(np.where(x > size, v.x, v.x - v.x), np.where(y > size, v.y, v.y - v.y))
 
 
 def _pair(name: str, v: _Vector) -> dict[str, Any]:

@@ -7,6 +7,9 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
+
+from gaitsweep.tasks.paper.lines import Paper
 
 #: The verdicts on a claim. It is reproduced where it holds and the computed number rounds to the printed one;
 #: proved where it is reproduced and the number that decides it has a certificate; and consistent within rounding where
@@ -31,8 +34,6 @@ class ClaimResult:
         The claim's own number; NaN where it has none.
     low, high : float
         Interval of `value` that the rounding of the printed parameters allows; NaN where they are exact.
-    printed, half_unit : float
-        The number as printed, and half a unit of its last digit (zero if it is exact); NaN where none is printed.
     """
 
     computed: str
@@ -40,12 +41,38 @@ class ClaimResult:
     value: float = math.nan
     low: float = math.nan
     high: float = math.nan
-    printed: float = math.nan
-    half_unit: float = math.nan
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(f"`{self.verdict}` is no verdict")
+
+
+class Printed(NamedTuple):
+    """A number as printed, and half a unit of its last digit (zero if it is exact); NaN where none is printed."""
+
+    number: float = math.nan
+    half_unit: float = math.nan
+
+    def compare(self, value: float, low: float = math.nan, high: float = math.nan) -> str:
+        """Give the verdict on the number.
+
+        Parameters
+        ----------
+        value, low, high : float
+            The computed number, and the interval that the rounding of the printed parameters allows it.
+
+        Returns
+        -------
+        str
+            `reproduced` if the computed number rounds to the printed one, `consistent within rounding` if the interval
+            holds the printed one, else `not reproduced`.
+        """
+        if abs(value - self.number) <= self.half_unit:
+            return REPRODUCED
+        return CONSISTENT if low <= self.number <= high else NOT_REPRODUCED
+
+
+NOT_PRINTED = Printed()
 
 
 @dataclass(frozen=True)
@@ -61,16 +88,20 @@ class Claim:
     quotation: str
     source: str
     figure: str
-    find: Callable[[], ClaimResult]
+    find: Callable[[Paper], ClaimResult]
+    number: Printed = NOT_PRINTED
 
 
 #: What the paper says, by claim.
 TEXTS = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
+#: The numbers that the paper prints, by claim, and one that a claim has beside its own by the name that it has there.
+PRINTED = {id: Printed(*text.pop("number", ())) for id, text in TEXTS.items()}
+PRINTED |= {name: Printed(*pair) for text in TEXTS.values() for name, pair in text.pop("numbers", {}).items()}
 #: Every claim by its id, in order of definition.
 CLAIMS: dict[str, Claim] = {}
 
 
-def claim(id: str) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
+def claim(id: str) -> Callable[[Callable[[Paper], ClaimResult]], Callable[[Paper], ClaimResult]]:
     """Enter a function as the computation behind a claim.
 
     Raises
@@ -79,10 +110,10 @@ def claim(id: str) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimRe
         If the claim is entered twice.
     """
 
-    def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
+    def enter(find: Callable[[Paper], ClaimResult]) -> Callable[[Paper], ClaimResult]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
-        CLAIMS[id] = Claim(id, find=find, **TEXTS[id])
+        CLAIMS[id] = Claim(id, find=find, number=PRINTED[id], **TEXTS[id])
         return find
 
     return enter
@@ -91,46 +122,3 @@ def claim(id: str) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimRe
 def verdict(holds: bool, nearly: bool = False) -> str:
     """Give the verdict `reproduced` where a claim holds, `approximate` where it nearly does."""
     return REPRODUCED if holds else APPROXIMATE if nearly else NOT_REPRODUCED
-
-
-def compare(printed: float, half_unit: float, value: float, low: float = math.nan, high: float = math.nan) -> str:
-    """Give the verdict on a printed number.
-
-    Parameters
-    ----------
-    printed, half_unit : float
-        The number, and half a unit of its last digit.
-    value, low, high : float
-        The computed number, and the interval that the rounding of the printed parameters allows it.
-
-    Returns
-    -------
-    str
-        `reproduced` if the computed number rounds to the printed one, `consistent within rounding` if the interval
-        holds the printed one, else `not reproduced`.
-    """
-    if abs(value - printed) <= half_unit:
-        return REPRODUCED
-    return CONSISTENT if low <= printed <= high else NOT_REPRODUCED
-
-
-def rounded(printed: float, half_unit: float, computed: float) -> ClaimResult:
-    """Compare a number of an exact walker with the printed one.
-
-    Parameters
-    ----------
-    printed, half_unit : float
-        The number, and half a unit of its last digit.
-    computed : float
-
-    Returns
-    -------
-    ClaimResult
-    """
-    return ClaimResult(
-        f"{computed:.10g}; {printed - half_unit:g}-{printed + half_unit:g} rounds to the printed {printed:g}",
-        compare(printed, half_unit, computed),
-        computed,
-        printed=printed,
-        half_unit=half_unit,
-    )

@@ -10,19 +10,19 @@ from gaitsweep.tasks.fixed_points.search import search
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, line, numbers
+from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, TUNED, Paper, numbers
 from gaitsweep.tasks.paper.zero_slope import VANISHING
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 
 @claim("M1")
-def diagonal() -> ClaimResult:
+def diagonal(paper: Paper) -> ClaimResult:
     """Evaluate the contact mass matrices at stance angle zero."""
     M = {w: contact_mass(CATALOGUE[w], np.zeros(1))[0] for w in TUNED}
     deviation = max(max(abs(m[0, 1]), abs(m[1, 1] - 1)) for m in M.values())
     light = {
-        f"{r:g}": contact_mass(line("E", foot_mass_ratio=r).walker, np.zeros(1))[0, 0, 0] / r
+        f"{r:g}": contact_mass(paper.line("E", foot_mass_ratio=r).walker, np.zeros(1))[0, 0, 0] / r
         for r in (0.1, 0.01, 1e-3, 1e-4)
     }
     untuned = contact_mass(CATALOGUE["physical"], np.zeros(1))[0, 0, 1]
@@ -35,11 +35,11 @@ def diagonal() -> ClaimResult:
 
 
 @claim("M2")
-def balance() -> ClaimResult:
+def balance(paper: Paper) -> ClaimResult:
     """Compare the losses of the impacts with the loss of potential energy."""
     worst = {}
     for name in (*TUNED, "physical", "physical-straight"):
-        imbalance = line(name).grid(1e-6, 0.2, 85)["energy_imbalance"]
+        imbalance = paper.line(name).grid(1e-6, 0.2, 85)["energy_imbalance"]
         worst[name] = float(np.nanmax(np.abs(imbalance)))
     return ClaimResult(
         f"relative difference of impact losses and loss of potential energy at most {numbers(worst, 2)} over slopes "
@@ -50,11 +50,9 @@ def balance() -> ClaimResult:
 
 
 @claim("M3")
-def exponents() -> ClaimResult:
+def exponents(paper: Paper) -> ClaimResult:
     """Compute the exponents of the stance angle at a vanishing slope."""
-    exponent = {
-        f"{w} {name}": line(w).exponent(g, VANISHING) for w in TUNED for g, name in ((LONG, "long"), (SHORT, "short"))
-    }
+    exponent = paper.exponents_of_both(TUNED, VANISHING)
     deviation = max(min(abs(p - 1), abs(p - 1 / 3)) for p in exponent.values())
     return ClaimResult(
         f"exponents at slope {VANISHING:g}: {numbers(exponent, 6)}", verdict(deviation < 1e-3), deviation
@@ -62,32 +60,23 @@ def exponents() -> ClaimResult:
 
 
 @claim("M4")
-def powers() -> ClaimResult:
+def powers(paper: Paper) -> ClaimResult:
     """Compute the exponents of power in speed at a vanishing slope."""
-    exponent, agrees = {}, []
-    for name in TUNED:
-        for g, gait in ((LONG, "long"), (SHORT, "short")):
-            power = line(name).exponent(g, VANISHING, "power", "speed")
-            step = line(name).exponent(g, VANISHING)
-            exponent[f"{name} {gait}"] = power
-            agrees.append(abs(power - (4 if step < 2 / 3 else 2)) < 0.01)
+    exponent = paper.exponents_of_both(TUNED, VANISHING, "power", "speed")
+    steps = paper.exponents_of_both(TUNED, VANISHING)
+    agrees = [abs(power - (4 if steps[gait] < 2 / 3 else 2)) < 0.01 for gait, power in exponent.items()]
     return ClaimResult(
         f"P ~ v^p at slope {VANISHING:g}: {numbers(exponent, 5)}",
         verdict(all(agrees)),
         exponent["E long"],
-        printed=4,
-        half_unit=0,
     )
 
 
 @claim("M5")
-def kneestrike() -> ClaimResult:
+def kneestrike(paper: Paper) -> ClaimResult:
     """Compute the exponent of the kneestrike loss in speed."""
-    exponent = {
-        gait: line("C").exponent(g, VANISHING, "loss_kneestrike", "speed")
-        for g, gait in ((LONG, "long"), (SHORT, "short"))
-    }
-    grid = line("C").grid()
+    exponent = {gait: paper.line("C").exponent(g, VANISHING, "loss_kneestrike", "speed") for gait, g in BOTH.items()}
+    grid = paper.line("C").grid()
     losses = sum(grid[k][0, :2] for k in ("loss_normal", "loss_tangential", "loss_kneestrike"))
     share = grid["loss_kneestrike"][0, :2] / losses
     return ClaimResult(
@@ -95,23 +84,21 @@ def kneestrike() -> ClaimResult:
         f"slope 1e-8: long {share[0]:.4f}, short {share[1]:.4f}",
         verdict(max(abs(p - 2) for p in exponent.values()) < 1e-3),
         exponent["long"],
-        printed=2,
-        half_unit=0,
     )
 
 
-def _power_at(walker: str, gait: int, froude: float) -> float:
+def _power_at(paper: Paper, walker: str, gait: int, froude: float) -> float:
     """Power over weight and sqrt(g leg) of a gait at a given Froude speed: that speed times its slope."""
-    grid = line(walker).grid()
+    grid = paper.line(walker).grid()
     speed = grid["froude_speed"][:, gait]
     return float(np.exp(np.interp(np.log(froude), np.log(speed), np.log(grid["slope"] * speed))))
 
 
 @claim("M6")
-def cheaper() -> ClaimResult:
+def cheaper(paper: Paper) -> ClaimResult:
     """Compare the power of both gaits at equal Froude speeds."""
     speeds = (0.01, 0.03)
-    ratio = {v: {w: _power_at(w, SHORT, v) / _power_at(w, LONG, v) for w in TUNED} for v in speeds}
+    ratio = {v: {w: _power_at(paper, w, SHORT, v) / _power_at(paper, w, LONG, v) for w in TUNED} for v in speeds}
     tuned = [ratio[0.01][w] for w in TUNED if w != "D"]
     return ClaimResult(
         f"ratio of power, short step over long step, at Froude speed 0.01: {numbers(ratio[0.01], 3)}; at "
@@ -122,7 +109,7 @@ def cheaper() -> ClaimResult:
 
 
 @claim("M7")
-def freed_knee() -> ClaimResult:
+def freed_knee(paper: Paper) -> ClaimResult:
     """Compare the contact mass matrices of C with its knee free and locked."""
     change = {}
     for hip in (0.0, 10.0, 100.0):
@@ -138,7 +125,7 @@ def freed_knee() -> ClaimResult:
 
 
 @claim("W1")
-def silly_wheel() -> ClaimResult:
+def silly_wheel(paper: Paper) -> ClaimResult:
     """Compute the slope and the mismatch of leg rates that a given long step of B needs, as its feet grow."""
     need, mismatch = {}, {}
     for radius in (0.2, 0.5, 0.8, 0.9, 0.95, 0.98):
@@ -164,9 +151,9 @@ def silly_wheel() -> ClaimResult:
 
 
 @claim("G2")
-def dimension() -> ClaimResult:
+def dimension(paper: Paper) -> ClaimResult:
     """Evaluate the multipliers of the physical walker, kneed and straight-legged."""
-    kneed, straight = line("physical").at([0.036]), line("physical-straight").at([0.036])
+    kneed, straight = paper.line("physical").at([0.036]), paper.line("physical-straight").at([0.036])
     four = np.hypot(kneed["multiplier_real"][0, LONG], kneed["multiplier_imag"][0, LONG])
     three = np.hypot(straight["multiplier_real"][0, LONG], straight["multiplier_imag"][0, LONG])
     return ClaimResult(

@@ -14,8 +14,8 @@ from gaitsweep.tasks.count_gaits import census
 from gaitsweep.tasks.follow_curves import curve
 from gaitsweep.tasks.iterate_orbits import orbit
 from gaitsweep.tasks.locate_cascade import cascade
-from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdict
-from gaitsweep.tasks.paper.lines import Arrays, line, memoize, numbers, table
+from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import Arrays, Paper, memoize, numbers
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.paper.rounding_intervals import changed, interval
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -30,32 +30,34 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
     "C-printed": (0.07, 0.1, 2, (1,)),
     "D": (0.01, 0.0195, 20, (1, 3, 4)),
 }
+#: What curve of folds the branches of C touch on.
+FOLDS_OF_C = {"slope": np.array([1e-3, 0.3]), "key": "detuning", "from": 0.0, "to": 1.2, "kinds": ["fold"]}
 WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
 #: Window of slopes [rad] that holds the doublings and the loss of walking of kneed walkers within their rounding.
 CORNER = (0.06, 0.12)
 
 
-def _compute_cascade(walker: str, families: tuple[int, ...], **options: int) -> Arrays:
+def _compute_cascade(paper: Paper, walker: str, families: tuple[int, ...], **options: int) -> Arrays:
     low, high, n, _ = WINDOWS[walker]
-    own = line(walker)
+    own = paper.line(walker)
     slopes = np.round(np.linspace(low, high, n), 12)  # as a study's axis has them
     return cascade({**own.params, "slope": slopes, "families": families, **options}, [own.arrays])
 
 
-def _doublings(walker: str, family: str, group: str = "cascade") -> Arrays:
+def _doublings(paper: Paper, walker: str, family: str, group: str = "cascade") -> Arrays:
     """Rows of one family in a table of a walker's cascade (columns as in task `cascade`)."""
-    columns = table(group, walker, lambda: _compute_cascade(walker, WINDOWS[walker][3]))
+    columns = paper.table(group, walker, lambda: _compute_cascade(paper, walker, WINDOWS[walker][3]))
     rows = columns["family"] == family
     return {name: column[rows] for name, column in columns.items()}
 
 
-def _flips(walker: str, family: str) -> np.ndarray:
+def _flips(paper: Paper, walker: str, family: str) -> np.ndarray:
     """Slopes of a family's flips, shape (n,) [rad]."""
-    events = _doublings(walker, family)
+    events = _doublings(paper, walker, family)
     return events["slope"][events["kind"] == "flip"]
 
 
-def crisis(walker: str, family: str) -> tuple[float, float]:
+def crisis(paper: Paper, walker: str, family: str) -> tuple[float, float]:
     """Bracket the slope at which a family's last attractor is lost.
 
     Parameters
@@ -67,11 +69,11 @@ def crisis(walker: str, family: str) -> tuple[float, float]:
     -------
     low, high : float [rad]
     """
-    bracket = _doublings(walker, family, "lost")
+    bracket = _doublings(paper, walker, family, "lost")
     return float(bracket["low"][0]), float(bracket["high"][0])
 
 
-def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float, float]:
+def exponent(paper: Paper, walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float, float]:
     """Find the largest Lyapunov exponent per step of a walker's attractors.
 
     Parameters
@@ -86,7 +88,7 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
     -------
     exponent, standard_error, slope : float [1/step, 1/step, rad]
     """
-    own = line(walker)
+    own = paper.line(walker)
     tables = orbit(
         {**own.params, "slope": slopes, "starts": starts, "transient": 100, "steps": 176, "shown": 1}, [own.arrays]
     )
@@ -96,36 +98,34 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
 
 
 @claim("D8")
-def doublings_to_chaos() -> ClaimResult:
+def doublings_to_chaos(paper: Paper) -> ClaimResult:
     """Follow the period doublings of D from period one to chaos and the loss of walking."""
-    at, limit = _flips("D", "1"), _doublings("D", "1", "accumulation")
-    low, high = crisis("D", "1")
-    value, error, _ = exponent("D", np.array([0.0189]), 64)
+    at, limit = _flips(paper, "D", "1"), _doublings(paper, "D", "1", "accumulation")
+    low, high = crisis(paper, "D", "1")
+    value, error, _ = exponent(paper, "D", np.array([0.0189]), 64)
     chaotic = value > 4 * error
-    begins = abs(at[0] - 0.015) <= 5e-4
+    begins = PRINTED["D2"].compare(at[0]) == REPRODUCED
     last = 0.5 * (low + high)
     return ClaimResult(
         f"period doublings at slopes {', '.join(f'{s:.10f}' for s in at)}; the ratios of their intervals tend to "
         f"{limit['ratio'][0]:.4f}; accumulation at {limit['slope'][0]:.10f} "
         f"({limit['low'][0]:.10f}-{limit['high'][0]:.10f}); Lyapunov exponent at slope 0.0189: {value:.4f} "
         f"(standard error {error:.4f}) per step; walking is lost between {low:.6f} and {high:.6f}",
-        verdict(chaotic and begins and abs(last - 0.019) <= 5e-4),
+        PRINTED["D8"].compare(last) if chaotic and begins else NOT_REPRODUCED,
         last,
-        printed=0.019,
-        half_unit=5e-4,
     )
 
 
 @claim("D9")
-def period_three() -> ClaimResult:
+def period_three(paper: Paper) -> ClaimResult:
     """Follow the period-three family of D from its fold through its doublings to the end of its chaos."""
-    events, limit = _doublings("D", "3"), _doublings("D", "3", "accumulation")
-    fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips("D", "3")
-    low, high = crisis("D", "3")
+    events, limit = _doublings(paper, "D", "3"), _doublings(paper, "D", "3", "accumulation")
+    fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips(paper, "D", "3")
+    low, high = crisis(paper, "D", "3")
     middle = 0.5 * (fold + float(at[0]))
-    chaos_1 = (_doublings("D", "1", "accumulation")["slope"][0], crisis("D", "1")[0])
-    coexists = at[0] < _flips("D", "1")[0]
-    four, four_at = _doublings("D", "4"), _flips("D", "4")
+    chaos_1 = (_doublings(paper, "D", "1", "accumulation")["slope"][0], crisis(paper, "D", "1")[0])
+    coexists = at[0] < _flips(paper, "D", "1")[0]
+    four, four_at = _doublings(paper, "D", "4"), _flips(paper, "D", "4")
     more = (
         f"; likewise a period-four gait (Li & Yang 2012), from its fold at "
         f"{four['slope'][four['kind'] == 'fold'][0]:.10f} to its flip at {four_at[0]:.10f}"
@@ -139,21 +139,19 @@ def period_three() -> ClaimResult:
         f"doublings at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at {limit['slope'][0]:.9f}; its chaos "
         f"ends between {low:.6f} and {high:.6f}; chaos of the period-one family from {chaos_1[0]:.7f} to "
         f"{chaos_1[1]:.5f}{more}",
-        verdict(fold < 0.0125 < at[0] and coexists and separate and len(at) > 2),
+        verdict(fold < PRINTED["D9"].number < at[0] and coexists and separate and len(at) > 2),
         middle,
-        printed=0.0125,
-        half_unit=5e-5,
     )
 
 
 @claim("K1")
-def kneed_doublings() -> ClaimResult:
+def kneed_doublings(paper: Paper) -> ClaimResult:
     """Follow the period doublings of C, exactly tuned and as printed."""
-    exact, printed = interval("C flip"), interval("C-printed flip")
-    at = {w: _doublings(w, "1", "accumulation") for w in ("C", "C-printed")}
+    exact, printed = interval(paper, "C flip"), interval(paper, "C-printed flip")
+    at = {w: _doublings(paper, w, "1", "accumulation") for w in ("C", "C-printed")}
     cascades = [
-        f"{w} at {', '.join(f'{s:.8f}' for s in _flips(w, '1'))}, accumulating at {a['slope'][0]:.9f} (last ratio of "
-        f"intervals {a['ratio'][0]:.4f})"
+        f"{w} at {', '.join(f'{s:.8f}' for s in _flips(paper, w, '1'))}, accumulating at {a['slope'][0]:.9f} "
+        f"(last ratio of intervals {a['ratio'][0]:.4f})"
         for w, a in at.items()
     ]
     continues = all(a["flips"][0] >= 3 for a in at.values())
@@ -161,16 +159,12 @@ def kneed_doublings() -> ClaimResult:
         f"period doublings of {'; '.join(cascades)}; rounding of the printed parameters allows "
         f"{printed.low:.4f}-{printed.high:.4f} for the first with the offsets as printed, "
         f"{exact.low:.4f}-{exact.high:.4f} exactly tuned",
-        compare(0.084, 5e-4, printed.value, printed.low, printed.high) if continues else NOT_REPRODUCED,
-        printed.value,
-        printed.low,
-        printed.high,
-        0.084,
-        5e-4,
+        PRINTED["K1"].compare(*printed.bounds) if continues else NOT_REPRODUCED,
+        *printed.bounds,
     )
 
 
-def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
+def corner_crises(paper: Paper, walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bracket the loss of walking at the two corners of a walker's rounding.
 
     Parameters
@@ -188,48 +182,46 @@ def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]
     The loss has no derivative, so it is computed for two walkers whose keys are all off by their half units, each in
     the direction that moves the flip down, or up.
     """
-    rows = table("corners", walker, lambda: _compute_corners(walker))
+    rows = paper.table("corners", walker, lambda: _compute_corners(paper, walker))
     lower, upper = zip(rows["low"].tolist(), rows["high"].tolist(), strict=True)
     return lower, upper
 
 
-def _compute_corners(walker: str) -> Arrays:
-    sensitivity = interval(f"{walker} flip").sensitivity
+def _compute_corners(paper: Paper, walker: str) -> Arrays:
+    sensitivity = interval(paper, f"{walker} flip").sensitivity
     brackets = []
     for direction in (-1, 1):
         corner = CATALOGUE[walker]
         for key, half in HALF_UNITS[walker].items():
             corner = changed(walker, corner, key, direction * float(np.sign(sensitivity[key])) * half)
-        params = {"line": {"walker": asdict(corner), "set": {}}, "near": line(walker).params["line"]}
-        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [line(walker).arrays])
+        params = {"line": {"walker": asdict(corner), "set": {}}, "near": paper.line(walker).params["line"]}
+        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [paper.line(walker).arrays])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
     return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
 
 
 @claim("K2")
-def kneed_end() -> ClaimResult:
+def kneed_end(paper: Paper) -> ClaimResult:
     """Bracket the slope at which C's persistent walking ends."""
-    ends = {w: crisis(w, "1") for w in ("C", "C-printed")}
-    (low, _), (_, high) = corner_crises("C-printed")
+    ends = {w: crisis(paper, w, "1") for w in ("C", "C-printed")}
+    (low, _), (_, high) = corner_crises(paper, "C-printed")
     loss = float(np.mean(ends["C-printed"]))
     brackets = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
     return ClaimResult(
         f"chaotic walking ends in falls: {brackets}; rounding of the printed offsets and lengths allows "
         f"{low:.4f}-{high:.4f}",
-        compare(0.103, 5e-4, loss, low, high),
+        PRINTED["K2"].compare(loss, low, high),
         loss,
         low,
         high,
-        0.103,
-        5e-4,
     )
 
 
 @claim("K3")
-def unstable_beyond() -> ClaimResult:
+def unstable_beyond(paper: Paper) -> ClaimResult:
     """Follow both gaits of C beyond the loss of walking."""
-    loss = crisis("C", "1")[1]
-    curves = [line("C").curve(k) for k in range(len(line("C").branches))]
+    loss = crisis(paper, "C", "1")[1]
+    curves = paper.line("C").curves
     top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in curves}
     least = min(float(c["spectral_radius"][c["slope"] > loss].min()) for c in curves)
     return ClaimResult(
@@ -247,31 +239,21 @@ def _crossings(x: np.ndarray, y: np.ndarray, at: float) -> list[float]:
 
 
 @claim("T6")
-def re_pairing() -> ClaimResult:
+def re_pairing(paper: Paper) -> ClaimResult:
     """Locate the detuning at which the branches of C touch, a turning point of its curve of folds."""
 
     def compute_curve() -> Arrays:
-        own = line("C", detuning=1.0)
-        return curve(
-            {
-                **own.params,
-                "slope": np.array([1e-3, 0.3]),
-                "key": "detuning",
-                "from": 0.0,
-                "to": 1.2,
-                "kinds": ["fold"],
-            },
-            [own.arrays],
-        )
+        own = paper.line("C", detuning=1.0)
+        return curve({**own.params, **FOLDS_OF_C}, [own.arrays])
 
-    turns = table("turnings", "C", compute_curve, detuning=1.0)
+    turns = paper.table("turnings", "C", compute_curve, detuning=1.0)
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]
     if not len(touch):
         return ClaimResult("the curve of folds has no turning point in the detuning", NOT_REPRODUCED)
     value, slope, angle, bound = (
         float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
     )
-    folds = table("curves", "C", compute_curve, detuning=1.0)
+    folds = paper.table("curves", "C", compute_curve, detuning=1.0)
     turning = folds["curve"] == turns["curve"][touch[0]]
     near = {d: _crossings(folds["value"][turning], folds["slope"][turning], d) for d in (value - 0.004, value + 0.004)}
     beside = "; ".join(
@@ -287,13 +269,11 @@ def re_pairing() -> ClaimResult:
 
 
 @claim("G1")
-def never_more() -> ClaimResult:
+def never_more(paper: Paper) -> ClaimResult:
     """Count the anthropomorphic period-one gaits that searches over the whole section find."""
     slopes = np.array([1e-3, 0.01, 0.03, 0.1])
-    coverage = {
-        w: table("coverage", w, functools.partial(census, {"line": {"walker": w, "set": {}}, "slope": slopes}, []))
-        for w in WALKERS
-    }
+    each = {w: {"line": {"walker": w, "set": {}}, "slope": slopes} for w in WALKERS}
+    coverage = {w: paper.table("coverage", w, functools.partial(census, each[w], [])) for w in WALKERS}
     most = max(int(c["anthropomorphic"].max()) for c in coverage.values())
     starts = sum(int(c["starts"].sum()) for c in coverage.values())
     searches = sum(len(c["slope"]) for c in coverage.values())
@@ -305,15 +285,13 @@ def never_more() -> ClaimResult:
         f"slope; at most {100 * unseen:.1f} % of converging guesses may lead to unseen gaits; deflation found "
         f"{deflated} more, which are counted; gaits whose legs pass more than once are counted "
         f"separately: {numbers(others)}",
-        verdict(most <= 2),
+        verdict(most <= PRINTED["G1"].number),
         float(most),
-        printed=2,
-        half_unit=0,
     )
 
 
 @memoize
-def chaos(walker: str) -> tuple[int, str]:
+def chaos(paper: Paper, walker: str) -> tuple[int, str]:
     """Whether a walker's period doublings lead to chaos, and where (last column of figure 10).
 
     Notes
@@ -322,9 +300,9 @@ def chaos(walker: str) -> tuple[int, str]:
     second flip: within the chaotic range, where some slopes lie in windows of stable gaits of long periods.
     """
     family = str(WINDOWS[walker][3][0])
-    tables = _compute_cascade(walker, (int(family),), periods=8, steps=0)
+    tables = _compute_cascade(paper, walker, (int(family),), periods=8, steps=0)
     at, limit = tables["cascade/slope"][tables["cascade/kind"] == "flip"], float(tables["accumulation/slope"][0])
-    value, error, slope = exponent(walker, limit + np.array([0.3, 0.5, 0.7]) * (limit - at[1]), 12)
+    value, error, slope = exponent(paper, walker, limit + np.array([0.3, 0.5, 0.7]) * (limit - at[1]), 12)
     return int(value > 4 * error), (
         f"doublings of period {family} from {at[0]:.6g}, accumulating at {limit:.6g}; "
         f"Lyapunov exponent {value:.3f} ({error:.3f}) at {slope:.5g}"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar, cast
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
+BOTH = {"long": LONG, "short": SHORT}
 #: Variables that a look-up returns by default.
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 #: Special points at which stability may change.
@@ -136,7 +137,7 @@ class Line:
         """
         parts = []
         for k in range(len(self.branches)):
-            radius = self.curve(k)["spectral_radius"]
+            radius = self.curves[k]["spectral_radius"]
             points = [p for p in self.special if p["branch"] == k]
             bounds = [p for p in points if p["kind"] in _EXCHANGES or p in (points[0], points[-1])]
             for a, b in itertools.pairwise(bounds):
@@ -147,127 +148,155 @@ class Line:
                     parts.append((a, b) if a["slope"] < b["slope"] else (b, a))
         return sorted(parts, key=lambda part: part[0]["slope"])
 
-    def curve(self, branch: int = 0) -> Arrays:
-        """Gaits at the nodes of a branch, in its own order.
+    @functools.cached_property
+    def curves(self) -> list[Arrays]:
+        """Gaits at the nodes of every branch, in its own order.
 
-        Returns
-        -------
-        dict of ndarray, shape (nodes,)
-            slope, stance_angle, period and speed in the walker's units; knee_share, the kneestrike's time over the
-            period; closing, the rate at which the foot meets the ground over the angle; short; spectral_radius.
+        Arrays of shape (nodes,): slope, stance_angle, period and speed in the walker's units; knee_share, the
+        kneestrike's time over the period; closing, the rate at which the foot meets the ground over the angle; short;
+        spectral_radius.
         """
-        return _evaluate_nodes(self.problem, self.branches[branch])
+        return [self._nodes(branch) for branch in self.branches]
 
-
-def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
-    m, walker = branch.m, problem.walker
-    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    nodes = correct(problem, X, times, branch.direction.T)
-    time_unit = np.sqrt(walker.leg / walker.g)
-    slope, angle = np.exp(X[m]), np.exp(X[0])
-    return {
-        "slope": slope,
-        "stance_angle": angle,
-        "period": times[-1] * time_unit,
-        "knee_share": times[0] / times[-1],
-        "closing": nodes.stride.closing[-1] / nodes.stride.y[0],
-        "short": ~(gait_ratio(nodes.stride) < 0.5),
-        "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
-        "speed": step_length(walker, angle) / (times[-1] * time_unit),
-    }
+    def _nodes(self, branch: Branch) -> Arrays:
+        walker, m = self.walker, self.problem.m
+        X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
+        nodes = correct(self.problem, X, times, branch.direction.T)
+        period, angle = times[-1] * np.sqrt(walker.leg / walker.g), np.exp(X[0])
+        return {
+            "slope": np.exp(X[m]),
+            "stance_angle": angle,
+            "period": period,
+            "knee_share": times[0] / times[-1],
+            "closing": nodes.stride.closing[-1] / nodes.stride.y[0],
+            "short": ~(gait_ratio(nodes.stride) < 0.5),
+            "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
+            "speed": step_length(walker, angle) / period,
+        }
 
 
 #: A walker of the catalogue, and the keys that a line sets with their values.
 _Key = tuple[str, tuple[tuple[str, float], ...]]
-_LINES: dict[_Key, Line] = {}
-#: Tables by line: those that the task of the study at hand made of it, and those that claims made themselves.
-_STUDY_TABLES: dict[_Key, Arrays] = {}
-_MADE_TABLES: dict[_Key, Arrays] = {}
+_Rest = ParamSpec("_Rest")
+_Result = TypeVar("_Result")
 
 
-#: Atlases that the task at hand was given, and the memoized functions of claims, which read lines.
-_given: list[Any] = []
-_MEMOIZED: list[Any] = []
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def memoize(function: _Function) -> _Function:
-    """Remember the results of a function of claims until a task is given other atlases."""
-    _MEMOIZED.append(functools.lru_cache(maxsize=32)(function))
-    return cast(_Function, _MEMOIZED[-1])
-
-
-def line(walker: str, **settings: float) -> Line:
-    """Line of a catalogue walker with some keys set; solved once for all that is computed from the same atlases."""
-    key = walker, tuple(sorted(settings.items()))
-    if key not in _LINES:
-        _LINES[key] = Line(walker, settings)
-    return _LINES[key]
-
-
-def use_atlases(known: Iterable[tuple[str, Mapping[str, float], Arrays]]) -> None:
-    """Use atlases that are known already, and forget what was computed from others.
+class Paper:
+    """What claims are checked with: the gaits of lines and the tables of a study, each computed once.
 
     Parameters
     ----------
-    known : iterable of (str, mapping, dict)
-        Name in the catalogue, values of the keys that the line sets, and the atlas as arrays of task `atlas`.
+    atlases : dict
+        Those that are known, by line.
+
+    Attributes
+    ----------
+    tables : dict
+        Those that the study's own tasks made, by line: "group/column", shape (n,).
+    """
+
+    def __init__(self, atlases: Mapping[_Key, Arrays]):
+        self.tables: dict[_Key, Arrays] = {}
+        self.memory: dict[Any, Any] = {}
+        self._atlases = atlases
+        self._made: dict[_Key, Arrays] = {}
+
+    def line(self, walker: str, **settings: float) -> Line:
+        """Line of a catalogue walker with some keys set."""
+        key = _key(walker, settings)
+        if key not in self.memory:
+            self.memory[key] = Line(walker, settings, self._atlases.get(key))
+        return cast(Line, self.memory[key])
+
+    def exponents(self, walkers: Iterable[str], gait: int, slope: float) -> dict[str, float]:
+        """Local exponents of the stance angle in slope, by walker."""
+        return {walker: self.line(walker).exponent(gait, slope) for walker in walkers}
+
+    def exponents_of_both(self, walkers: Iterable[str], slope: float, *of: str) -> dict[str, float]:
+        """Local exponents of both gaits, by walker and gait; `of` names ordinate and abscissa."""
+        return {f"{w} {name}": self.line(w).exponent(g, slope, *of) for w in walkers for name, g in BOTH.items()}
+
+    def table(self, group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
+        """Look up one table of a line.
+
+        Parameters
+        ----------
+        group, walker : str
+            Name of the table, and of the walker in the catalogue.
+        make : callable
+            Computes tables ("group/column") where the study has not this one.
+        **settings : float
+            Values of the keys that the line sets.
+
+        Returns
+        -------
+        dict of ndarray, shape (n,)
+            By column.
+        """
+        key = _key(walker, settings)
+
+        def columns() -> Arrays:
+            known = {**self._made.get(key, {}), **self.tables.get(key, {})}
+            return {name.removeprefix(f"{group}/"): x for name, x in known.items() if name.startswith(f"{group}/")}
+
+        if not columns():
+            self._made.setdefault(key, {}).update(make())
+        return columns()
+
+
+def _key(walker: str, settings: Mapping[str, float]) -> _Key:
+    return walker, tuple(sorted(settings.items()))
+
+
+def memoize(
+    function: Callable[Concatenate[Paper, _Rest], _Result],
+) -> Callable[Concatenate[Paper, _Rest], _Result]:
+    """Remember in a paper what a function of its lines gives."""
+
+    def remembered(paper: Paper, *rest: _Rest.args, **named: _Rest.kwargs) -> _Result:
+        key = function, rest, tuple(named.items())
+        if key not in paper.memory:
+            paper.memory[key] = function(paper, *rest, **named)
+        return cast(_Result, paper.memory[key])
+
+    return remembered
+
+
+#: The atlases last used, and what was computed from them.
+_last: dict[tuple[Any, ...], Paper] = {}
+
+
+def paper_of(lines: Sequence[Mapping[str, Any]], inputs: Sequence[Arrays]) -> Paper:
+    """What claims about a study's lines are checked with; what was computed from the same atlases is there already.
+
+    Parameters
+    ----------
+    lines : sequence of mapping
+        Lines of the study; claims are about walkers of the catalogue, which alone go by a name.
+    inputs : sequence of dict
+        Each line's atlas, and its tables.
 
     Notes
     -----
     A result must not depend on what its process computed before: atlases of other studies may be coarser.
     """
-    lines = [(walker, tuple(sorted(settings.items())), arrays) for walker, settings, arrays in known]
-    given = [(walker, keys, sorted((k, v.tobytes()) for k, v in arrays.items())) for walker, keys, arrays in lines]
-    if given == _given:
-        return
-    _given[:] = given
-    for cache in (_LINES, _MADE_TABLES):
-        cache.clear()
-    for function in _MEMOIZED:
-        function.cache_clear()
-    for walker, keys, arrays in lines:
-        _LINES.setdefault((walker, keys), Line(walker, dict(keys), arrays))
+    known = {
+        _key(line["walker"], line["set"]): data
+        for line, data in zip(lines, inputs, strict=False)
+        if isinstance(line["walker"], str)
+    }
+    atlases = {key: {name: x for name, x in data.items() if _is_of_atlas(name)} for key, data in known.items()}
+    given = tuple((key, name, x.tobytes()) for key, atlas in atlases.items() for name, x in sorted(atlas.items()))
+    if given not in _last:
+        _last.clear()
+        _last[given] = Paper({key: atlas for key, atlas in atlases.items() if atlas})
+    paper = _last[given]
+    paper.tables = {key: {name: x for name, x in data.items() if "/" in name} for key, data in known.items()}
+    return paper
 
 
-def set_tables(tables: Iterable[tuple[str, Mapping[str, float], Arrays]]) -> None:
-    """Replace the study's tables.
-
-    Parameters
-    ----------
-    tables : iterable of (str, mapping, dict)
-        Walker, values of the keys that the line sets, and columns ("group/column", shape (n,)) of each line.
-    """
-    _STUDY_TABLES.clear()
-    _STUDY_TABLES.update(((walker, tuple(sorted(settings.items()))), columns) for walker, settings, columns in tables)
-
-
-def table(group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
-    """Look up one table of a line.
-
-    Parameters
-    ----------
-    group, walker : str
-        Name of the table, and of the walker in the catalogue.
-    make : callable
-        Computes tables ("group/column"), once a process, where the study has not this one.
-    **settings : float
-        Values of the keys that the line sets.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,)
-        By column.
-    """
-    key = walker, tuple(sorted(settings.items()))
-
-    def columns(tables: Mapping[_Key, Arrays]) -> Arrays:
-        named = (name.partition("/") for name in tables.get(key, {}))
-        return {column: tables[key][f"{group}/{column}"] for prefix, _, column in named if prefix == group}
-
-    if not columns(_STUDY_TABLES) and not columns(_MADE_TABLES):
-        _MADE_TABLES.setdefault(key, {}).update(make())
-    return columns(_STUDY_TABLES) or columns(_MADE_TABLES)
+def _is_of_atlas(name: str) -> bool:
+    return name not in VARIABLES and name not in ("slope", "reasons") and "/" not in name
 
 
 def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from gaitsweep.tasks.fit_laws import transition
 from gaitsweep.tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, foot_ratio, memoize, numbers, root
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
 
@@ -15,10 +15,10 @@ RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
 
 
 @claim("E1")
-def two_dimensional() -> ClaimResult:
+def two_dimensional(paper: Paper) -> ClaimResult:
     """Evaluate the third multiplier of E and F."""
-    worst = max(_third_multiplier(w) for w in ("E", "F"))
-    gaits = line("E").at([0.01])
+    worst = max(_third_multiplier(paper, w) for w in ("E", "F"))
+    gaits = paper.line("E").at([0.01])
     zero = bool((gaits["multiplier_real"][0, :2, 2] == 0).all() and (gaits["multiplier_imag"][0, :2, 2] == 0).all())
     return ClaimResult(
         f"third multiplier exactly 0 on the two-dimensional section, {worst:.1g} on the general three-dimensional one",
@@ -27,10 +27,10 @@ def two_dimensional() -> ClaimResult:
     )
 
 
-def _third_multiplier(walker: str) -> float:
+def _third_multiplier(paper: Paper, walker: str) -> float:
     """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
-    problem = section_problem(line(walker).walker)
-    gaits = line(walker).at([0.01])
+    problem = section_problem(paper.line(walker).walker)
+    gaits = paper.line(walker).at([0.01])
     unit = np.sqrt(problem.walker.leg / problem.walker.g)
     angle = gaits["stance_angle"][0, :2]
     w = np.stack(
@@ -46,10 +46,10 @@ def _third_multiplier(walker: str) -> float:
 
 
 @claim("E2")
-def long_cube_root() -> ClaimResult:
+def long_cube_root(paper: Paper) -> ClaimResult:
     """Compute the local exponents of the long step."""
-    small = {w: line(w).exponent(LONG, 1e-8) for w in ("E", "F")}
-    large = {w: line(w).exponent(LONG, 0.05) for w in ("E", "F")}
+    small = paper.exponents("EF", LONG, 1e-8)
+    large = paper.exponents("EF", LONG, 0.05)
     deviation = max(abs(p - 1 / 3) for p in small.values())
     return ClaimResult(
         f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
@@ -59,24 +59,24 @@ def long_cube_root() -> ClaimResult:
 
 
 @claim("E3")
-def short_two_laws() -> ClaimResult:
+def short_two_laws(paper: Paper) -> ClaimResult:
     """Compute the local exponents of the short step on both sides of the transition."""
-    small = {w: line(w).exponent(SHORT, 1e-8) for w in ("E", "F")}
-    large = {w: line(w).exponent(SHORT, 0.1) for w in ("E", "F")}
-    light = line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
+    small = paper.exponents("EF", SHORT, 1e-8)
+    large = paper.exponents("EF", SHORT, 0.1)
+    middle = paper.exponents("EF", SHORT, 0.01)
+    light = paper.line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = max(abs(p - 1) for p in small.values()) < 1e-4
     cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
     return ClaimResult(
         f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
-        f"{line('E').exponent(SHORT, 0.01):.3f} and {line('F').exponent(SHORT, 0.01):.3f}); with a foot mass ratio "
-        f"of 1e-4 at slope 1e-3: {light:.4f}",
+        f"{middle['E']:.3f} and {middle['F']:.3f}); with a foot mass ratio of 1e-4 at slope 1e-3: {light:.4f}",
         verdict(linear and cube),
         large["E"],
     )
 
 
 @memoize
-def _transitions() -> dict[str, np.ndarray]:
+def _transitions(paper: Paper) -> dict[str, np.ndarray]:
     """Tables of task `transition` for the foot mass ratios in `RATIOS`."""
     slope = np.geomspace(1e-11, 0.2, 220)
     each = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
@@ -85,9 +85,9 @@ def _transitions() -> dict[str, np.ndarray]:
 
 
 @claim("E4")
-def transition_power() -> ClaimResult:
+def transition_power(paper: Paper) -> ClaimResult:
     """Compute the ratio of transition slopes and their local exponent in the foot mass ratio."""
-    table = _transitions()
+    table = _transitions(paper)
     exact = float(table["fits/transition_ratio/exact_asymptotes"][0])
     fitted = float(table["fits/transition_ratio/fitted_lines"][0])
     powers = table["fits/transition/local_exponent"][:-1]
@@ -99,16 +99,14 @@ def transition_power() -> ClaimResult:
         f"{', '.join(f'{r:g}' for r in RATIOS)}: {listed}, tending to 3/2",
         APPROXIMATE if tends else verdict(False),
         fitted,
-        printed=2.83,
-        half_unit=5e-3,
     )
 
 
 @claim("E5")
-def similar_curves() -> ClaimResult:
+def similar_curves(paper: Paper) -> ClaimResult:
     """Compare the steps of E and F at equal slopes."""
     slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
-    e, f = (line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
+    e, f = (paper.line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
     listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
     return ClaimResult(
@@ -119,9 +117,9 @@ def similar_curves() -> ClaimResult:
     )
 
 
-def speed_crossing(walker: str) -> float:
+def speed_crossing(paper: Paper, walker: str) -> float:
     """Slope at which a walker's short step becomes the faster one [rad]; NaN where the order never changes."""
-    gaits = line(walker)
+    gaits = paper.line(walker)
 
     def log_ratio(slope: float) -> float:
         speed = gaits.at([slope], ("speed",))["speed"][0]
@@ -132,10 +130,10 @@ def speed_crossing(walker: str) -> float:
 
 
 @claim("E6")
-def faster() -> ClaimResult:
+def faster(paper: Paper) -> ClaimResult:
     """Locate the slopes at which both gaits are equally fast."""
-    crossing = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}
-    speeds = [line(w).grid()["speed"] for w in crossing]
+    crossing = {w: speed_crossing(paper, w) for w in ("A", "B", "C", "E", "F")}
+    speeds = [paper.line(w).grid()["speed"] for w in crossing]
     in_order = all(v[0, LONG] > v[0, SHORT] and v[-1, SHORT] > v[-1, LONG] for v in speeds)
     return ClaimResult(
         f"speeds are equal at slope {numbers(crossing, 6)}; for D the short step is faster at every slope",
@@ -145,10 +143,10 @@ def faster() -> ClaimResult:
 
 
 @claim("E7")
-def tangential() -> ClaimResult:
+def tangential(paper: Paper) -> ClaimResult:
     """Evaluate the ratio of the swing foot's velocities just before heelstrike."""
     slopes = [1e-6, 1e-4, 1e-2, 0.1]
-    ratio = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("E", "F")}
+    ratio = {w: foot_ratio(paper.line(w).walker, paper.line(w).at(slopes)) for w in ("E", "F")}
     long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
     short = ", ".join(f"{r:.3g}" for r in ratio["E"][:, SHORT])
     is_clear = all(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
 from gaitsweep.tasks.paper.kneed_chaos import chaos
-from gaitsweep.tasks.paper.lines import LONG, SHORT, line, memoize
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
 
-Columns = dict[str, np.ndarray]
 #: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
 VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
 #: Figure 10 as printed: whether steps (short, long) scale as slope^(1/3) at those slopes, and the faster gait at
@@ -30,14 +29,12 @@ PRINTED = {
 #: Largest deviation of an exponent of the stance angle in a cell that is reproduced, and the walkers whose chaos the
 #: paper reports.
 TOLERANCE, CHECKED_FOR_CHAOS = 0.01, ("D", "C")
+#: What an interval says of each parameter.
+_OF_PARAMETERS = ("sensitivity", "angle_sensitivity", "half_unit", "contribution")
 ROWS = ("D", "E", "F", "A", "B", "C")
 
 
-def _columns(group: str, rows: list[dict[str, Any]]) -> Columns:
-    return {f"{group}/{k}": np.array([row[k] for row in rows]) for k in rows[0]}
-
-
-def figure9() -> Columns:
+def figure9(paper: Paper) -> Arrays:
     """Tabulate the parameters of the tuned walkers, as used and as printed, in each walker's units.
 
     Returns
@@ -59,14 +56,14 @@ def figure9() -> Columns:
                 "shank_offset": residual.get("shank_offset", np.nan),
             }
         )
-    return _columns("figure9", rows)
+    return table("figure9", rows)
 
 
 @memoize
-def _figure10() -> tuple[dict[str, Any], ...]:
+def _figure10(paper: Paper) -> tuple[dict[str, Any], ...]:
     rows = []
     for name in ROWS:
-        gaits = line(name)
+        gaits = paper.line(name)
         row: dict[str, Any] = {
             "walker": name,
             "description": DESCRIPTIONS[name],
@@ -79,13 +76,13 @@ def _figure10() -> tuple[dict[str, Any], ...]:
         for when, slope in (("vanishing", VANISHING), ("larger", LARGE)):
             speed = gaits.at([slope])["speed"][0]
             row[f"faster_{when}"] = "short" if speed[SHORT] > speed[LONG] else "long"
-        row["crossing_slope"] = speed_crossing(name)
-        row["chaotic"], row["chaos"] = chaos(name)
+        row["crossing_slope"] = speed_crossing(paper, name)
+        row["chaotic"], row["chaos"] = chaos(paper, name)
         rows.append(row)
     return tuple(rows)
 
 
-def figure10() -> Columns:
+def figure10(paper: Paper) -> Arrays:
     """Tabulate figure 10: exponents of the stance angle in slope and of power in speed, the faster gait, and chaos.
 
     Returns
@@ -93,10 +90,10 @@ def figure10() -> Columns:
     dict
         Table `figure10`, a row per walker.
     """
-    return _columns("figure10", list(_figure10()))
+    return table("figure10", _figure10(paper))
 
 
-def rounding() -> Columns:
+def rounding(paper: Paper) -> Arrays:
     """Tabulate every landmark by every printed parameter.
 
     Returns
@@ -108,7 +105,7 @@ def rounding() -> Columns:
     """
     rows = []
     for name, mark in LANDMARKS.items():
-        bounds = interval(name)
+        bounds = interval(paper, name)
         rows += [
             {
                 "landmark": name,
@@ -118,50 +115,36 @@ def rounding() -> Columns:
                 "stance_angle": bounds.angle,
                 "slope_low": bounds.low,
                 "slope_high": bounds.high,
-                "printed": mark.printed,
+                "printed": mark.printed.number,
                 "parameter": key,
-                "sensitivity": s,
-                "angle_sensitivity": bounds.angle_sensitivity[key],
-                "half_unit": bounds.half_unit[key],
-                "contribution": bounds.contribution[key],
+                **{name: getattr(bounds, name)[key] for name in _OF_PARAMETERS},
                 "matters_most": int(key == bounds.most),
             }
-            for key, s in bounds.sensitivity.items()
+            for key in bounds.sensitivity
         ]
-    return _columns("rounding", rows)
-
-
-@dataclass(frozen=True)
-class _Cell:
-    """An entry of figure 10: its walker, column and range of slopes, printed and computed, and how far they differ.
-
-    `deviation` is in the exponent of the stance angle, or a tenth of that of the power; NaN without an entry.
-    """
-
-    walker: str
-    column: str
-    slopes: str
-    printed: str
-    computed: str
-    deviation: float
-
-    @property
-    def verdict(self) -> str:
-        if np.isnan(self.deviation):
-            return NOT_CHECKABLE
-        return verdict(self.deviation < TOLERANCE, self.deviation < 10 * TOLERANCE)
+    return table("rounding", rows)
 
 
 @memoize
-def _cells() -> tuple[_Cell, ...]:
-    """Every cell of figure 10, in the order of its rows."""
-    rows = {row["walker"]: row for row in _figure10()}
-    words = {0: "no", 1: "yes"}
-    cells = []
+def _cells(paper: Paper) -> list[dict[str, Any]]:
+    """Every cell of figure 10, in the order of its rows: columns of its table, and how far both entries differ.
+
+    `deviation` is in the exponent of the stance angle, or a tenth of that of the power; NaN without an entry.
+    """
+    cells: list[dict[str, Any]] = []
+
+    def enter(column: str, printed: str, computed: str, deviation: float, slopes: str = "") -> None:
+        said = NOT_CHECKABLE
+        if not np.isnan(deviation):
+            said = verdict(deviation < TOLERANCE, deviation < 10 * TOLERANCE)
+        cell = {"walker": name, "column": column, "slopes": slopes, "printed": printed, "computed": computed}
+        cells.append({**cell, "verdict": said, "deviation": deviation})
+
+    rows, words = {row["walker"]: row for row in _figure10(paper)}, ("no", "yes")
     for name, (short, long, vanishing, larger) in PRINTED.items():
         row = rows[name]
-        capable = int(row["zero_slope_capable"])
-        cells.append(_Cell(name, "zero-slope capable", "", "yes", words[capable], 0.0 if capable else 1.0))
+        capable, chaotic = row["zero_slope_capable"], row["chaotic"]
+        enter("zero-slope capable", "yes", words[capable], 1.0 - capable)
         for gait, laws in (("short", short), ("long", long)):
             for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
                 if cube is None:
@@ -169,18 +152,18 @@ def _cells() -> tuple[_Cell, ...]:
                 angle, power = row[f"{gait}_angle_{when}"], row[f"{gait}_power_{when}"]
                 deviation = max(abs(angle - (1 / 3 if cube else 1)), abs(power - (4 if cube else 2)) / 10)
                 printed = "P ∝ v⁴, θ* ∝ γ¹ᐟ³" if cube else "P ∝ v², θ* ∝ γ"
-                computed = f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}"
-                cells.append(_Cell(name, f"{gait}-step scaling", when, printed, computed, deviation))
+                enter(f"{gait}-step scaling", printed, f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}", deviation, when)
         for when, printed in (("vanishing", vanishing), ("larger", larger)):
             faster = row[f"faster_{when}"]
-            cells.append(_Cell(name, "faster gait", when, printed, faster, 0.0 if faster == printed else 1.0))
-        is_checked, is_chaotic = name in CHECKED_FOR_CHAOS, int(row["chaotic"])
-        deviation = (0.0 if is_chaotic else 1.0) if is_checked else np.nan
-        cells.append(_Cell(name, "chaos", "", "yes" if is_checked else "not checked", words[is_chaotic], deviation))
-    return tuple(cells)
+            enter("faster gait", printed, faster, float(faster != printed), when)
+        if name in CHECKED_FOR_CHAOS:
+            enter("chaos", "yes", words[chaotic], 1.0 - chaotic)
+        else:
+            enter("chaos", "not checked", words[chaotic], np.nan)
+    return cells
 
 
-def figure10_cells() -> Columns:
+def figure10_cells(paper: Paper) -> Arrays:
     """Tabulate the cells of figure 10 as printed and as computed.
 
     Returns
@@ -188,27 +171,24 @@ def figure10_cells() -> Columns:
     dict
         Table `figure10_cells`: walker, column, slopes, printed, computed, verdict.
     """
-    names = ("walker", "column", "slopes", "printed", "computed", "verdict")
-    return _columns("figure10_cells", [{name: getattr(cell, name) for name in names} for cell in _cells()])
+    cells = [{name: value for name, value in cell.items() if name != "deviation"} for cell in _cells(paper)]
+    return table("figure10_cells", cells)
 
 
 @claim("Z6")
-def whole_table() -> ClaimResult:
+def whole_table(paper: Paper) -> ClaimResult:
     """Compare every cell of figure 10 with the computed exponents."""
-    cells = [cell for cell in _cells() if not np.isnan(cell.deviation)]
-    strict = sum(cell.deviation < TOLERANCE for cell in cells)
-    loose = sum(cell.deviation < 10 * TOLERANCE for cell in cells)
-    worst = max(cells, key=lambda cell: cell.deviation)
-    rows = {row["walker"]: row for row in _figure10()}
+    cells = [cell for cell in _cells(paper) if not np.isnan(cell["deviation"])]
+    strict, loose = (sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10))
+    worst = max(cells, key=lambda cell: cell["deviation"])
+    rows = {row["walker"]: row for row in _figure10(paper)}
     # A semicolon ends a part of a claim's answer.
     unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
     return ClaimResult(
         f"{strict} of {len(cells)} cells agree to within {TOLERANCE:g} in the exponent of the angle and "
         f"{10 * TOLERANCE:g} in that of the power, {loose} to within ten times as much (larger slopes: {LARGE:g}); "
-        f"largest deviation: {worst.walker} {worst.column} at {worst.slopes} slopes: {worst.computed}; chaos in "
-        f"walkers that the paper did not check: {unchecked}",
+        f"largest deviation: {worst['walker']} {worst['column']} at {worst['slopes']} slopes: {worst['computed']}; "
+        f"chaos in walkers that the paper did not check: {unchecked}",
         verdict(strict == len(cells), loose == len(cells)),
         float(strict),
-        printed=float(len(cells)),
-        half_unit=0,
     )

@@ -13,11 +13,12 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import evaluate, joint_derivative, scalar, solve
-from gaitsweep.tasks.paper.lines import Line, line, memoize
+from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
+from gaitsweep.tasks.paper.lines import Line, Paper, memoize
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
 #: Step of the central differences by parameters, relative to their size and the gait's angle: what counts is an offset
 #: of a mass relative to the angle.
@@ -28,8 +29,8 @@ STEP = 1e-5
 class Landmark:
     """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's label, and which of several.
 
-    `printed` is the slope as the paper prints it and `half_unit` half a unit of its last digit [rad]; `point` is its
-    number in the paper's figure 6, `target` the scalar's value there.
+    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6, `target` the
+    scalar's value there.
     """
 
     name: str
@@ -37,8 +38,7 @@ class Landmark:
     kind: str
     label: str = ""
     which: int = 0
-    printed: float = float("nan")
-    half_unit: float = float("nan")
+    printed: Printed = NOT_PRINTED
     point: str = ""
     target: float = 0.0
 
@@ -47,15 +47,15 @@ class Landmark:
 LANDMARKS = {
     mark.name: mark
     for mark in (
-        Landmark("smallest slope, kneed", "physical", "fold", printed=0.020, half_unit=5e-4),
-        Landmark("smallest slope, straight", "physical-straight", "fold", printed=0.016, half_unit=5e-4),
+        Landmark("smallest slope, kneed", "physical", "fold", printed=PRINTED["P1"]),
+        Landmark("smallest slope, straight", "physical-straight", "fold", printed=PRINTED["P1, straight legs"]),
         Landmark("point 1", "physical", "end_kneestrike_at_heelstrike", point="1"),
         Landmark("point 2", "physical-straight", "end_tangential_heelstrike", point="2"),
         Landmark("point 3", "physical", "release_hyperextension", point="3"),
         Landmark("highest slope, kneed", "physical", "fold", which=1),
-        Landmark("C flip", "C", "flip", "long", printed=0.084, half_unit=5e-4),
-        Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084, half_unit=5e-4),
-        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015, half_unit=5e-6, target=2 / 3),
+        Landmark("C flip", "C", "flip", "long", printed=PRINTED["K1"]),
+        Landmark("C-printed flip", "C-printed", "flip", "long", printed=PRINTED["K1"]),
+        Landmark("C exponent 2/3", "C", "exponent", "long", printed=PRINTED["Z4"], target=2 / 3),
         Landmark("C release, long", "C", "release_hyperextension", "long"),
         Landmark("C release, short", "C", "release_hyperextension", "short"),
     )
@@ -73,6 +73,11 @@ class Interval:
     sensitivity: dict[str, float]
     angle_sensitivity: dict[str, float]
     half_unit: dict[str, float]
+
+    @property
+    def bounds(self) -> tuple[float, float, float]:
+        """The slope, and the ends of its interval."""
+        return self.value, self.low, self.high
 
     @property
     def contribution(self) -> dict[str, float]:
@@ -156,16 +161,15 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
 
 def _size(walker: Walker, key: str) -> float:
     """Scale of a key's steps."""
-    if key in ("m_t", "m_s", "m_h"):
-        return walker.total_mass
-    return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
+    sizes = {"mass": walker.total_mass, "length": walker.leg, "acceleration": walker.g, "angle": 1.0}
+    return sizes[KEYS[key]]
 
 
 @memoize
-def interval(name: str) -> Interval:
+def interval(paper: Paper, name: str) -> Interval:
     """Compute the interval of a landmark, by its name."""
     mark = LANDMARKS[name]
-    gaits = line(mark.walker)
+    gaits = paper.line(mark.walker)
     m, Z, half = gaits.problem.m, place(gaits, mark), dict(HALF_UNITS[mark.walker])
     keys, slope, angle = list(half), float(np.exp(Z[m])), float(np.exp(Z[0]))
     by_key = sensitivities(mark, Z, gaits.walker, keys)

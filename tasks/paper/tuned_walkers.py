@@ -9,30 +9,15 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Line, Paper, memoize, numbers
 from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.resolve import from_table
 from gaitsweep.tasks.walkers.statics import is_tuned, statics
-from gaitsweep.tasks.walkers.walker import Walker
 
 #: The compass walker of Goswami et al. 1996 [SI]: m = 5, m_h = 10, a = b = 0.5, point masses.
-GOSWAMI = Walker(
-    l_t=0.5,
-    w_t=0.0,
-    m_t=0.0,
-    r_t=0.0,
-    c_t=0.0,
-    l_s=0.5,
-    w_s=0.0,
-    m_s=5.0,
-    r_s=0.0,
-    c_s=0.0,
-    R=0.0,
-    eps_T=0.0,
-    m_h=10.0,
-    g=9.81,
-    units="SI",
-)
+GOSWAMI = from_table({"l": 1.0, "m": 5.0, "c": 0.5, "m_h": 10.0, "g": 9.81, "knees": False, "units": "SI"})
 #: Detuning of the panels of figure 8 between the tuned and the physical walker.
 PANELS = (0.05, 0.2, 0.4, 0.6)
 #: Fore-aft offsets that replace the tuned ones: walker, key, value [m].
@@ -47,7 +32,7 @@ OFFSETS = (
 
 
 @claim("T1")
-def conditions() -> ClaimResult:
+def conditions(paper: Paper) -> ClaimResult:
     """Evaluate the residuals of the static conditions for every walker of the catalogue."""
     worst = {name: max(abs(x) for x in statics(w).values()) for name, w in CATALOGUE.items()}
     tuned = [name for name, w in CATALOGUE.items() if is_tuned(w)]
@@ -62,10 +47,10 @@ def conditions() -> ClaimResult:
 
 
 @claim("T2")
-def two_gaits() -> ClaimResult:
+def two_gaits(paper: Paper) -> ClaimResult:
     """Solve both gaits of A and C over a grid of slopes."""
-    share = {w: np.isfinite(line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
-    top = {w: min(float(np.exp(b.q.max())) for b in line(w).branches) for w in "AC"}
+    share = {w: np.isfinite(paper.line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
+    top = {w: min(float(np.exp(b.q.max())) for b in paper.line(w).branches) for w in "AC"}
     return ClaimResult(
         f"both gaits at each of 65 slopes from 1e-8 to 0.04, continuing to slope {numbers(top, 3)}",
         verdict(all(s == 1 for s in share.values())),
@@ -74,9 +59,9 @@ def two_gaits() -> ClaimResult:
 
 
 @claim("T3")
-def stability() -> ClaimResult:
+def stability(paper: Paper) -> ClaimResult:
     """Evaluate the multipliers of both gaits of A and C over a grid of slopes."""
-    radius = {w: line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
+    radius = {w: paper.line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
     long = {w: float(r[:, LONG].max()) for w, r in radius.items()}
     short = {w: float(r[:, SHORT].min()) for w, r in radius.items()}
     return ClaimResult(
@@ -87,11 +72,9 @@ def stability() -> ClaimResult:
     )
 
 
-def _long_branch(detuning: float) -> int:
+def _long_branch(paper: Paper, detuning: float) -> int:
     """Number of the branch that holds the long step at slope 0.02."""
-    gaits = line("C", detuning=detuning)
-    for k in range(len(gaits.branches)):
-        curve = gaits.curve(k)
+    for k, curve in enumerate(paper.line("C", detuning=detuning).curves):
         # A tangential end, where the label is noise, lies far from that slope.
         if (~curve["short"] & (np.abs(np.log(curve["slope"] / 0.02)) < 0.2)).any():
             return k
@@ -99,11 +82,11 @@ def _long_branch(detuning: float) -> int:
 
 
 @claim("T4")
-def cusp_breaks() -> ClaimResult:
+def cusp_breaks(paper: Paper) -> ClaimResult:
     """Locate the fold of the long step at each detuning and evaluate the multipliers on both sides."""
     least, unstable, stable = {}, {}, []
     for d in PANELS:
-        curve = line("C", detuning=d).curve(_long_branch(d))
+        curve = paper.line("C", detuning=d).curves[_long_branch(paper, d)]
         slope, radius = curve["slope"], curve["spectral_radius"]
         fold = int(np.argmin(slope))
         slow = curve["speed"] < curve["speed"][fold]
@@ -122,12 +105,12 @@ def cusp_breaks() -> ClaimResult:
 
 
 @claim("T5")
-def short_end() -> ClaimResult:
+def short_end(paper: Paper) -> ClaimResult:
     """Locate the end of the short step at each detuning."""
-    walkers = {f"{d:g}": line("C", detuning=d) for d in PANELS} | {"1": line("physical")}
+    walkers = {f"{d:g}": paper.line("C", detuning=d) for d in PANELS} | {"1": paper.line("physical")}
     ends = {k: _short_end(gaits) for k, gaits in walkers.items()}
     slopes, angles = {k: p["slope"] for k, p in ends.items()}, {k: p["stance_angle"] for k, p in ends.items()}
-    shares = {k: walkers[k].curve(p["branch"])["knee_share"][int(p["place"])] for k, p in ends.items()}
+    shares = {k: walkers[k].curves[p["branch"]]["knee_share"][int(p["place"])] for k, p in ends.items()}
     others = "".join(
         f"; at detuning {k} the foot meets the ground at kneestrike, at {100 * shares[k]:.2f} % of the step, and rises "
         f"again before heelstrike"
@@ -149,46 +132,52 @@ def _short_end(gaits: Line) -> dict[str, Any]:
 
 
 @memoize
-def offsets() -> dict[str, np.ndarray]:
+def _offsets(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of the smallest slope [rad] against fore-aft offsets from exact tuning [m]."""
+    # Coarse atlases, which locate the ends of branches as fine ones do.
+    each = [{"walker": name, "set": {key: value}} for name, key, value in OFFSETS]
+    surveys = [atlas for atlas, _ in lines({"lines": each, "slope": np.empty(0), "want": ()}, [])]
+    return [
+        {
+            "walker": name,
+            "key": key,
+            "key_value": value,
+            "offset": value - getattr(CATALOGUE[name], key),
+            "smallest_slope": Line(name, {key: value}, survey).ends()[0],
+        }
+        for (name, key, value), survey in zip(OFFSETS, surveys, strict=True)
+    ]
+
+
+def offsets(paper: Paper) -> Arrays:
     """Tabulate the smallest slope against fore-aft offsets from exact tuning.
 
     Returns
     -------
     dict
-        walker, key, key_value and offset [m], smallest_slope [rad].
+        Table `offsets`: walker, key, key_value and offset [m], smallest_slope [rad].
     """
-    # Coarse atlases, which locate the ends of branches as fine ones do.
-    each = [{"walker": name, "set": {key: value}} for name, key, value in OFFSETS]
-    surveys = [atlas for atlas, _ in lines({"lines": each, "slope": np.empty(0), "want": ()}, [])]
-    rows = [
-        (name, key, value, value - getattr(CATALOGUE[name], key), Line(name, {key: value}, survey).ends()[0])
-        for (name, key, value), survey in zip(OFFSETS, surveys, strict=True)
-    ]
-    names = ("walker", "key", "key_value", "offset", "smallest_slope")
-    return {name: np.array([row[k] for row in rows]) for k, name in enumerate(names)}
+    return table("offsets", _offsets(paper))
 
 
 @claim("T7")
-def not_generic() -> ClaimResult:
+def not_generic(paper: Paper) -> ClaimResult:
     """Compute the smallest slope for offsets on both sides of exact tuning."""
-    table = offsets()
-    least = {
-        f"{w} ({k} {1e3 * o:+.3f} mm)": float(x)
-        for w, k, o, x in zip(table["walker"], table["key"], table["offset"], table["smallest_slope"], strict=True)
-    }
-    thigh = (table["walker"] == "A") & (table["key"] == "w_t")
-    offset, slope = table["offset"][thigh], table["smallest_slope"][thigh]
+    rows = _offsets(paper)
+    least = {f"{row['walker']} ({row['key']} {1e3 * row['offset']:+.3f} mm)": row["smallest_slope"] for row in rows}
+    thigh = [row for row in rows if (row["walker"], row["key"]) == ("A", "w_t")]
+    offset, slope = (np.array([row[name] for row in thigh]) for name in ("offset", "smallest_slope"))
     grows = all(np.all(np.diff(slope[side][np.argsort(abs(offset[side]))]) > 0) for side in (offset > 0, offset < 0))
     return ClaimResult(
         f"smallest slope of {numbers(least, 3)}; of C with its offsets as printed (rounded) "
-        f"{line('C-printed').ends()[0]:.3g}",
+        f"{paper.line('C-printed').ends()[0]:.3g}",
         verdict(min(least.values()) > 1e-7 and bool(grows)),
         float(slope[0]),
     )
 
 
 @memoize
-def _high_slope_branch() -> Branch:
+def _high_slope_branch(paper: Paper) -> Branch:
     """The physical walker's gaits at high slopes, which may lie on a branch apart from its gaits at low slopes.
 
     Raises
@@ -196,17 +185,17 @@ def _high_slope_branch() -> Branch:
     ValueError
         If no branch reaches slope 0.3.
     """
-    high = [branch for branch in line("physical").branches if np.exp(branch.q.max()) > 0.3]
+    high = [branch for branch in paper.line("physical").branches if np.exp(branch.q.max()) > 0.3]
     if not high:
         raise ValueError("no branch of the physical walker reaches slope 0.3")
     return high[0]
 
 
 @claim("T8")
-def high_slopes() -> ClaimResult:
+def high_slopes(paper: Paper) -> ClaimResult:
     """Locate the special points of the branch at high slopes."""
-    branch = _high_slope_branch()
-    points = special_points(line("physical").problem, branch)
+    branch = _high_slope_branch(paper)
+    points = special_points(paper.line("physical").problem, branch)
     fold = next(p for p in points if p["kind"] == "fold")
     others = ", ".join(
         f"{p['kind'].replace('_', ' ')} at {p['slope']:.6f}"

@@ -7,8 +7,8 @@ import numpy as np
 from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.paper.claim import ClaimResult, claim, compare, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, line, memoize, numbers, root
+from gaitsweep.tasks.paper.claim import PRINTED, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers, root
 from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -19,16 +19,11 @@ WALKERS = ("A", "B", "C", "D", "E")
 VANISHING = 1e-9
 
 
-def _limits(gait: int) -> dict[str, float]:
-    """Exponent of the stance angle of every walker at a vanishing slope."""
-    return {w: line(w).exponent(gait, VANISHING) for w in WALKERS}
-
-
 @claim("Z1")
-def arbitrarily_small() -> ClaimResult:
+def arbitrarily_small(paper: Paper) -> ClaimResult:
     """Solve both gaits at the smallest slopes that double precision resolves."""
-    least = {w: max(float(np.exp(b.q.min())) for b in line(w).branches) for w in WALKERS}
-    both = {w: line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
+    least = {w: max(float(np.exp(b.q.min())) for b in paper.line(w).branches) for w in WALKERS}
+    both = {w: paper.line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
     return ClaimResult(
         f"both gaits solved at slope 1e-10, and their branches continued to {max(least.values()):.0e}, the limit of "
         f"double precision",
@@ -38,9 +33,9 @@ def arbitrarily_small() -> ClaimResult:
 
 
 @claim("Z2")
-def only_simplest() -> ClaimResult:
+def only_simplest(paper: Paper) -> ClaimResult:
     """Compute the exponents of both gaits at a vanishing slope."""
-    long, short = _limits(LONG), _limits(SHORT)
+    long, short = paper.exponents(WALKERS, LONG, VANISHING), paper.exponents(WALKERS, SHORT, VANISHING)
     both = [w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01]
     return ClaimResult(
         f"exponents at slope {VANISHING:g}: long {numbers(long)}; short {numbers(short)}",
@@ -50,12 +45,12 @@ def only_simplest() -> ClaimResult:
 
 
 @claim("Z3")
-def two_laws() -> ClaimResult:
+def two_laws(paper: Paper) -> ClaimResult:
     """Compute the exponents of A, B and E at vanishing and at larger slopes."""
-    long, short = _limits(LONG), _limits(SHORT)
+    long, short = paper.exponents(WALKERS, LONG, VANISHING), paper.exponents(WALKERS, SHORT, VANISHING)
     small = all(abs(long[w] - 1 / 3) < 0.01 and abs(short[w] - 1) < 0.01 for w in "ABE")
-    at = {s: {w: line(w).exponent(SHORT, s) for w in "ABE"} for s in (0.01, 0.1)}
-    above = {w: line(w).exponent(LONG, 0.01) for w in "ABE"}
+    at = {s: paper.exponents("ABE", SHORT, s) for s in (0.01, 0.1)}
+    above = paper.exponents("ABE", LONG, 0.01)
     deviation = {s: max(abs(p - 1 / 3) for p in exponents.values()) for s, exponents in at.items()}
     return ClaimResult(
         f"exponents at slope {VANISHING:g}: long {numbers({w: long[w] for w in 'ABE'})}; short "
@@ -67,26 +62,22 @@ def two_laws() -> ClaimResult:
 
 
 @claim("Z4")
-def turns_linear() -> ClaimResult:
+def turns_linear(paper: Paper) -> ClaimResult:
     """Locate the slope at which the local exponent of C's long step is midway between both laws."""
-    mark = interval("C exponent 2/3")
-    half = _half_knee_loss()
-    at = {f"{s:g}": line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
+    mark = interval(paper, "C exponent 2/3")
+    half = _half_knee_loss(paper)
+    at = {f"{s:g}": paper.line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
     return ClaimResult(
         f"the local exponent passes 2/3, midway between the laws, at slope {mark.value:.4e}; kneestrike accounts for "
         f"half of the losses at slope {half:.4e}; exponents at slopes {numbers(at, 3)}",
-        compare(0.00015, 5e-6, mark.value, mark.low, mark.high),
-        mark.value,
-        mark.low,
-        mark.high,
-        0.00015,
-        5e-6,
+        PRINTED["Z4"].compare(*mark.bounds),
+        *mark.bounds,
     )
 
 
-def _half_knee_loss() -> float:
+def _half_knee_loss(paper: Paper) -> float:
     """Slope at which kneestrike accounts for half of the energy that C's long step loses [rad]."""
-    gaits, losses = line("C"), ("loss_normal", "loss_tangential", "loss_kneestrike")
+    gaits, losses = paper.line("C"), ("loss_normal", "loss_tangential", "loss_kneestrike")
 
     def excess(amounts: Arrays) -> np.ndarray:
         return 2 * amounts["loss_kneestrike"][:, LONG] / sum(amounts[k][:, LONG] for k in losses) - 1
@@ -96,9 +87,9 @@ def _half_knee_loss() -> float:
 
 
 @memoize
-def mass_limit(slope: float = 1e-9) -> float:
+def mass_limit(paper: Paper, slope: float = 1e-9) -> float:
     """Find the largest foot mass ratio whose long step is stable at a vanishing slope [rad]."""
-    gaits, q = line("E"), np.array([np.log(slope)])
+    gaits, q = paper.line("E"), np.array([np.log(slope)])
     long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[0]))
     w = np.delete(long, gaits.problem.m, axis=1).T
 
@@ -113,9 +104,9 @@ def mass_limit(slope: float = 1e-9) -> float:
     return bracketed_root(lambda ratio: solve(ratio, w)[1], 0.0947, 0.0953, 1e-9)
 
 
-def _stability_limit(walker: str) -> float:
+def _stability_limit(paper: Paper, walker: str) -> float:
     """Slope below which a walker's long step is stable, down to 1e-8; 0 where it is not stable there [rad]."""
-    gaits = line(walker)
+    gaits = paper.line(walker)
 
     def excess(slope: float) -> float:
         return float(gaits.at([slope], ("spectral_radius",))["spectral_radius"][0, LONG] - 1)
@@ -126,19 +117,18 @@ def _stability_limit(walker: str) -> float:
 
 
 @claim("Z5")
-def stable_below() -> ClaimResult:
+def stable_below(paper: Paper) -> ClaimResult:
     """Locate the slope at which each long step loses stability, and the foot mass that allows it any."""
-    limit = {name: _stability_limit(name) for name in (*WALKERS, "F")}
+    limit = {name: _stability_limit(paper, name) for name in (*WALKERS, "F")}
     unstable = [name for name, slope in limit.items() if not slope > 0]
+    least = {name: paper.line(name).grid()["spectral_radius"][:, LONG].min() for name in unstable}
     ranges = [
-        f"{name} to {slope:.6g}"
-        if slope > 0
-        else f"{name} nowhere (spectral radius at least {line(name).grid()['spectral_radius'][:, LONG].min():.4f})"
+        f"{name} to {slope:.6g}" if slope > 0 else f"{name} nowhere (spectral radius at least {least[name]:.4f})"
         for name, slope in limit.items()
     ]
     return ClaimResult(
         f"stable from slope 1e-8: {', '.join(ranges)}; as the slope vanishes, point-foot walkers are stable only for "
-        f"foot mass ratios below {mass_limit():.5f} (E has 0.1)",
+        f"foot mass ratios below {mass_limit(paper):.5f} (E has 0.1)",
         verdict(not unstable),
-        mass_limit(),
+        mass_limit(paper),
     )

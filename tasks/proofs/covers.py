@@ -8,8 +8,9 @@ from flint import arb, ctx, fmpq
 
 from gaitsweep.tasks.proofs.body import Body
 from gaitsweep.tasks.proofs.enclosure import NotProvedError
+from gaitsweep.tasks.proofs.gait import sizes
 from gaitsweep.tasks.proofs.stability import is_stable
-from gaitsweep.tasks.proofs.tubes import BY_SLOPE, Family, Tube, is_proved, point, sizes, tangent_of, tube_image
+from gaitsweep.tasks.proofs.tubes import BY_SLOPE, Family, Tube, point, tangent_of, tube_image
 
 #: Precision, remainders, half the first tube's length and the least [rad], and how far tubes overlap.
 BITS, TOLERANCE, FIRST_HALF, MIN_HALF, OVERLAP = 64, 1e-13, 5e-7, 1e-10, 1e-3
@@ -74,7 +75,7 @@ def _stable_piece(walker: Body, middle: list[arb], tangent: list[arb], half: flo
     for one in neighbour:  # whose gait is to lie in this tube where they meet
         radii = [max(r, 2 * float(abs(k).upper())) for r, k in zip(radii, one.image, strict=True)]
     piece = tube_image(walker, BY_SLOPE, middle, tangent, arb(half), radii, TOLERANCE)
-    if not is_proved(piece):
+    if not piece.is_proved():
         raise NotProvedError("Krawczyk's operator does not map the tube into itself.")
     if is_stable(piece.step_derivative()) is not True or piece.events().label != "long":
         raise NotProvedError("The gait is not shown to be a stable long step.")

@@ -14,16 +14,7 @@ from flint import arb, arb_mat
 from gaitsweep.tasks.proofs.body import Body
 from gaitsweep.tasks.proofs.collisions import heelstrike, kneestrike
 from gaitsweep.tasks.proofs.enclosure import Accuracy, Flow, State, flow, narrower
-from gaitsweep.tasks.proofs.motion import acceleration
-
-
-@dataclass(frozen=True)
-class Start:
-    """Angles and rates at the start of a step, and their derivatives by the section's coordinates."""
-
-    q: list[arb]
-    w: list[arb]
-    derivative: arb_mat
+from gaitsweep.tasks.proofs.motion import velocity
 
 
 @dataclass(frozen=True)
@@ -69,8 +60,8 @@ class Step:
     along : list of arb
         Derivatives of guards and image along the tangent, narrower than the matrix times it; empty without one.
     phases : list of Flow
-    ends : list of (angles, rates)
-        States at the events, over the whole region.
+    ends : list of states
+        At the events, over the whole region.
     """
 
     defect: list[arb]
@@ -94,8 +85,8 @@ def dimensions(body: Body) -> tuple[int, int]:
     return body.dimension, 2 if body.kneed else 1
 
 
-def start(body: Body, x: Sequence[arb]) -> Start:
-    """State just after heelstrike from the section's coordinates.
+def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
+    """State just after heelstrike from the section's coordinates, and its derivative by them.
 
     Parameters
     ----------
@@ -105,20 +96,20 @@ def start(body: Body, x: Sequence[arb]) -> Start:
 
     Returns
     -------
-    Start
+    list of arb, arb_mat
     """
     m, links = len(x), 3 if body.kneed else 2
     angle, rates = x[0], arb_mat(m - 1, 1, list(x[1:]))
-    q = [angle, *[-angle] * (links - 1)]
+    state = [angle, *[-angle] * (links - 1), *x[1:]]
     rows = [[arb(1 if i == 0 else -1), *[arb(0)] * (m - 1)] for i in range(links)]
     rows += [[arb(int(i == j)) for j in range(m)] for i in range(1, m)]
     if m - 1 == links:
-        return Start(q, list(x[1:]), arb_mat(rows))
+        return state, arb_mat(rows)
     law, by_angle = _release(body, angle, m - 1)
     last, turn = law * rates, by_angle * rates
     for i in range(links - (m - 1)):
         rows.append([turn[i, 0], *[law[i, j] for j in range(m - 1)]])
-    return Start(q, [*x[1:], *last.entries()], arb_mat(rows))
+    return [*state, *last.entries()], arb_mat(rows)
 
 
 def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
@@ -170,9 +161,9 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
         [row[part] for row in direction] for part in (slice(0, m), slice(m, unknowns), slice(unknowns, None))
     )
     slopes = None if one_slope else arb_mat([[row[0] for row in by_slope]])
-    begin, thin = start(body, box[:m]), start(body, middle[:m])
-    V = begin.derivative * arb_mat(by_start).transpose()
-    state, centre = (begin.q, begin.w), (thin.q, thin.w)
+    state, by_section = start(body, box[:m])
+    centre, _ = start(body, middle[:m])
+    V = by_section * arb_mat(by_start).transpose()
     phases, ends, rows, defect = [], [], [], []
     for k in range(events):
         earlier = k - 1
@@ -180,21 +171,21 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
         moved = [row[k] - row[earlier] if k else row[k] for row in by_time]
         phase = flow(body, (middle[-1], box[-1]), centre, state, V, (lasts[0], lasts[1]), accuracy, slopes, spread)
         phases.append(phase)
-        V = phase.derivative + _column(_velocity(body, box[-1], (phase.q, phase.w))) * arb_mat([moved])
+        V = phase.derivative + _column(velocity(body, box[-1], phase.state)) * arb_mat([moved])
         centre = phase.middle
-        end = narrower((phase.q, phase.w), centre, V, spread)
+        end = narrower(phase.state, centre, V, spread)
         ends.append(end)
         values = V.tolist()
         if k == events - 1:
             rows.append([a + b for a, b in zip(values[0], values[1], strict=True)])
-            defect.append(centre[0][0] + centre[0][1])
+            defect.append(centre[0] + centre[1])
             break
         rows.append([a - b for a, b in zip(values[1], values[2], strict=True)])
-        defect.append(centre[0][1] - centre[0][2])
+        defect.append(centre[1] - centre[2])
         V, state, centre = _locked(body, V, end, centre)
         state = narrower(state, centre, V, spread)
-    law, by_angle = heelstrike(body, end[0][0])
-    turn = by_angle * _column(end[1])
+    law, by_angle = heelstrike(body, end[0])
+    turn = by_angle * _column(end[2:])
     rows.append([-x for x in values[0]])
     for i in range(m - 1):
         rows.append(
@@ -210,16 +201,12 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
 
 def _locked(body: Body, V: arb_mat, before: State, centre: State) -> tuple[arb_mat, State, State]:
     """Derivatives, states and the middle's state just after kneestrike."""
-    law, by_stance, by_swing = kneestrike(body, before[0][0], before[0][1])
-    rates, rows = _column(before[1]), V.tolist()
+    law, by_stance, by_swing = kneestrike(body, *before[:2])
+    rates, rows = _column(before[3:]), V.tolist()
     turned = by_stance * rates * arb_mat([rows[0]]) + by_swing * rates * arb_mat([rows[1]])
     V = arb_mat([*rows[:2], *(law * arb_mat(rows[3:]) + turned).tolist()])
-    own = kneestrike(body, centre[0][0], centre[0][1])[0]
-    return V, (before[0][:2], (law * rates).entries()), (centre[0][:2], (own * _column(centre[1])).entries())
-
-
-def _velocity(body: Body, slope: arb, state: State) -> list[arb]:
-    return [*state[1], *acceleration(body, slope, *state)]
+    own = kneestrike(body, *centre[:2])[0] * _column(centre[3:])
+    return V, [*before[:2], *(law * rates).entries()], [*centre[:2], *own.entries()]
 
 
 def _column(values: Sequence[arb]) -> arb_mat:
@@ -228,5 +215,5 @@ def _column(values: Sequence[arb]) -> arb_mat:
 
 def _image(body: Body, before: State, m: int) -> list[arb]:
     """Section state after the heelstrike that ends a step."""
-    law, _ = heelstrike(body, before[0][0])
-    return [-before[0][0], *(law * arb_mat(2, 1, before[1])).entries()[: m - 1]]
+    law, _ = heelstrike(body, before[0])
+    return [-before[0], *(law * _column(before[2:])).entries()[: m - 1]]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from flint import arb, arb_mat
 
 from gaitsweep.tasks.proofs.body import Body
-from gaitsweep.tasks.proofs.motion import Motion, Series, Variation, evaluate
+from gaitsweep.tasks.proofs.motion import Motion, Series, Variation, evaluate, velocity
 
 #: Attempts at a box before a step is halved, halvings before a phase is given up, and steps of one phase.
 MAX_INFLATIONS, MAX_HALVINGS, MAX_STEPS = 12, 20, 400
@@ -25,8 +25,8 @@ class NotProvedError(Exception):
     """Why a proof fails; the message is a sentence."""
 
 
-#: Angles and rates.
-State = tuple[list[arb], list[arb]]
+#: Angles, then rates.
+State = list[arb]
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,14 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Piece:
-    """Series of angles and rates on one step, remainder included: the state at t in [start, start + h].
+    """Series of the state on one step, remainder included: at t in [start, start + h].
 
     Coefficients hold every motion from the phase's box of starts.
     """
 
     start: arb
     h: arb
-    q: list[Series]
-    w: list[Series]
+    series: list[Series]
 
 
 @dataclass(frozen=True)
@@ -55,24 +54,9 @@ class Flow:
     """End of a phase: of the middle's motion, of the whole box's, its derivatives, and its pieces."""
 
     middle: State
-    q: list[arb]
-    w: list[arb]
+    state: State
     derivative: arb_mat
     pieces: list[Piece]
-
-
-def between(low: arb, high: arb) -> arb:
-    """The ball over two numbers.
-
-    Parameters
-    ----------
-    low, high : arb
-
-    Returns
-    -------
-    arb
-    """
-    return low.union(high)
 
 
 def flow(
@@ -92,8 +76,8 @@ def flow(
     ----------
     slopes : (arb, arb) [rad]
         The middle's, and every slope.
-    middle, box : (list of arb, list of arb)
-        Angles and rates at the start; the box holds the middle.
+    middle, box : list of arb
+        States at the start; the box holds the middle.
     derivative : arb_mat, shape (2 n, d)
         Derivatives of the state at the start by d parameters.
     duration : (arb, arb)
@@ -113,35 +97,33 @@ def flow(
     NotProvedError
         If no enclosure is found.
     """
-    (own_slope, slope), order, tolerance = slopes, accuracy.order, accuracy.tolerance
+    (own_slope, slope), order = slopes, accuracy.order
     time, end = arb(0), duration[1].upper()
     pieces: list[Piece] = []
-    (q_c, w_c), (q, w) = middle, box
-    longest = MAX_STEP * body.time_unit
+    state, longest = box, MAX_STEP * body.time_unit
     step = longest
     while len(pieces) < MAX_STEPS:
         left = (end - time).upper()
         # The last step holds the whole bracket of the event, so it is no shorter than half the others.
         h = left if left <= step else arb(min(step, float(left) / 2))
-        h, (rest, rest_derivative), excess = _fitting(body, slope, (q, w), derivative, h, order, tolerance, by_slope)
+        h, (rest, rest_derivative), excess = _fitting(body, slope, state, derivative, h, accuracy, by_slope)
         last = h is left
-        thin = _motion(body, own_slope, q_c, w_c, order)
-        wide = _motion(body, slope, q, w, order)
+        thin = _motion(body, own_slope, middle, order)
+        wide = _motion(body, slope, state, order)
         change = Variation(wide, derivative, by_slope)
         for _ in range(order - 1):
             change.grow()
-        rests = rest[: wide.n], rest[wide.n :]
-        piece = Piece(time, h, _closed(wide.q, rests[0]), _closed(wide.w, rests[1]))
+        piece = Piece(time, h, _closed(wide, rest))
         pieces.append(piece)
         t_c, t = (duration[0] - time, duration[1] - time) if last else (h, h)
         if not (t_c >= 0 and t >= 0):
             raise NotProvedError("The bracket of an event's time is wider than a Taylor step.")
-        q_c, w_c = ([evaluate(s, t_c) for s in _closed(c, r)] for c, r in zip((thin.q, thin.w), rests, strict=True))
-        q, w = ([evaluate(s, t) for s in c] for c in (piece.q, piece.w))
+        middle = [evaluate(s, t_c) for s in _closed(thin, rest)]
+        state = [evaluate(s, t) for s in piece.series]
         derivative = evaluate([*change.terms, rest_derivative], t)
         if last:
-            return Flow((q_c, w_c), q, w, derivative, pieces)
-        q, w = narrower((q, w), (q_c, w_c), derivative, spread)
+            return Flow(middle, state, derivative, pieces)
+        state = narrower(state, middle, derivative, spread)
         time = time + h
         step = min(longest, float(h) * min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order)))
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
@@ -150,19 +132,19 @@ def flow(
 def _fitting(
     body: Body,
     slope: arb,
-    start: tuple[list[arb], list[arb]],
+    start: State,
     derivative: arb_mat,
     h: arb,
-    order: int,
-    tolerance: float,
+    accuracy: Accuracy,
     by_slope: arb_mat | None,
-) -> tuple[arb, tuple[list[arb], arb_mat], float]:
+) -> tuple[arb, tuple[State, arb_mat], float]:
     """The given step or a shorter one whose remainder is small enough: its length, the remainder and its excess."""
+    order = accuracy.order
     for _ in range(MAX_HALVINGS):
-        remainder = _remainder(body, slope, *start, derivative, h, order, by_slope)
+        remainder = _remainder(body, slope, start, derivative, h, order, by_slope)
         shrink = 0.5
         if remainder is not None:
-            excess = _excess(remainder, start, derivative, h, order) / tolerance
+            excess = _excess(remainder, start, derivative, h, order) / accuracy.tolerance
             if excess <= 1:
                 return h, remainder, excess
             shrink = max(0.3, 0.85 * excess ** (-1 / order)) if math.isfinite(excess) else 0.3
@@ -175,8 +157,8 @@ def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]
 
     Parameters
     ----------
-    state, middle : (list of arb, list of arb)
-        Angles and rates of every motion, and of the middle's.
+    state, middle : list of arb
+        Of every motion, and of the middle's.
     derivative : arb_mat, shape (2 n, d)
         Of the state by d parameters, over all of them.
     spread : list of arb, length d
@@ -184,44 +166,33 @@ def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]
 
     Returns
     -------
-    (list of arb, list of arb)
+    list of arb
     """
     away = (derivative * arb_mat([[x] for x in spread])).entries()
-    n = len(state[0])
-    forms = [c + d for c, d in zip((*middle[0], *middle[1]), away, strict=True)]
-    narrow = [min(pair, key=lambda x: float(x.rad())) for pair in zip((*state[0], *state[1]), forms, strict=True)]
-    return narrow[:n], narrow[n:]
+    return [min(x, c + d, key=lambda ball: float(ball.rad())) for x, c, d in zip(state, middle, away, strict=True)]
 
 
-def _motion(body: Body, slope: arb, q: list[arb], w: list[arb], order: int) -> Motion:
-    motion = Motion(body, slope, q, w)
+def _motion(body: Body, slope: arb, state: State, order: int) -> Motion:
+    motion = Motion(body, slope, state)
     for _ in range(order - 1):
         motion.grow()
     return motion
 
 
-def _closed(series: list[Series], rest: list[arb]) -> list[Series]:
+def _closed(motion: Motion, rest: State) -> list[Series]:
     """Series with the remainder as their last coefficient."""
-    return [[*s, r] for s, r in zip(series, rest, strict=False)]
+    return [[*s, r] for s, r in zip(motion.series, rest, strict=True)]
 
 
 def _remainder(
-    body: Body,
-    slope: arb,
-    q: list[arb],
-    w: list[arb],
-    derivative: arb_mat,
-    h: arb,
-    order: int,
-    by_slope: arb_mat | None,
-) -> tuple[list[arb], arb_mat] | None:
+    body: Body, slope: arb, start: State, derivative: arb_mat, h: arb, order: int, by_slope: arb_mat | None
+) -> tuple[State, arb_mat] | None:
     """Coefficient `order` over all states up to time h, and the derivatives'; None if no box is found."""
-    box = enclose(body, slope, q, w, h)
+    box = enclose(body, slope, start, h)
     if box is None:
         return None
-    n = len(q)
     try:
-        motion = Motion(body, slope, box[:n], box[n:])
+        motion = Motion(body, slope, box)
         motion.grow()
         all_derivatives = enclose_derivative(Variation(motion, derivative, by_slope), h)
         for _ in range(order - 1):
@@ -231,18 +202,18 @@ def _remainder(
     change = Variation(motion, all_derivatives, by_slope)
     for _ in range(order):
         change.grow()
-    return [s[order] for s in (*motion.q, *motion.w)], change.terms[order]
+    return [s[order] for s in motion.series], change.terms[order]
 
 
-def enclose(body: Body, slope: arb, q: list[arb], w: list[arb], h: arb) -> list[arb] | None:
+def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
     """A box that holds every motion up to time h (Picard and Lindelof).
 
     Parameters
     ----------
     body : Body
     slope : arb [rad]
-    q, w : list of arb
-        Angles [rad] and rates at the start.
+    start : list of arb
+        Angles [rad], then rates.
     h : arb
 
     Returns
@@ -250,28 +221,19 @@ def enclose(body: Body, slope: arb, q: list[arb], w: list[arb], h: arb) -> list[
     list of arb or None
         Angles, then rates; None if no box is found.
     """
-    n, start, span = len(q), [*q, *w], between(arb(0), h)
-    box = start
+    n, span, box = len(start) // 2, arb(0).union(h), start
     for _ in range(MAX_INFLATIONS):
         try:
-            image = _picard(body, slope, start, box, span)
+            image = [x + span * rate for x, rate in zip(start, velocity(body, slope, box), strict=True)]
         except ZeroDivisionError:
             return None
         if all(b.contains(i) for b, i in zip(box, image, strict=True)):
             return image
-        scale = [max(float(x.abs_upper()) for x in image[k : k + n]) for k in (0, n)]
+        scale = [_size(image[k : k + n]) for k in (0, n)]
         box = [
             _inflated(b.union(i), 0.05, 1e-3 * scale[k // n]) for k, (b, i) in enumerate(zip(box, image, strict=True))
         ]
     return None
-
-
-def _picard(body: Body, slope: arb, start: list[arb], box: list[arb], span: arb) -> list[arb]:
-    n = len(start) // 2
-    motion = Motion(body, slope, box[:n], box[n:])
-    motion.grow()
-    rates = [*box[n:], *(a[0] for a in motion.a)]
-    return [x + span * rate for x, rate in zip(start, rates, strict=True)]
 
 
 def enclose_derivative(change: Variation, h: arb) -> arb_mat:
@@ -292,7 +254,7 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
     V' = A V with |A| <= B by elements gives |V(t)| <= exp(B t) |V(0)| (Gronwall), a first enclosure W; and then
     V(t) = V(0) + int A V lies in V(0) + [0, h] A W, twice over.
     """
-    start, span = change.terms[0], between(arb(0), h)
+    start, span = change.terms[0], arb(0).union(h)
     size = change.growth(h) * _absolute(change.stacked(start))
     enclosure = arb_mat(
         start.nrows(), start.ncols(), [arb(0, x.abs_upper()) for x in size.entries()[: len(start.entries())]]
@@ -312,13 +274,11 @@ def _inflated(x: arb, factor: float, least: float) -> arb:
     return arb(x.mid(), x.rad() * (1 + factor) + least)
 
 
-def _excess(
-    remainder: tuple[list[arb], arb_mat], start: tuple[list[arb], list[arb]], derivative: arb_mat, h: arb, order: int
-) -> float:
+def _excess(remainder: tuple[State, arb_mat], start: State, derivative: arb_mat, h: arb, order: int) -> float:
     """Largest remainder over the size of what it is added to."""
     rest, rest_derivative = remainder
-    n, power = len(start[0]), float(h) ** order
-    sizes = [(rest[:n], start[0]), (rest[n:], start[1]), (rest_derivative.entries(), derivative.entries())]
+    n, power = len(start) // 2, float(h) ** order
+    sizes = [(rest[:n], start[:n]), (rest[n:], start[n:]), (rest_derivative.entries(), derivative.entries())]
     return max(_size(a) * power / _size(b) for a, b in sizes)
 
 

@@ -174,7 +174,7 @@ def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: floa
         bits = max(bits, 32 - math.floor(math.log2(tolerance)))
         with ctx.workprec(bits):
             walker = body(setting.keys, setting.kneed)
-            box = _around(walker, middle, size)
+            box = [x + arb(0, size * s) for x, s in zip(middle, sizes(walker, middle), strict=True)]
             try:
                 enclosed_step, K = _attempt(walker, arb(setting.slope), middle, box, tolerance)
             except (NotProvedError, ZeroDivisionError) as error:
@@ -203,7 +203,8 @@ def _attempt(walker: Body, slope: arb, middle: list[arb], box: list[arb], tolera
     """Enclose the step over a box, and Krawczyk's image of it."""
     offsets = [x - c for x, c in zip(box, middle, strict=True)]
     enclosed_step = step(walker, Region([*middle, slope], [*offsets, arb(0)]), Accuracy(order(tolerance), tolerance))
-    return enclosed_step, krawczyk.image(middle, box, enclosed_step.defect, defect_derivative(walker, enclosed_step))
+    K = krawczyk.image(offsets, enclosed_step.defect, defect_derivative(walker, enclosed_step))
+    return enclosed_step, [c + k for c, k in zip(middle, K, strict=True)]
 
 
 def defect_derivative(walker: Body, enclosed_step: Step) -> arb_mat:
@@ -252,22 +253,26 @@ def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
     return [arb(x) for x in (*guess[:m], *guess[3:])]
 
 
-def _around(walker: Body, middle: Sequence[arb], size: float) -> list[arb]:
-    """The box of a relative radius around a point."""
-    return [x + arb(0, size * s) for x, s in zip(middle, _scales(walker, middle), strict=True)]
+def sizes(walker: Body, middle: Sequence[arb]) -> list[float]:
+    """Size of each coordinate: the angle, the largest rate, the period, and that of a slope behind them.
 
+    Parameters
+    ----------
+    walker : Body
+    middle : sequence of arb
 
-def _scales(walker: Body, middle: Sequence[arb]) -> list[float]:
-    """Size of each unknown: the angle, the largest rate, the period."""
-    m, _ = dimensions(walker)
-    angle, rates, times = middle[0], middle[1:m], middle[m:]
-    return [abs(float(angle)), *[max(abs(float(r)) for r in rates)] * len(rates), *[abs(float(times[-1]))] * len(times)]
+    Returns
+    -------
+    list of float
+    """
+    m, n = dimensions(walker)
+    rates, period = max(abs(float(r)) for r in middle[1:m]), abs(float(middle[m + n - 1]))
+    return [abs(float(middle[0])), *[rates] * (m - 1), *[period] * n, *(abs(float(x)) for x in middle[m + n :])]
 
 
 def _distance(walker: Body, middle: Sequence[arb], image: Sequence[arb]) -> float:
-    return max(
-        abs(float((k.mid() - c).mid())) / s for c, k, s in zip(middle, image, _scales(walker, middle), strict=True)
-    )
+    scales = sizes(walker, middle)
+    return max(abs(float((k.mid() - c).mid())) / s for c, k, s in zip(middle, image, scales, strict=True))
 
 
 def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
@@ -284,7 +289,8 @@ def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
     dict of str to arb
     """
     m, _ = dimensions(walker)
-    rates = start(walker, box[:m]).w
+    state, _ = start(walker, box[:m])
+    rates = state[len(state) // 2 :]
     times = ("kneestrike_time", "period") if walker.kneed else ("period",)
     return dict(
         zip(

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from decimal import Context, Decimal, Inexact, localcontext
 from fractions import Fraction
 from typing import Any
 
 from flint import arb, ctx, fmpq
 
 from gaitsweep.tasks.proofs.body import Number
-from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.resolve import resolve, split, straight
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 
 #: Bits of derived keys: more than any proof's.
 KEY_BITS = 1024
-#: Walkers whose offsets are tuned exactly, the printed ones they come from, and what `detuning` = 1 means.
-TUNED = {"A": ("A-printed", "physical-straight"), "C": ("C-printed", "physical")}
 Numbers = dict[str, Number]
 #: A centre of mass off its line by less than this part of its distance from the pivot is meant to lie on it.
 TUNED_TO = 4e-16
-#: Characters of a number that is read exactly, and of a zero's exponent.
-MAX_CHARACTERS, MAX_EXPONENT = 1000, 5
+#: Characters of a number that is read exactly, of a zero's exponent, and digits of a decimal number that is quoted.
+MAX_CHARACTERS, MAX_EXPONENT, MAX_DIGITS = 1000, 5, 10000
 #: Keys that are no numbers.
 _TEXTS = ("toward", "base", "name", "units")
 #: Keys a table may leave out.
@@ -135,7 +134,7 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     keys, kneed = _changed(keys, kneed, table)
     moved: Numbers = {}
     if "detuning" in overrides:
-        of_base = () if toward else (_named(str(base))[0], _named(TUNED[str(base)][1])[0])
+        of_base = () if toward else (_named(str(base))[0], _named(PARTNERS[str(base)])[0])
         tuned, physical = of_base or (keys, exact(toward)[0])
         moved |= _mixed(tuned, physical, decimal(overrides.pop("detuning")))
     if "foot_mass_ratio" in overrides:
@@ -200,9 +199,9 @@ def _is(value: arb, number: int) -> bool:
 
 
 def _named(name: str) -> tuple[Numbers, bool]:
-    printed = CATALOGUE[TUNED[name][0] if name in TUNED else name]
-    keys, kneed = _changed({}, False, printed.table())
-    return (_tuned(keys) if name in TUNED else keys), kneed
+    is_tuned = name in PARTNERS  # exactly, not as printed
+    keys, kneed = _changed({}, False, CATALOGUE[f"{name}-printed" if is_tuned else name].table())
+    return (_tuned(keys) if is_tuned else keys), kneed
 
 
 def _changed(
@@ -221,13 +220,9 @@ def _changed(
 
 
 def _tuned(keys: Numbers) -> Numbers:
-    """Offsets that meet both conditions of section 5.1: w_s = c_s tan eps_S, w_t = -tan eps_T (c_t + m_s l_t / m_t)."""
+    """Keys with the offsets that meet both conditions of section 5.1; straight legs have those of the kneed walker."""
     with ctx.workprec(KEY_BITS):
-        k = {name: arb(value) for name, value in keys.items()}
-        sine = k["l_t"] * k["eps_T"].sin() / (k["l_s"] - k["R"])
-        w_s = k["c_s"] * sine / (1 - sine * sine).sqrt()
-        w_t = -k["eps_T"].tan() * (k["c_t"] + k["m_s"] * k["l_t"] / k["m_t"])
-    return {**keys, "w_s": w_s, "w_t": w_t}
+        return {**keys, **{key: offset for key, offset, _ in _tuning(keys, True)}}
 
 
 def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
@@ -262,18 +257,23 @@ def written(value: Number) -> str:
     if isinstance(value, arb):
         with ctx.workprec(KEY_BITS):
             return str(value.str(40, radius=True))
-    denominator = int(value.q)
-    twos, fives = 0, 0
-    while denominator % 2 == 0:
-        denominator, twos = denominator // 2, twos + 1
-    while denominator % 5 == 0:
-        denominator, fives = denominator // 5, fives + 1
-    if denominator != 1:
-        return f"{value.p}/{value.q}"
-    digits = max(twos, fives)
-    whole = str(abs(int(value.p * fmpq(10) ** digits / value.q if digits else value.p / value.q)))
-    sign = "-" if value.p < 0 else ""
-    if not digits:
-        return sign + whole
-    whole = whole.rjust(digits + 1, "0")
-    return f"{sign}{whole[:-digits]}.{whole[-digits:]}"
+    with localcontext(Context(prec=MAX_DIGITS, traps=[Inexact])):
+        try:
+            return f"{Decimal(int(value.p)) / Decimal(int(value.q)):f}"
+        except Inexact:
+            return f"{value.p}/{value.q}"
+
+
+def written_table(keys: Mapping[str, Number], kneed: bool) -> dict[str, str]:
+    """A walker's table as a certificate quotes it.
+
+    Parameters
+    ----------
+    keys : mapping of str to fmpq or arb
+    kneed : bool
+
+    Returns
+    -------
+    dict of str to str
+    """
+    return {**{key: written(value) for key, value in keys.items()}, "knees": str(kneed).lower()}

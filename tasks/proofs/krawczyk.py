@@ -31,13 +31,13 @@ def approximate_inverse(matrix: arb_mat) -> arb_mat:
         raise NotProvedError("The equations' derivative is singular, as at a fold.") from None
 
 
-def image(middle: Sequence[arb], box: Sequence[arb], defect: Sequence[arb], derivative: arb_mat) -> list[arb]:
-    """K = c - Y F(c) + (1 - Y F'(X)) (X - c): it holds every zero of F in X, and if it lies inside X there is just one.
+def image(away: Sequence[arb], defect: Sequence[arb], derivative: arb_mat) -> list[arb]:
+    """K = -Y F(c) + (1 - Y F'(X)) W: zeros of F in X = c + W lie in c + K, and if K lies inside W there is just one.
 
     Parameters
     ----------
-    middle, box : sequence of arb
-        c, exact, and X, which holds it.
+    away : sequence of arb
+        W, how far the points of X lie from its middle c, which is exact.
     defect : sequence of arb
         F(c).
     derivative : arb_mat
@@ -52,12 +52,11 @@ def image(middle: Sequence[arb], box: Sequence[arb], defect: Sequence[arb], deri
     NotProvedError
         If F' has no approximate inverse.
     """
-    n = len(middle)
+    n = len(away)
     inverse = approximate_inverse(derivative)
     unit = arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
-    away = arb_mat(n, 1, [x - c for x, c in zip(box, middle, strict=True)])
-    step = (unit - inverse * derivative) * away - inverse * arb_mat(n, 1, list(defect))
-    return [c + s for c, s in zip(middle, step.entries(), strict=True)]
+    step = (unit - inverse * derivative) * arb_mat(n, 1, list(away)) - inverse * arb_mat(n, 1, list(defect))
+    return list(step.entries())
 
 
 def contained(image: Sequence[arb], box: Sequence[arb]) -> bool:

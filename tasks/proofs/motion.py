@@ -63,8 +63,8 @@ class Motion:
     ----------
     body : Body
     slope : arb [rad]
-    q, w : sequence of arb
-        Angles and rates at the start.
+    state : sequence of arb
+        Angles, then rates at the start.
 
     Attributes
     ----------
@@ -72,8 +72,9 @@ class Motion:
         Angles, rates and accelerations; `grow` appends to them.
     """
 
-    def __init__(self, body: Body, slope: arb, q: Sequence[arb], w: Sequence[arb]):
-        self.body, self.n = body, len(q)
+    def __init__(self, body: Body, slope: arb, state: Sequence[arb]):
+        self.body, self.n = body, len(state) // 2
+        q, w = state[: self.n], state[self.n :]
         self.q: list[Series] = [[x] for x in q]
         self.w: list[Series] = [[x] for x in w]
         self.a: list[Series] = [[] for _ in q]
@@ -98,6 +99,11 @@ class Motion:
         self.joint: tuple[Series, Series] = ([], [])
         self.mass_00: Series = []
         self.inverse = arb_mat(0, 0)
+
+    @property
+    def series(self) -> list[Series]:
+        """Series of the state."""
+        return [*self.q, *self.w]
 
     def grow(self) -> None:
         """Append one coefficient of the accelerations, and of rates and angles after them."""
@@ -283,23 +289,23 @@ def _at(series: Series | None, k: int) -> arb:
     return _ZERO if series is None else series[k]
 
 
-def acceleration(body: Body, slope: arb, q: Sequence[arb], w: Sequence[arb]) -> list[arb]:
-    """Accelerations at one state.
+def velocity(body: Body, slope: arb, state: Sequence[arb]) -> list[arb]:
+    """Rates and accelerations at one state.
 
     Parameters
     ----------
     body : Body
     slope : arb [rad]
-    q, w : sequence of arb
-        Angles [rad] and rates, of two links or three.
+    state : sequence of arb
+        Angles [rad], then rates, of two links or three.
 
     Returns
     -------
     list of arb
     """
-    motion = Motion(body, slope, q, w)
+    motion = Motion(body, slope, state)
     motion.grow()
-    return [a[0] for a in motion.a]
+    return [*state[motion.n :], *(a[0] for a in motion.a)]
 
 
 Coefficient = TypeVar("Coefficient", arb, arb_mat)

@@ -11,7 +11,7 @@ from typing import Any
 from flint import arb, ctx
 
 from gaitsweep.tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
-from gaitsweep.tasks.proofs.keys import KEY_BITS, double, doubles, written
+from gaitsweep.tasks.proofs.keys import KEY_BITS, double, doubles, written, written_table
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.walkers.resolve import resolve
 
@@ -151,7 +151,7 @@ def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
         "gait": label if label in GAITS[2:] or not proof.label else proof.label,
         "slope": _plain(setting.slope),
         "exact_slope": written(setting.slope),
-        "walker": {**{k: written(v) for k, v in setting.keys.items()}, "knees": str(setting.kneed).lower()},
+        "walker": written_table(setting.keys, setting.kneed),
         "proved": proof.proved,
         "unique": proof.unique,
         "first_strike": proof.first_strike,
@@ -190,9 +190,5 @@ def _plain(slope: Any) -> float:
     return float(Fraction(int(slope.p), int(slope.q)))  # either may be beyond doubles
 
 
-def _is_number(x: Any) -> bool:
-    return x is not None and not math.isnan(float(x))
-
-
 def _number(x: Any) -> float | None:
-    return float(x) if _is_number(x) else None
+    return None if x is None or math.isnan(float(x)) else float(x)

@@ -95,7 +95,7 @@ def _ends(crossings: Sequence[Zero], time: arb, name: str) -> None:
 
 def _label(step: Step) -> str:
     """`long` where the swing leg is less than half as fast again as the stance leg just before heelstrike."""
-    stance, swing = step.ends[-1][1]
+    _, _, stance, swing = step.ends[-1]
     if not (stance < 0 or stance > 0):
         raise NotProvedError("The stance leg's rate at heelstrike is not told from zero.")
     ratio = (swing - stance) / abs(stance)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from flint import arb
 
-from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece, between
+from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece
 from gaitsweep.tasks.proofs.motion import Series, evaluate
 
 #: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as grazing.
@@ -101,15 +101,16 @@ def _stretches(
 
 def _classified(piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start: bool) -> Iterator[Stretch]:
     """Stretches of one Taylor step, in order."""
-    value, rate = (_form(guard, series) for series in (piece.q, piece.w))
+    links = len(piece.series) // 2
+    value, rate = (_form(guard, piece.series[first:]) for first in (0, links))
     quotient, clock = value[1:], begin + piece.start
     waiting: list[tuple[arb, arb, int]] = [(arb(0), piece.h, 0)]
     while waiting:
         low, high, depth = waiting.pop()
-        span = between(low, high)
+        span = low.union(high)
         kind = _sign(evaluate(quotient, span)) if zero_at_start and low == 0 else _kind(value, rate, low, high, span)
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
-            yield Stretch(kind, clock + low, clock + high, evaluate(piece.q[0], span))
+            yield Stretch(kind, clock + low, clock + high, evaluate(piece.series[0], span))
             continue
         if depth == MAX_DEPTH:
             raise NotProvedError(f"Grazing: the {name} guard and its rate cannot be told from zero together.")

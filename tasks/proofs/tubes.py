@@ -21,7 +21,7 @@ from gaitsweep.tasks.proofs import krawczyk
 from gaitsweep.tasks.proofs.body import Body, Number, body
 from gaitsweep.tasks.proofs.enclosed_step import Region, Step, dimensions, step
 from gaitsweep.tasks.proofs.enclosure import Accuracy, NotProvedError
-from gaitsweep.tasks.proofs.gait import defect_derivative, order
+from gaitsweep.tasks.proofs.gait import defect_derivative, order, sizes
 from gaitsweep.tasks.proofs.sequence import Events, events
 from gaitsweep.tasks.proofs.stability import step_derivative
 
@@ -99,10 +99,14 @@ class Tube:
         own = other.middle[self.parameter] + shift - self.middle[self.parameter]
         # Away from this tube's line; exact radii of W on one side, so that no rounding can help.
         away = [x - c - t * own for x, c, t in zip(other.at(shift), self.middle, self.tangent, strict=True)]
-        inside = all(
-            w.contains_interior(d) for i, (d, w) in enumerate(zip(away, self.box, strict=True)) if i != self.parameter
-        )
-        return bool(abs(own) <= self.half) and inside
+        return bool(abs(own) <= self.half) and self._is_inside(away)
+
+    def is_proved(self) -> bool:
+        """True where the image lies inside: there is exactly one gait for every parameter."""
+        return self._is_inside(self.image)
+
+    def _is_inside(self, away: Sequence[arb]) -> bool:
+        return krawczyk.contained(_others(away, self.parameter), _others(self.box, self.parameter))
 
 
 def point(family: Family, guess: Sequence[arb], size: float) -> Tube:
@@ -130,7 +134,7 @@ def point(family: Family, guess: Sequence[arb], size: float) -> Tube:
     for _ in range(MAX_CORRECTIONS):
         radii = [width * s for s in sizes(walker, middle)]
         piece = tube_image(walker, family.parameter, middle, None, arb(0), radii, width * REMAINDER)
-        inside = is_proved(piece)
+        inside = piece.is_proved()
         shift = max(abs(float(k.mid())) / s for k, s in zip(piece.image, sizes(walker, middle), strict=True))
         if inside and width <= size:
             return piece
@@ -170,7 +174,7 @@ def tube(family: Family, start: Tube, half: arb) -> Tube:
     ]
     for _ in range(MAX_TRIALS):
         piece = tube_image(start.body, family.parameter, start.middle, tangent, half, radii, 1e-20)
-        if is_proved(piece):
+        if piece.is_proved():
             return piece
         radii = [max(f, 1.5 * float(abs(k).upper())) for f, k in zip(floor, piece.image, strict=True)]
         if not all(math.isfinite(r) for r in radii):
@@ -215,12 +219,9 @@ def tube_image(
     enclosed_step = step(walker, region, Accuracy(order(tolerance), tolerance))
     derivative = defect_derivative(walker, enclosed_step)
     unknown, _ = _parted(derivative, p)
-    inverse = krawczyk.approximate_inverse(unknown)
     along = [a - (tangent[i - n] if i >= n else 0) for i, a in enumerate(enclosed_step.along)]
-    unit = arb_mat([[int(i == j) for j in range(m + n)] for i in range(m + n)])
-    away = arb_mat(m + n, 1, [w for i, w in enumerate(W) if i != p])
-    shift = arb_mat(m + n, 1, [d + a * region.span for d, a in zip(enclosed_step.defect, along, strict=True)])
-    K = ((unit - inverse * unknown) * away - inverse * shift).entries()
+    shift = [d + a * region.span for d, a in zip(enclosed_step.defect, along, strict=True)]
+    K = krawczyk.image(_others(W, p), shift, unknown)
     K.insert(p, arb(0))
     return Tube(walker, middle, tangent, half, W, K, enclosed_step, derivative, p)
 
@@ -244,36 +245,9 @@ def tangent_of(point: Tube) -> list[arb]:
 
 def _parted(derivative: arb_mat, parameter: int) -> tuple[arb_mat, arb_mat]:
     rows = derivative.tolist()
-    return (
-        arb_mat([[x for j, x in enumerate(row) if j != parameter] for row in rows]),
-        arb_mat([[row[parameter]] for row in rows]),
-    )
+    return arb_mat([_others(row, parameter) for row in rows]), arb_mat([[row[parameter]] for row in rows])
 
 
-def is_proved(tube: Tube) -> bool:
-    """True where the image lies inside: there is exactly one gait for every parameter.
-
-    Parameters
-    ----------
-    tube : Tube
-    """
-    return all(
-        w.contains_interior(k) for i, (w, k) in enumerate(zip(tube.box, tube.image, strict=True)) if i != tube.parameter
-    )
-
-
-def sizes(walker: Body, middle: Sequence[arb]) -> list[float]:
-    """Size of each coordinate: angle, largest rate, period, slope.
-
-    Parameters
-    ----------
-    walker : Body
-    middle : sequence of arb
-
-    Returns
-    -------
-    list of float
-    """
-    m, n = dimensions(walker)
-    rates = max(abs(float(r)) for r in middle[1:m])
-    return [abs(float(middle[0])), *[rates] * (m - 1), *[abs(float(middle[m + n - 1]))] * n, abs(float(middle[-1]))]
+def _others(values: Sequence[arb], parameter: int) -> list[arb]:
+    """All coordinates but the parameter."""
+    return [x for i, x in enumerate(values) if i != parameter]

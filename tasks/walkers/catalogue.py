@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
-_PHYSICAL = Walker(
-    l_t=0.35,
-    w_t=0.0,
-    m_t=2.345,
-    r_t=0.099,
-    c_t=0.091,
-    l_s=0.46,
-    w_s=0.025,
-    m_s=1.013,
-    r_s=0.197,
-    c_s=0.17,
-    R=0.2,
-    eps_T=0.097,
-    g=9.81,
-    knees=True,
-    units="SI",
-)
-_C_PRINTED = replace(_PHYSICAL, w_t=-0.023, r_t=0.1882, c_t=0.084, w_s=0.022, r_s=0.1226)
-_POINT = Walker(
-    l_t=0.5, w_t=0.0, m_t=0.5, r_t=0.0, c_t=0.0, l_s=0.5, w_s=0.0, m_s=0.0, r_s=0.0, c_s=0.5, R=0.0, eps_T=0.0
-)
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+#: Each walker in words.
+DESCRIPTIONS = {name: str(table["description"]) for name, table in _TABLES.items()}
+#: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker.
+PARTNERS = {name: str(table["detuned"]) for name, table in _TABLES.items() if "detuned" in table}
 
 
 def tune_exactly(walker: Walker) -> Walker:
@@ -37,30 +23,12 @@ def tune_exactly(walker: Walker) -> Walker:
     return replace(walker, w_t=w_t, w_s=w_s)
 
 
-_C = tune_exactly(_C_PRINTED)
+def _walker(name: str) -> Walker:
+    table = _TABLES[name]
+    keys = {key: value for key, value in table.items() if key in KEYS}
+    walker = replace(_walker(table["base"]), **keys) if "base" in table else Walker(**keys)
+    return tune_exactly(walker) if table.get("tuned_exactly") else walker
+
+
 #: Walkers by name. A, C and the physical walker are in SI units, the others have g = 1.
-CATALOGUE: dict[str, Walker] = {
-    "A": replace(_C, knees=False),
-    "B": replace(_POINT, m_t=0.4, m_s=0.1, R=0.2),
-    "C": _C,
-    "D": _POINT,
-    "E": replace(_POINT, m_t=0.4, m_s=0.1),
-    "F": replace(_POINT, m_t=0.45, m_s=0.05),
-    "physical": _PHYSICAL,
-    "physical-straight": replace(_PHYSICAL, knees=False),
-    "A-printed": replace(_C_PRINTED, knees=False),
-    "C-printed": _C_PRINTED,
-}
-#: Each walker in words.
-DESCRIPTIONS = {
-    "A": "straight-legged, round feet, exactly tuned",
-    "B": "straight-legged, round feet, foot mass at the contact point",
-    "C": "kneed, round feet, exactly tuned",
-    "D": "the simplest walker: point feet of vanishing mass",
-    "E": "point feet, each a tenth of the total mass",
-    "F": "point feet, each a twentieth of the total mass",
-    "physical": "the kneed physical walker of figure 3",
-    "physical-straight": "the physical walker of figure 3, knees locked",
-    "A-printed": "A with the offsets as printed",
-    "C-printed": "C with the offsets as printed",
-}
+CATALOGUE = {name: _walker(name) for name in _TABLES}

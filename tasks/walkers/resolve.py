@@ -6,11 +6,11 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from gaitsweep.tasks.walkers.catalogue import CATALOGUE
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
 from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -21,9 +21,6 @@ _DERIVED = ("detuning", "foot_mass_ratio")
 _MORE = (*_DERIVED, "tuned", "toward")
 #: Feet weigh at least the first, and less than the second, share of a walker's mass.
 FOOT_MASS_RATIOS = 0.0, 0.5
-#: The walker that `detuning` = 1 gives, where a table names none, for each tuned walker (paper, section 5.2 and
-#: figure 8).
-_PARTNERS = {"A": "physical-straight", "C": "physical"}
 
 
 def from_table(table: Mapping[str, Any]) -> Walker:
@@ -44,7 +41,7 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         values = straight(values)
     _check_names(values, KEYS, KEYS)
     if base is not None:
-        return replace(from_catalogue(base), **values)
+        return replace(from_catalogue(base), **values) if values else from_catalogue(base)
     missing = [f.name for f in fields(Walker) if f.default is f.default_factory and f.name not in values]
     if missing:
         raise WalkerError(missing[0], ", ".join(values) or "no key", "is missing from the walker")
@@ -137,20 +134,18 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     WalkerError
         If the walker, a key or a value is invalid.
     """
-    changes: dict[str, Any] = dict(overrides or {})
-    tuned: tuple[str, ...] = ()
-    given, links = walker, dict[str, Any]()
-    if isinstance(walker, Mapping):
-        changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
-        tuned = _free_keys(walker.get("tuned", ()), changes)
-        walker, others = split({k: v for k, v in walker.items() if k not in _MORE}, changes)
-        links = {link: (key, changes[key]) for key in changes.keys() - others.keys() for link in _OF_LINKS[key]}
-        changes = others
-    start = _itself(walker)
-    derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
-    if isinstance(given, Mapping) and "toward" in given and "detuning" not in derived:
-        _detuning_ends(given)  # is checked though nothing is detuned
-    moved: dict[str, Any] = _moved_values(given, start, derived, changes, links)
+    table, given = _table(walker), dict(overrides or {})
+    given = {**{key: table[key] for key in _DERIVED if key in table}, **given}
+    tuned = _free_keys(table.get("tuned", ()), given)
+    own, changes = split({k: v for k, v in table.items() if k not in _MORE}, given)
+    links = {link: (key, given[key]) for key in given.keys() - changes.keys() for link in _OF_LINKS[key]}
+    start = from_table(own)
+    derived = {key: changes.pop(key) for key in _DERIVED if changes.get(key) is not None}
+    for key, value in derived.items():
+        check_number(key, value)
+    if "toward" in table and "detuning" not in derived:
+        _detuning_ends(table)  # is checked though nothing is detuned
+    moved: dict[str, Any] = _moved_values(table, start, derived, changes, links)
     numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
     for key in (k for k in numbers if k in ONE_LINK):
         raise WalkerError(key, numbers[key], "is a key of a leg of one link, whose table has `l`, `m` and `c`")
@@ -159,8 +154,13 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     return _retuned(result, tuned) if tuned else result
 
 
+def _table(walker: str | Mapping[str, Any]) -> Mapping[str, Any]:
+    """The table of a walker that may be given by its name."""
+    return {"base": walker} if isinstance(walker, str) else walker
+
+
 def _moved_values(
-    walker: str | Mapping[str, Any],
+    table: Mapping[str, Any],
     start: Walker,
     derived: Mapping[str, float],
     changes: Mapping[str, Any],
@@ -168,18 +168,20 @@ def _moved_values(
 ) -> dict[str, float]:
     """Values of all keys that derived keys set; none of these may be set otherwise.
 
-    `walker` is a name or a whole table and `start` its walker before derived keys move it; `changes` are the other keys
-    that a line sets, `links` the keys that those of a leg of one link set, each with that key and its value.
+    `start` is the table's walker before derived keys move it; `changes` are the other keys that a line sets, and
+    `links` the keys that those of a leg of one link set, each with that key and its value.
     """
     values: dict[str, float] = {}
     owners: dict[str, str] = {}
-    table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
     for owner, value in derived.items():
         is_way = owner == "detuning"
-        own_values = _mixed(walker, value) if is_way else _of_feet(start, value, table.get("base"))
-        keys = tuple(own_values) if is_way else owned(owner, walker)
+        if not is_way:
+            _check_feet(start, float(value), table.get("base"))
+        own_values = _values(owner, table, float(value))
+        keys = tuple(own_values)
         # A table's own keys are those of the walker at one end of its way to another.
-        given = changes if is_way and "toward" in table else {**table, **changes}
+        is_free = "base" not in table or (is_way and "toward" in table)
+        given = changes if is_free else {**table, **changes}
         own = [(key, given[key]) for key in given if key in keys]
         own += [links[key] for key in keys if key in links and is_way]
         for key, other in own:
@@ -189,13 +191,6 @@ def _moved_values(
         owners |= dict.fromkeys(keys, owner)
         values |= own_values
     return values
-
-
-def _itself(walker: str | Mapping[str, Any]) -> Walker:
-    """The walker of a name, or of a table without what moves it."""
-    if isinstance(walker, str):
-        return from_catalogue(walker)
-    return from_table({key: value for key, value in walker.items() if key not in _MORE})
 
 
 def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -209,7 +204,7 @@ def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[st
 
 def is_one_link(walker: str | Mapping[str, Any]) -> bool:
     """Whether a walker is the table of a leg of one link."""
-    return not isinstance(walker, str) and "l" in walker and "base" not in walker and walker.get("knees") is False
+    return "l" in (table := _table(walker)) and "base" not in table and table.get("knees") is False
 
 
 def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
@@ -228,48 +223,64 @@ def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(tuned))
 
 
-def _retuned(walker: Walker, free: Sequence[str]) -> Walker:
-    """The nearest walker that meets the static conditions."""
-    values, _, found = nearest(walker, free)
-    if not found[0]:
-        raise _untunable(free)
-    return Walker(**{**walker.table(), **{key: float(value[0]) for key, value in values.items()}})
+_Walkers = TypeVar("_Walkers", bound=Walker)
 
 
-def _untunable(free: Sequence[str]) -> WalkerError:
-    return WalkerError("tuned", ", ".join(free), "cannot meet the static conditions of vanishing slopes; add a key")
+def _retuned(walkers: _Walkers, free: Sequence[str]) -> _Walkers:
+    """The nearest walkers that meet the static conditions; NaN in keys of those of many that no change of them tunes.
 
-
-def _number(key: str, value: Any) -> float:
-    check_number(key, value)
-    return float(value)
+    Raises
+    ------
+    WalkerError
+        If none can be tuned.
+    """
+    values, _, found = nearest(walkers, free)
+    if not found.any():
+        raise WalkerError("tuned", ", ".join(free), "cannot meet the static conditions of vanishing slopes; add a key")
+    tuned = {key: value if len(value) > 1 else float(value[0]) for key, value in values.items()}
+    return type(walkers)(**{**walkers.table(), **tuned})
 
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys that a derived key sets: the masses, or those in which the walkers at both ends of a way differ."""
-    if derived == "foot_mass_ratio":
-        return tuple(key for key, kind in KEYS.items() if kind == "mass")
-    return tuple(_mixed(walker, 0.0))
+    return tuple(_values(derived, walker, 0.0))
 
 
-def _of_feet(walker: Walker, ratio: float, base: str | None) -> dict[str, float]:
-    """Masses of a point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1).
+def _values(derived: str, walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
+    """Values of the keys that a derived key of some amount, a number or an array, sets.
+
+    Detuning interpolates between two walkers. A foot mass ratio is the share of the total mass that each foot of a
+    point-foot walker has; the hip carries the rest (section 4.1).
+    """
+    if derived == "detuning":
+        start, end = (each.table() for each in _detuning_ends(walker))
+        return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}
+    own = _itself(_table(walker))
+    total = own.total_mass
+    if not own.m_t and (own.c_t or own.w_t or own.r_t):  # the centre of no mass need not be at the hip
+        return {"m_t": 0.0, "m_s": amount * total, "m_h": (1 - 2 * amount) * total}
+    return {"m_t": (0.5 - amount) * total, "m_s": amount * total, "m_h": 0.0}
+
+
+def _check_feet(walker: Walker, ratio: float, base: str | None) -> None:
+    """Check a foot mass ratio.
 
     Of a table with a point-foot walker as its `base` the other keys, such as R, are free, as those that a line sets.
+
+    Raises
+    ------
+    WalkerError
+        If no walker with point feet has it.
     """
     if not (walker.point_foot or (base and from_catalogue(base).point_foot)):
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
     if not FOOT_MASS_RATIOS[0] <= ratio < FOOT_MASS_RATIOS[1]:
         raise WalkerError("foot_mass_ratio", ratio, "must lie in [{:g}, {:g})".format(*FOOT_MASS_RATIOS))
-    return _masses(walker, ratio)
 
 
-def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
-    """Masses of a point-foot walker with foot mass ratio `ratio`, a number or an array."""
-    total = walker.total_mass
-    if not walker.m_t and (walker.c_t or walker.w_t or walker.r_t):  # the centre of no mass need not be at the hip
-        return {"m_s": ratio * total, "m_t": 0.0, "m_h": (1 - 2 * ratio) * total}
-    return {"m_s": ratio * total, "m_t": (0.5 - ratio) * total, "m_h": 0.0}
+def _itself(table: Mapping[str, Any]) -> Walker:
+    """The walker of a table without what moves it."""
+    return from_table({key: value for key, value in table.items() if key not in _MORE})
 
 
 def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) -> WalkerArray:
@@ -292,10 +303,10 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     WalkerError
         If no walker is valid.
     """
-    table = {} if isinstance(walker, str) else dict(walker)
+    table = dict(_table(walker))
     if "tuned" in table:
         free = _free_keys(table.pop("tuned"), overrides)
-        return _retuned_many(resolve_many(table, overrides), free)
+        return _retuned(resolve_many(table, overrides), free)
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
     for own in zip(*arrays.values(), strict=True) if arrays else [()]:
         try:
@@ -306,32 +317,13 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     else:
         raise impossible
     values: dict[str, Any] = {}
+    start, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
     if is_one_link(table):
-        table, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
-        values |= {key: value for key, value in straight(table).items() if isinstance(value, np.ndarray)}
+        values |= {key: value for key, value in straight(start).items() if isinstance(value, np.ndarray)}
         arrays = {key: value for key, value in arrays.items() if key in others}
     for key, array in arrays.items():
-        if key == "detuning":
-            values |= _mixed(walker, array)
-        elif key == "foot_mass_ratio":
-            values |= _masses(_itself(walker), array)
-        else:
-            values[key] = array
+        values |= _values(key, table, array) if key in _DERIVED else {key: array}
     return WalkerArray(**{**first.table(), **values})
-
-
-def _retuned_many(walkers: WalkerArray, free: Sequence[str]) -> WalkerArray:
-    """The nearest walkers that meet the static conditions; NaN in keys of those that no change of them tunes.
-
-    Raises
-    ------
-    WalkerError
-        If none can be tuned.
-    """
-    values, _, found = nearest(walkers, free)
-    if not found.any():
-        raise _untunable(free)
-    return WalkerArray(**{**walkers.table(), **{k: v if len(v) > 1 else float(v[0]) for k, v in values.items()}})
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -356,13 +348,13 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     WalkerError
         If the walker, a key or a value is invalid.
     """
-    overrides, given = params.get("set") or {}, params["walker"]
+    overrides, given = params.get("set") or {}, _table(params["walker"])
     walker = resolve(given, overrides)
     varied: dict[str, tuple[str, ...]] = {}
     for owner in overrides:
         for key in _moved_by(owner, given):
             varied[key] = (*varied.get(key, ()), owner)
-    tuned = () if isinstance(given, str) else tuple(dict.fromkeys(given.get("tuned", ())))
+    tuned = tuple(dict.fromkeys(given.get("tuned", ())))
     movers = tuple(owner for owner in overrides if any(key in CONDITIONED for key in _moved_by(owner, given)))
     varied |= dict.fromkeys(tuned, movers) if movers else {}
     return {
@@ -374,23 +366,17 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "varied": varied,
         "tuned": tuned,
         "smooth": tuple(key for key in overrides if key in ("foot_mass_ratio", "detuning") or _is_size(key)),
-        **({"way": _way(given)} if {"detuning", "toward"} & {*overrides, *_names_in(given)} else {}),
+        **({"way": _way(given)} if {"detuning", "toward"} & {*overrides, *given} else {}),
     }
 
 
-def _names_in(walker: str | Mapping[str, Any]) -> tuple[str, ...]:
-    return () if isinstance(walker, str) else tuple(walker)
-
-
-def _way(walker: str | Mapping[str, Any]) -> dict[str, Any]:
+def _way(table: Mapping[str, Any]) -> dict[str, Any]:
     """The walkers between which detuning leads."""
-    tables = [end.table() for end in _detuning_ends(walker)]
-    if "toward" not in _names_in(walker):
+    tables = [end.table() for end in _detuning_ends(table)]
+    if "toward" not in table:
         return {"start": "the exactly tuned walker", "end": "the physical one", "tables": tables}
-    assert isinstance(walker, Mapping)
-    own = {key: value for key, value in walker.items() if key not in _MORE}
-    start = own["base"] if own.keys() == {"base"} else own
-    return {"start": label(start), "end": label(walker["toward"]), "tables": tables}
+    own = {key: value for key, value in table.items() if key not in _MORE}
+    return {"start": label(own), "end": label(table["toward"]), "tables": tables}
 
 
 def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
@@ -419,17 +405,18 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
     -----
     Paper, section 5.2 and figure 8.
     """
-    if isinstance(walker, str) or "toward" not in walker:
-        name = walker if isinstance(walker, str) else walker.get("base")
-        if name not in _PARTNERS:
+    table = _table(walker)
+    if "toward" not in table:
+        name = table.get("base")
+        if name not in PARTNERS:
             raise WalkerError("detuning", label(walker), "needs walker A or C, or `toward`, another walker")
-        return from_catalogue(name), from_catalogue(_PARTNERS[str(name)])
-    other = walker["toward"]
+        return from_catalogue(name), from_catalogue(PARTNERS[str(name)])
+    other = table["toward"]
     if not isinstance(other, str | Mapping):
         raise WalkerError("toward", other, "must be the name or the table of a walker")
-    if "toward" in (() if isinstance(other, str) else other):
+    if "toward" in _table(other):
         raise WalkerError("toward", label(other), "must be a walker that has no `toward` itself")
-    start = _itself(walker)
+    start = _itself(table)
     try:
         end = resolve(other)
     except WalkerError as error:
@@ -449,14 +436,7 @@ _LEGS = {True: "knees", False: "straight legs"}
 
 def label(walker: str | Mapping[str, Any]) -> str:
     """A walker in words: its name, or that of its base with the keys that differ."""
-    if isinstance(walker, str):
-        return walker
-    keys = ", ".join(f"{key} = {value}" for key, value in walker.items() if key not in ("base", "name", "toward"))
-    name = walker.get("name") or walker.get("base")
-    return f"{name} with {keys}" if walker.get("base") == name and keys else str(name or "a walker of its own")
-
-
-def _mixed(walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
-    """Values of the keys that detuning by `amount`, a number or an array, sets."""
-    start, end = (each.table() for each in _detuning_ends(walker))
-    return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}
+    table = _table(walker)
+    keys = ", ".join(f"{key} = {value}" for key, value in table.items() if key not in ("base", "name", "toward"))
+    name = table.get("name") or table.get("base")
+    return f"{name} with {keys}" if table.get("base") == name and keys else str(name or "a walker of its own")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 #: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
 #: overflow.
@@ -57,7 +56,7 @@ def check_number(key: str, value: object) -> None:
 
 @dataclass(frozen=True)
 class Walker:
-    """Parameters of a walker with two equal legs (paper, figure 1).
+    """Parameters of a walker with two equal legs (paper, figure 1); those of several are a `WalkerArray`.
 
     Parameters
     ----------
@@ -102,6 +101,8 @@ class Walker:
     g: float = 1.0
     knees: bool = False
     units: str = "1"
+    #: Functions of numbers.
+    _math: ClassVar[Any] = math
 
     def __post_init__(self) -> None:
         for key in NUMBERS:
@@ -159,7 +160,7 @@ class Walker:
     @property
     def l(self) -> float:
         """Length from hip to foot centre, with the knee extended."""
-        return self.l_t * math.cos(self.eps_T) + (self.l_s - self.R) * math.cos(self.eps_S)
+        return self.l_t * self._math.cos(self.eps_T) + (self.l_s - self.R) * self._math.cos(self.eps_S)
 
     @property
     def leg(self) -> float:
@@ -169,17 +170,21 @@ class Walker:
     @property
     def knee(self) -> complex:
         """Position of the knee from the hip, in the frame of the extended leg: x forward, y up."""
-        return complex(-self.l_t * math.sin(self.eps_T), -self.l_t * math.cos(self.eps_T))
+        return -self.l_t * (self._math.sin(self.eps_T) + 1j * self._math.cos(self.eps_T))
 
     @property
     def thigh_centre(self) -> complex:
         """Position of the thigh's centre of mass from the hip, in the frame of the extended leg."""
-        return cmath.exp(-1j * self.eps_T) * complex(-self.w_t, -self.c_t)
+        return -self._turn(-self.eps_T) * (self.w_t + 1j * self.c_t)
 
     @property
     def shank_centre(self) -> complex:
         """Position of the shank's centre of mass from the knee, in the frame of the extended leg."""
-        return cmath.exp(1j * self.eps_S) * complex(-self.w_s, -self.c_s)
+        return -self._turn(self.eps_S) * (self.w_s + 1j * self.c_s)
+
+    def _turn(self, angle: float) -> complex:
+        """The complex number that turns by an angle."""
+        return self._math.cos(angle) + 1j * self._math.sin(angle)
 
     @property
     def shank_inertia(self) -> float:
@@ -195,15 +200,14 @@ class Walker:
     @property
     def massless_leg(self) -> bool:
         """Whether the swing leg has no inertia about the hip: the limit in which the mass of its shank vanishes."""
-        thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
-        return self.m_s == 0 and thigh == 0
+        return not (_any(self.m_s) or _any(self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2)))
 
     @property
     def point_foot(self) -> bool:
         """Whether the leg's mass is one point at a foot of zero radius (the step map is then two-dimensional)."""
-        hip_thigh = self.m_t == 0 or not (self.c_t or self.w_t or self.r_t)
-        foot = self.c_s == self.l_s and not (self.w_s or self.r_s)
-        return hip_thigh and foot and not (self.R or self.eps_T or self.knees)
+        hip_thigh = not _any(self.m_t) or not any(map(_any, (self.c_t, self.w_t, self.r_t)))
+        foot = not any(map(_any, (self.c_s - self.l_s, self.w_s, self.r_s)))
+        return hip_thigh and foot and not (_any(self.R) or _any(self.eps_T) or self.knees)
 
     @property
     def si(self) -> bool:
@@ -213,3 +217,8 @@ class Walker:
     def table(self) -> dict[str, Any]:
         """All keys and values, as written in TOML."""
         return asdict(self)
+
+
+def _any(x: Any) -> bool:
+    """Whether a number, or any of an array, is not 0."""
+    return bool(x.any() if hasattr(x, "any") else x)

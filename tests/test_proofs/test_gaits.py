@@ -204,7 +204,7 @@ def cubic(*roots, h=4.0):
     a, b, c = (arb(r) for r in roots)
     q = [-a * b * c, a * b + a * c + b * c, -(a + b + c), arb(1)]
     w = [q[1], 2 * q[2], 3 * q[3]]
-    return [(arb(0), [Piece(arb(0), arb(h), [q, [arb(0)] * 4], [w, [arb(0)] * 3])])]
+    return [(arb(0), [Piece(arb(0), arb(h), [q, [arb(0)] * 4, w, [arb(0)] * 3])])]
 
 
 def test_zeros_are_counted_with_their_directions():
@@ -230,7 +230,7 @@ def test_a_double_zero_grazes(roots):
 
 def test_a_zero_at_the_start_is_divided_out():
     phases = cubic(0, 1, 3, h=2.0)
-    phases[0][1][0].q[0][0] = arb(0, 1e-20)
+    phases[0][1][0].series[0][0] = arb(0, 1e-20)
     sign, found = zeros(phases, (1, 0), "test", True)
     assert sign == "+"
     assert [z.rises for z in found] == [False]
@@ -242,7 +242,7 @@ def test_legs_that_pass_three_times_are_no_gait():
     from gaitsweep.tasks.proofs.sequence import _legs
 
     ((begin, (piece,)),) = cubic(1, 2, 3)
-    falling = Piece(piece.start, piece.h, *([[-x for x in s] for s in part] for part in (piece.q, piece.w)))
+    falling = Piece(piece.start, piece.h, [[-x for x in s] for s in piece.series])
     with pytest.raises(NotProvedError, match="the legs pass 3 times"):
         _legs([(begin, [falling])])
 

@@ -34,8 +34,8 @@ RIGOUR = {
     "no remainder": ("enclosure", "return [[*s, r] for s, r in", "return [[*s, 0 * r] for s, r in", check_remainder),
     "remainder of one state": (
         "enclosure",
-        "    box = enclose(body, slope, q, w, h)\n",
-        "    box = [*q, *w]\n",
+        "    box = enclose(body, slope, start, h)\n",
+        "    box = start\n",
         check_remainder,
     ),
     "middle of the period": (
@@ -76,7 +76,7 @@ def proved(letter):
 
 @pytest.mark.parametrize("letter", REFERENCES)
 def test_without_a_mutation_the_gait_is_proved(letter, mutate):
-    mutate("motion", "self.body, self.n = body, len(q)", "self.n, self.body = len(q), body")
+    mutate("motion", "self.body, self.n = body, len(state) // 2", "self.n, self.body = len(state) // 2, body")
     assert proved(letter)
 
 

@@ -11,7 +11,7 @@ from gaitsweep.tasks.check_claims import claims
 from gaitsweep.tasks.paper import claim as rule
 from gaitsweep.tasks.paper import kneed_chaos, lines
 from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
-from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.paper.lines import paper_of
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, changed, interval, place, sensitivities
 from gaitsweep.tasks.paper.zero_slope import mass_limit
@@ -20,6 +20,7 @@ from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.statics import is_tuned
 
 ROOT = Path(__file__).parents[2]
+PAPER = paper_of([], [])
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -65,15 +66,16 @@ def test_a_claim_is_entered_once_only():
 
 
 def test_verdicts_follow_from_intervals():
-    assert rule.compare(0.02, 5e-4, 0.0197, 0.018, 0.0199) == "reproduced"
-    assert rule.compare(0.02, 5e-4, 0.0191, 0.018, 0.0202) == "consistent within rounding"
-    assert rule.compare(0.02, 5e-4, 0.0191, 0.018, 0.0199) == "not reproduced"
-    assert rule.compare(0.02, 5e-4, 0.0191) == "not reproduced"
+    printed = rule.Printed(0.02, 5e-4)
+    assert printed.compare(0.0197, 0.018, 0.0199) == "reproduced"
+    assert printed.compare(0.0191, 0.018, 0.0202) == "consistent within rounding"
+    assert printed.compare(0.0191, 0.018, 0.0199) == "not reproduced"
+    assert printed.compare(0.0191) == "not reproduced"
     assert rule.verdict(False, True) == "approximate"
-    found = rule.rounded(0.015, 5e-4, 0.0150884)
-    assert (found.verdict, found.printed, found.half_unit) == ("reproduced", 0.015, 5e-4)
-    assert np.isnan(found.low) and np.isnan(found.high)
-    assert rule.rounded(0.015, 5e-4, 0.0156).verdict == "not reproduced"
+    assert rule.PRINTED["D2"] == (0.015, 5e-4)
+    assert rule.PRINTED["D2"].compare(0.0150884) == "reproduced"
+    assert rule.PRINTED["D2"].compare(0.0156) == "not reproduced"
+    assert rule.NOT_PRINTED.compare(0.0156) == "not reproduced"
     with pytest.raises(ValueError, match="no verdict"):
         ClaimResult("", "perhaps")
 
@@ -84,7 +86,7 @@ def test_an_unknown_claim_is_named():
 
 
 def test_a_claim_whose_gaits_are_lost_is_not_checkable(monkeypatch):
-    def lost():
+    def lost(paper):
         raise ValueError("no such gait")
 
     monkeypatch.setitem(CLAIMS, "Q1", Claim("Q1", "a thing", "A thing.", "nowhere", "", lost))
@@ -117,12 +119,12 @@ def test_exact_walkers_stay_tuned_as_their_keys_move():
     ],
 )
 def test_straight_legged_claims(name, verdict, value, tolerance):
-    found = CLAIMS[name].find()
+    found = CLAIMS[name].find(PAPER)
     assert (found.verdict, found.value) == (verdict, pytest.approx(value, abs=tolerance))
 
 
 def test_transition_of_light_feet():
-    found = CLAIMS["E4"].find()
+    found = CLAIMS["E4"].find(PAPER)
     assert found.verdict == "approximate"
     assert 2.83 < found.value < 3.69
     assert "3.691" in found.computed
@@ -131,7 +133,7 @@ def test_transition_of_light_feet():
 
 def test_light_feet_alone_are_stable_at_vanishing_slope():
     # As the slope vanishes: 0.0950 of the total mass.
-    assert mass_limit() == pytest.approx(0.0950, abs=5e-5)
+    assert mass_limit(PAPER) == pytest.approx(0.0950, abs=5e-5)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +152,7 @@ def test_light_feet_alone_are_stable_at_vanishing_slope():
     ],
 )
 def test_landmarks_are_where_they_were_computed_before(name, slope, angle, tolerance):
-    found = interval(name)
+    found = interval(PAPER, name)
     assert found.value == pytest.approx(slope, abs=tolerance)
     assert angle is None or found.angle == pytest.approx(angle, abs=5e-5)
     assert found.low < found.value < found.high
@@ -159,9 +161,9 @@ def test_landmarks_are_where_they_were_computed_before(name, slope, angle, toler
 
 def test_printed_landmarks_lie_in_their_intervals():
     verdicts = {
-        name: rule.compare(mark.printed, mark.half_unit, interval(name).value, interval(name).low, interval(name).high)
+        name: mark.printed.compare(found.value, found.low, found.high)
         for name, mark in LANDMARKS.items()
-        if mark.printed == mark.printed
+        if mark.printed != rule.NOT_PRINTED and (found := interval(PAPER, name))
     }
     assert verdicts == {
         "smallest slope, kneed": "consistent within rounding",
@@ -174,7 +176,7 @@ def test_printed_landmarks_lie_in_their_intervals():
 
 def test_the_flip_moves_with_the_offsets_as_found_before():
     # +0.0027 for -0.0005 in w_t, +0.0015 for -0.0005 in w_s, +0.0024 for +0.005 in R.
-    found = interval("C-printed flip").sensitivity
+    found = interval(PAPER, "C-printed flip").sensitivity
     assert -5e-4 * found["w_t"] == pytest.approx(0.0027, abs=5e-5)
     assert -5e-4 * found["w_s"] == pytest.approx(0.0015, abs=5e-5)
     assert 5e-3 * found["R"] == pytest.approx(0.0024, abs=5e-5)
@@ -183,7 +185,7 @@ def test_the_flip_moves_with_the_offsets_as_found_before():
 @pytest.mark.parametrize("name", list(LANDMARKS))
 def test_sensitivities_do_not_depend_on_the_step(name):
     mark = LANDMARKS[name]
-    found = line(mark.walker)
+    found = PAPER.line(mark.walker)
     Z, keys = place(found, mark), list(HALF_UNITS[mark.walker])
     by = [sensitivities(mark, Z, found.walker, keys, step)[-1] for step in (1e-5, 4e-5)]
     # Rounding over the step, and the third derivative times its square.
@@ -192,10 +194,10 @@ def test_sensitivities_do_not_depend_on_the_step(name):
 
 def test_sensitivity_of_a_fold_is_that_of_the_fold_found_again():
     h = 2e-5
-    moved = [min(float(np.exp(b.q.min())) for b in line("physical-straight", w_t=w).branches) for w in (h, -h)]
+    moved = [min(float(np.exp(b.q.min())) for b in PAPER.line("physical-straight", w_t=w).branches) for w in (h, -h)]
     # Central difference of relocated folds: error of order (h/leg)^2.
     again = (moved[0] - moved[1]) / (2 * h)
-    assert interval("smallest slope, straight").sensitivity["w_t"] == pytest.approx(again, rel=1e-5)
+    assert interval(PAPER, "smallest slope, straight").sensitivity["w_t"] == pytest.approx(again, rel=1e-5)
 
 
 def test_the_table_of_claims_is_whole():
@@ -275,13 +277,14 @@ def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_
         made.append(1)
         return {"toy/x": np.arange(3)}
 
-    lines.set_tables([("D", {}, {"toy/x": np.zeros(1)}), ("D", {"g": 2.0}, {"toy/x": np.ones(1)})])
+    of_study = [{"walker": "D", "set": {}}, {"walker": "D", "set": {"g": 2.0}}]
+    paper = paper_of(of_study, [{"toy/x": np.zeros(1)}, {"toy/x": np.ones(1)}])
     # Of the walker as it is: those of lines that change it were taken for its own.
-    assert lines.table("toy", "D", make)["x"].tolist() == [0]
-    assert lines.table("toy", "D", make, g=2.0)["x"].tolist() == [1]
+    assert paper.table("toy", "D", make)["x"].tolist() == [0]
+    assert paper.table("toy", "D", make, g=2.0)["x"].tolist() == [1]
     for _ in range(2):
-        lines.set_tables([])
-        assert lines.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
+        paper = paper_of([], [])
+        assert paper.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
     assert len(made) == 1
 
 
@@ -307,7 +310,7 @@ def test_branches_touch_where_folds_are_on_one_side_only(far, verdict):
 
 def test_feet_too_heavy_for_a_stable_gait_come_to_chaos_all_the_same():
     """Walker E, not checked by the paper: its gait of period two is stable, doubles, and its orbits part."""
-    chaotic, said = kneed_chaos.chaos("E")
+    chaotic, said = kneed_chaos.chaos(PAPER, "E")
     assert chaotic == 1
     assert "period 2 from 0.0055" in said
 
@@ -320,10 +323,11 @@ def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(mo
         return {"lost/low": np.array([0.1 * len(asked)]), "lost/high": np.array([0.1 * len(asked) + 0.01])}
 
     monkeypatch.setattr(kneed_chaos, "cascade", lost)
-    monkeypatch.setattr(kneed_chaos, "line", MagicMock())
-    monkeypatch.setattr(kneed_chaos, "table", lambda _group, _walker, make: {k[8:]: v for k, v in make().items()})
-    assert np.allclose(kneed_chaos.corner_crises("C-printed"), [(0.1, 0.11), (0.2, 0.21)])
-    sensitivity = interval("C-printed flip").sensitivity
+    paper = MagicMock()
+    paper.table = lambda _group, _walker, make: {k[8:]: v for k, v in make().items()}
+    monkeypatch.setattr(kneed_chaos, "interval", lambda _paper, name: interval(PAPER, name))
+    assert np.allclose(kneed_chaos.corner_crises(paper, "C-printed"), [(0.1, 0.11), (0.2, 0.21)])
+    sensitivity = interval(PAPER, "C-printed flip").sensitivity
     lower, upper = (each["line"]["walker"] for each in asked)
     for key, half in HALF_UNITS["C-printed"].items():
         sign = np.sign(sensitivity[key])
@@ -332,7 +336,7 @@ def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(mo
 
 
 def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
-    value, error, slope = kneed_chaos.exponent("D", np.array([0.012, 0.016]), 4)
+    value, error, slope = kneed_chaos.exponent(PAPER, "D", np.array([0.012, 0.016]), 4)
     assert value < -4 * error
     assert slope in (0.012, 0.016)
 
@@ -340,8 +344,8 @@ def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
 def test_an_exponent_is_not_taken_across_two_curves():
     # The machine's short step lies on one side of its fold at 0.0475 and on the other at 0.0525.
     with pytest.raises(ValueError, match="short gaits around slope 0.05 lie on two curves"):
-        line("physical").exponent(lines.SHORT, 0.05)
-    assert line("physical").exponent(lines.LONG, 0.04) > 0
+        PAPER.line("physical").exponent(lines.SHORT, 0.05)
+    assert PAPER.line("physical").exponent(lines.LONG, 0.04) > 0
 
 
 def test_every_claim_is_quoted_and_no_quotation_is_left_over():
@@ -350,8 +354,8 @@ def test_every_claim_is_quoted_and_no_quotation_is_left_over():
 
 
 def test_a_number_allowed_by_rounding_only_is_consistent_not_reproduced():
-    found = CLAIMS["Z4"].find()
-    assert (found.verdict, found.printed) == ("reproduced", 0.00015)
-    kneed = CLAIMS["P1"].find()
+    found = CLAIMS["Z4"].find(PAPER)
+    assert (found.verdict, rule.PRINTED["Z4"].number) == ("reproduced", 0.00015)
+    kneed, printed = CLAIMS["P1"].find(PAPER), rule.PRINTED["P1"]
     assert kneed.verdict == "consistent within rounding"
-    assert kneed.low < kneed.printed < kneed.high and abs(kneed.value - kneed.printed) > kneed.half_unit
+    assert kneed.low < printed.number < kneed.high and abs(kneed.value - printed.number) > printed.half_unit

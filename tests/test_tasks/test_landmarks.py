@@ -5,16 +5,17 @@ import pytest
 
 from gaitsweep.tasks.fits.transition import fitted_lines
 from gaitsweep.tasks.locate_landmarks import corners, crises, landmarks
-from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.paper.lines import paper_of
 from gaitsweep.tasks.solve_points import atlas
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+PAPER = paper_of([], [])
 
 
 def _landmarks(*walkers):
     lines = [{"walker": w, "set": {}, "name": w} for w in walkers]
-    table = landmarks({"lines": lines}, [line(w).arrays for w in walkers])
+    table = landmarks({"lines": lines}, [PAPER.line(w).arrays for w in walkers])
     columns = {name.removeprefix("landmarks/"): column for name, column in table.items()}
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -39,9 +40,11 @@ def test_landmarks_do_not_depend_on_what_their_process_computed_before():
     given = [atlas(walker, []), atlas({**walker, "coarse": True}, [])]
     tables = []
     for k in (0, 1, 0):
-        tables.append(landmarks({"lines": [{"walker": "D", "set": {}, "name": "D"}]}, [given[k]]))
-        assert line("D").arrays.keys() == given[k].keys()
-        assert all(line("D").arrays[name] is values for name, values in given[k].items())
+        lines = [{"walker": "D", "set": {}, "name": "D"}]
+        tables.append(landmarks({"lines": lines}, [given[k]]))
+        used = paper_of(lines, [given[k]]).line("D").arrays
+        assert used.keys() == given[k].keys()
+        assert all(used[name] is values for name, values in given[k].items())
     assert tables[0]["landmarks/slope"].tolist() == tables[2]["landmarks/slope"].tolist()
 
 
@@ -81,6 +84,6 @@ def test_fitted_lines_recover_two_power_laws_and_their_crossing():
     crossing = (0.9 / 20) ** 1.5
     fitted = fitted_lines(slope, angle, crossing)
     assert fitted.slope == pytest.approx(crossing, rel=1e-10)
-    assert (fitted.exponent, fitted.amplitude, fitted.upper_amplitude) == pytest.approx((1, 20, 0.9), rel=1e-10)
-    assert (fitted.low, fitted.high) == (crossing / 10, 3 * crossing)
+    assert (fitted.exponent, fitted.amplitude, fitted.cube_root) == pytest.approx((1, 20, 0.9), rel=1e-10)
+    assert (fitted.below, fitted.above) == (crossing / 10, 3 * crossing)
     assert np.isnan(fitted_lines(slope[:200], angle[:200], crossing).slope)

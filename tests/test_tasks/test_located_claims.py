@@ -10,58 +10,59 @@ from gaitsweep.pipeline.graph.layers import line_params
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.check_claims import claims
-from gaitsweep.tasks.paper import kneed_chaos, lines
+from gaitsweep.tasks.paper import kneed_chaos
 from gaitsweep.tasks.paper.claim import CLAIMS
-from gaitsweep.tasks.paper.lines import line
+from gaitsweep.tasks.paper.lines import Paper, paper_of
 from gaitsweep.tasks.registry import options
 from gaitsweep.tasks.solve_points import atlas
 from gaitsweep.tasks.trace_motion import trace
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
-PAPER = Path(__file__).parents[2] / "data" / "studies" / "paper"
+PAPER = paper_of([], [])
+STUDIES = Path(__file__).parents[2] / "data" / "studies" / "paper"
 #: Slope and stance angle at which the released knee first moves against its stop.
 POINT_3 = 0.021541606125377, 0.0193795
 
 
 def gait_of_point_3():
     """The gait solved at point 3's slope, whatever the nodes of its branch."""
-    found = line("physical").at([POINT_3[0]], ("stance_angle", "period", "kneestrike_time", "speed"))
+    found = PAPER.line("physical").at([POINT_3[0]], ("stance_angle", "period", "kneestrike_time", "speed"))
     (k,) = np.flatnonzero(np.isclose(found["stance_angle"][0], POINT_3[1], rtol=1e-5))
     return {name: float(values[0, k]) for name, values in found.items() if name != "slope" and values.ndim == 2}
 
 
 def test_kneestrike_at_point_3_is_that_of_the_gait_solved_there():
-    gait, found = gait_of_point_3(), CLAIMS["P8"].find()
+    gait, found = gait_of_point_3(), CLAIMS["P8"].find(PAPER)
     # The slope has 14 digits.
     assert found.value == pytest.approx(gait["kneestrike_time"] / gait["period"], rel=1e-10)
     assert found.computed == "from 42.17 % of the step at point 3 to 100.00 % at point 1, rising throughout"
 
 
 def test_the_slowest_gaits_are_those_of_points_3_and_4():
-    found = CLAIMS["P7"].find()
+    found = CLAIMS["P7"].find(PAPER)
     assert (found.verdict, found.value) == ("reproduced", pytest.approx(gait_of_point_3()["speed"], rel=1e-10))
     assert "at point 3, slope 0.02154161, " in found.computed
     # The slope of vanishing steps as computed independently.
     assert "vanishes at point 4, slope 0.02110135, " in found.computed
-    assert "at slope 0.02110135; point 3" in CLAIMS["P6"].find().computed
+    assert "at slope 0.02110135; point 3" in CLAIMS["P6"].find(PAPER).computed
 
 
 def test_the_kneed_walker_is_stable_between_the_located_points_and_nowhere_else():
     bounds = [0.01912287969, 0.05303710636, 0.1637224804, 0.1987944555]
-    found = line("physical").stable()
+    found = PAPER.line("physical").stable()
     assert [p["slope"] for part in found for p in part] == pytest.approx(bounds, rel=1e-9)
     assert [p["kind"] for part in found for p in part] == ["fold", "fold", "fold", "flip"]
     near = np.array([x * (1 + side * 1e-5) for x in bounds for side in (-1, 1)])
-    radius = line("physical").at(near, ("spectral_radius",))["spectral_radius"]
+    radius = PAPER.line("physical").at(near, ("spectral_radius",))["spectral_radius"]
     assert (radius < 1).any(axis=1).tolist() == [False, True, True, False, False, True, True, False]
-    said = CLAIMS["P2"].find().computed
+    said = CLAIMS["P2"].find(PAPER).computed
     assert "kneed: stable from the fold at slope 0.01912288 to the fold at 0.05303711 and " in said
     assert said.endswith(" from the fold at slope 0.1637225 to the flip at 0.1987945")
 
 
 def test_a_change_of_stability_between_special_points_is_noticed(monkeypatch):
-    kneed = line("physical")
+    kneed = PAPER.line("physical")
     known = [p for p in kneed.special if p["kind"] != "flip"]
     monkeypatch.setitem(kneed.__dict__, "special", known)
     with pytest.raises(ValueError, match="differ in stability"):
@@ -70,11 +71,11 @@ def test_a_change_of_stability_between_special_points_is_noticed(monkeypatch):
 
 def test_the_short_step_ends_at_small_detuning_where_the_foot_meets_the_ground_at_kneestrike():
     """Not as heelstrike becomes tangential: that is how long steps end."""
-    gaits = line("C", detuning=0.05)
-    assert "slope of the end, by detuning: 0.05 0.00245, 0.2 0.0088, " in (said := CLAIMS["T5"].find().computed)
+    gaits = PAPER.line("C", detuning=0.05)
+    assert "slope of the end, by detuning: 0.05 0.00245, 0.2 0.0088, " in (said := CLAIMS["T5"].find(PAPER).computed)
     assert "; its stance angle: 0.05 0.01615, " in said and said.count("at kneestrike, at 95.7") == 1
     (end,) = gaits.special_of("end_earlier_strike")
-    assert gaits.curve(end["branch"])["short"].all()
+    assert gaits.curves[end["branch"]]["short"].all()
     slope = np.array([end["slope"] * (1 + end["error_bound"])])
     motion = trace({**gaits.params, "slope": slope, "gaits": ("short",)}, [gaits.arrays])
     height = motion["trace/theta_st"] + motion["trace/theta_th"]
@@ -95,11 +96,11 @@ def test_claims_do_not_depend_on_the_nodes_of_the_branches():
         claims({"lines": lines, "ids": ids}, [atlas({"line": each, "coarse": coarse}, []) for each in lines])
         for coarse in (False, True)
     ]
-    assert len(line("physical").branches[0].Z) < 200
+    given = [atlas({"line": each, "coarse": True}, []) for each in lines]
+    assert len(paper_of(lines, given).line("physical").branches[0].Z) < 200
     fine, coarse = ([said.partition(" at point 4")[0] for said in table["claims/computed"]] for table in tables)
     assert fine == coarse
     np.testing.assert_allclose(tables[0]["claims/value"], tables[1]["claims/value"], rtol=1e-9)
-    claims({"lines": [], "ids": []}, [])
 
 
 def test_what_claims_compute_themselves_is_what_their_studies_compute(monkeypatch):
@@ -114,18 +115,17 @@ def test_what_claims_compute_themselves_is_what_their_studies_compute(monkeypatc
 
     for kind, name in (("cascade", "cascade"), ("curve", "curve"), ("census", "census")):
         monkeypatch.setattr(kneed_chaos, name, record(kind))
-    monkeypatch.setattr(lines, "_MADE_TABLES", {})
-    monkeypatch.setattr(lines, "_STUDY_TABLES", {})
+    paper = Paper({})
     finders = [
-        *(functools.partial(kneed_chaos.crisis, name, "1") for name in ("C", "C-printed", "D")),
+        *(functools.partial(kneed_chaos.crisis, walker=name, family="1") for name in ("C", "C-printed", "D")),
         kneed_chaos.re_pairing,
         kneed_chaos.never_more,
     ]
     for find in finders:
         with pytest.raises(LookupError):
-            find()
+            find(paper)
     studies = [
-        parse.read(PAPER / f"{name}.toml") for name in ("cascade-kneed", "cascade", "touching-branches", "census")
+        parse.read(STUDIES / f"{name}.toml") for name in ("cascade-kneed", "cascade", "touching-branches", "census")
     ]
     wanted = [(s.kind, line_params(s, Method.TASK, s.kind, s.line(i))) for s in studies for i in range(s.lines)][
         : len(asked)
