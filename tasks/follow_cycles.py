@@ -51,7 +51,7 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
         followed = []
         for flip in begins:
             path = doubled(half, flip, _EXPECTED)
-            if path and not _is_on(followed, path.problem, path.points[0]):
+            if path and not is_known(followed, path.points[0].Z[:, 0]):
                 followed += _along(path.problem, path.points[0], path.step, begins)
         followed += _searched(problem, branches, steps, single, followed)
         begins = _flips_of(problem, followed)
@@ -64,12 +64,8 @@ def _flips_of(problem: Problem, branches: list[Branch]) -> list[Point]:
 
 def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Point]) -> list[Branch]:
     """The branch through a gait, followed both ways, in parts that walk."""
-    ((down, up),) = follow(problem, gait.w, gait.q, step)
+    ((down, up),) = follow(problem, gait.Z, step)
     return run(problem, branches_along(problem, down, up, COARSE, begins))
-
-
-def _is_on(branches: list[Branch], problem: Problem, gait: Point) -> bool:
-    return is_known(branches, problem.m, gait.w[:, 0], float(gait.q[0]))
 
 
 def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
@@ -93,6 +89,6 @@ def _searched(
         slopes = _beyond_flips(problem, branches)
     for slope in slopes:
         for gait in search_cycles(problem, branches, float(slope), n, _STARTS):
-            if abs(gait.multipliers[0, 0]) <= MAX_MULTIPLIER and not _is_on([*known, *followed], several, gait):
+            if abs(gait.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known([*known, *followed], gait.Z[:, 0]):
                 followed += _along(several, gait, _FIRST_STEP, [])
     return followed

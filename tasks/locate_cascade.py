@@ -15,13 +15,12 @@ from gaitsweep.tasks.continuation.defining import scalar, slope_error
 from gaitsweep.tasks.continuation.flips import doubled
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
-from gaitsweep.tasks.continuation.tracking import Path, Point, correct
+from gaitsweep.tasks.continuation.tracking import Path, Point, check_steps, correct
 from gaitsweep.tasks.dynamics.crisis import lost
 from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride
@@ -119,7 +118,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             ratio = iter(ratios)
             for event in family:
                 state = state_at(event.problem, event.gait, 0)
-                _, check = verify_steps(event.problem, event.gait.w, event.gait.q)
+                check = check_steps(event.problem, event.gait.Z)
                 values = (
                     name,
                     event.problem.steps,
@@ -213,9 +212,8 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
             kept.append(i)
     if not kept:
         return []
-    w, q = result.w[:, kept], q[kept]
-    _, check = verify_steps(problem, w, q)
-    gaits = correct(problem, np.vstack([w[:m], q]), w[m:], None)
+    Z = np.vstack([result.w, q])[:, kept]
+    check, gaits = check_steps(problem, Z), correct(problem, Z, None)
     return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
 
 
@@ -263,8 +261,7 @@ def _follow_family(
     """
     low, high = np.log(slope[0]), np.log(slope[-1])
     problem = problem.of_steps(start.stride.steps)
-    up = np.zeros(len(start.Z))
-    up[problem.m] = 1.0
+    up = np.eye(len(start.Z))[-1]
     events: list[_Event] = []
     if problem.steps > 1:
         # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
@@ -296,7 +293,7 @@ def _first_event(path: Path, kind: str, low: float, high: float) -> tuple[_Event
     """The first fold or flip along a branch inside the window, or why there is none."""
 
     def test(gait: Point) -> float:
-        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.tangent[-1, 0])
+        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.direction[-1, 0])
 
     for _ in range(_MAX_POINTS):
         if not path.advance():

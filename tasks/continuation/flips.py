@@ -58,13 +58,13 @@ def doubled(problem: Problem, flip: Point, expected: float) -> Path | None:
         half.append(v)
         v = matvec(each.jacobian[:, :, [i]], v)
     change = np.concatenate([*half, *(-part for part in half)]) / flip.stride.y[0]
-    direction = np.append(similarity(_relative(base[:, 0], twice.m), change), 0.0)
-    direction = np.append(direction / np.linalg.norm(direction), np.zeros(twice.phases))
-    Z = np.concatenate([base[: twice.m, 0], [q], base[twice.m :, 0]])
+    direction = np.zeros(len(base) + 1)
+    direction[: twice.m] = similarity(_relative(base[:, 0], twice.m), change)[:, 0]
+    direction /= np.linalg.norm(direction)
+    Z = np.append(base[:, 0], q)
     a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Point]]()
     for _ in range(6):
-        guess = (Z + a * direction)[:, None]
-        first = correct(twice, guess[: twice.m + 1], guess[twice.m + 1 :], direction[:, None], _MAX_ITERATIONS)
+        first = correct(twice, (Z + a * direction)[:, None], direction[:, None], _MAX_ITERATIONS)
         if first.ok[0] and first.q[0] != q:
             farther.append((a, first))
             distance = abs(float(first.q[0]) - q)
@@ -109,8 +109,7 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> 
         why, errors = list(branch.why), list(branch.end_errors)
         if why[side] != HALVED:
             continue
-        node = branch.Z[-side]
-        w = np.delete(node, m)
+        w = branch.Z[:-1, -side]
         near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
         apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
         if flip is None or apart.min() > _NEAR:
@@ -120,15 +119,14 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> 
         at = _twice(half, flip)[:, int(apart.argmin())]
         # The halves leave the flip to opposite sides; all else changes by the square of the distance.
         y, durations = (part - np.roll(part, half.steps, axis=0) for part in sections(w[:, None], m, problem.steps))
-        along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], [0.0]])
-        along = np.append(along, np.cumsum(durations))
-        Z = np.insert(at, m, flip.q[0])
-        apart = np.abs(branch.Z - Z).max(axis=1)
+        along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], np.cumsum(durations), [0.0]])
+        Z = np.append(at, flip.q[0])
+        apart = np.abs(branch.Z - Z[:, None]).max(axis=0)
         clear = np.flatnonzero(apart > min(_CLEAR, _CLEAR_SHARE * apart.max()))
         kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
-        branch, node = branch.part(kept), branch.Z[kept[-side]]
+        branch, node = branch.part(kept), branch.Z[:, kept[-side]]
         along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
         why[side], errors[side] = "branch_point", slope_error(half, "flip", flip.Z[:, 0])
-        branch = branch.insert(side * len(branch.Z), Z, along)
+        branch = branch.insert(side * len(branch.q), Z, along)
         branch = replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
     return branch

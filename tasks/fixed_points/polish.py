@@ -229,9 +229,8 @@ def _curvature_at_points(
     known = np.isfinite(gradient).all(axis=(0, 1)) & ~grazing
     lanes = np.nonzero(~((2 * lipschitz * eta <= _MAX_CONTRACTION) & known))[0]
     if len(lanes):
-        X = np.vstack([w[: problem.m, lanes], np.log(guesses.slope[lanes])])
-        lipschitz, gradient = lipschitz.copy(), gradient.copy()
-        lipschitz[lanes], gradient[..., lanes] = curvature(problem.some(lanes), X, w[problem.m :, lanes])
+        lipschitz, gradient, q = lipschitz.copy(), gradient.copy(), np.log(guesses.slope[lanes])
+        lipschitz[lanes], gradient[..., lanes] = curvature(problem.some(lanes), w[:, lanes], q)
     return lipschitz, gradient
 
 

@@ -101,8 +101,7 @@ class Line:
         ----------
         Z : ndarray, shape (m + 1 + phases,)
         """
-        m = self.problem.m
-        stride, _ = self.problem.stride(np.delete(Z, m)[:, None], Z[m : m + 1])
+        stride, _ = self.problem.stride(Z[:-1, None], Z[-1:])
         return not gait_ratio(stride)[0] < 0.5
 
     def ends(self) -> tuple[float, float]:
@@ -160,11 +159,9 @@ class Line:
 
 
 def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
-    m, walker = branch.m, problem.walker
-    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    nodes = correct(problem, X, times, branch.direction.T)
-    time_unit = np.sqrt(walker.leg / walker.g)
-    slope, angle = np.exp(X[m]), np.exp(X[0])
+    m, walker, nodes = branch.m, problem.walker, correct(problem, branch.Z, branch.direction)
+    time_unit, times = np.sqrt(walker.leg / walker.g), branch.Z[m:-1]
+    slope, angle = np.exp(branch.q), np.exp(branch.Z[0])
     return {
         "slope": slope,
         "stance_angle": angle,

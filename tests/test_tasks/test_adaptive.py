@@ -23,24 +23,23 @@ def figure_error(truth, points):
     return worst
 
 
-def drawn(problem, rows):
-    """What is drawn of rows: ln slope, ln angle, ln period and the spectral radius, its logarithm where it is large."""
-    m = problem.m
-    stride, _ = problem.stride(np.delete(rows, m, axis=1).T, rows[:, m])
-    radius = np.nan_to_num(np.abs(multipliers(stride.jacobian, m)).max(axis=1), nan=1e9)
+def drawn(problem, Z):
+    """What is drawn: ln slope, ln angle, ln period and the spectral radius, its logarithm where it is large."""
+    stride, _ = problem.stride(Z[:-1], Z[-1])
+    radius = np.nan_to_num(np.abs(multipliers(stride.jacobian, problem.m)).max(axis=1), nan=1e9)
     shown = np.where(radius < 1, radius, 1 + np.log(np.maximum(radius, 1)))
-    return np.column_stack([plane(rows, m), shown])
+    return np.column_stack([plane(Z), shown])
 
 
 def uniform(found, low, high, n):
     """Points of a branch at equally spaced slopes, in its order, as a grid's figure joins them."""
-    rows, places = [], []
+    points, places = [], []
     for _, Z, segment in found.guesses(np.log(np.linspace(low, high, n))):
-        at = Z[np.arange(len(Z)), found.axis[segment]]
-        a, b = (found.Z[segment + i, found.axis[segment]] for i in (0, 1))
-        rows.append(Z)
+        at = Z[found.axis[segment], np.arange(len(segment))]
+        a, b = found.ends_of(segment)
+        points.append(Z)
         places.append(segment + (at - a) / (b - a))
-    return np.vstack(rows)[np.argsort(np.concatenate(places))]
+    return np.hstack(points)[:, np.argsort(np.concatenate(places))]
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
     flips = 0.1 + sign * 0.04 * (1 - DELTA ** -np.arange(4.0))
     problem, searched = Problem(resolve("D")), []
     (gait,) = (flip for branch in from_arrays(_atlas("D", ())) for flip in flips_of(problem, branch))
-    gaits = [replace(gait, X=np.vstack([gait.X[:-1], [[q]]])) for q in np.log(flips)]
+    gaits = [replace(gait, Z=np.vstack([gait.w, [[q]]])) for q in np.log(flips)]
 
     def lost(problem, starts, low, high, strides):
         searched.append((low, high))
@@ -141,11 +141,11 @@ def test_of_a_fold_one_side_is_followed(monkeypatch):
 
 def test_roots_are_located_in_few_evaluations(monkeypatch):
     """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
-    evaluated, joint = [], tracking.joint
-    monkeypatch.setattr(tracking, "joint", lambda *a: evaluated.append(1) or joint(*a))
+    evaluated, linearised = [], tracking.linearised
+    monkeypatch.setattr(tracking, "linearised", lambda *a: evaluated.append(1) or linearised(*a))
     problem = Problem(resolve("D"))
     (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    path = Path(problem, start, np.array([0.0, 0.0, 1.0, 0.0]), 0.02)
+    path = Path(problem, start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02)
 
     def test(gait):
         return float(scalar("flip", gait)[0])
