@@ -11,8 +11,9 @@ import numpy as np
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar, slope_error
+from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
+from gaitsweep.tasks.continuation.joint import Linearisation, linearised
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
 from gaitsweep.tasks.continuation.tracking import Path, Point, check_steps, correct
@@ -52,7 +53,7 @@ class _Event:
 
     kind: str
     problem: Problem
-    gait: Point
+    gait: Linearisation
     error: float
 
     @property
@@ -298,13 +299,17 @@ def _first_event(path: Path, kind: str, low: float, high: float) -> tuple[_Event
     for _ in range(_MAX_POINTS):
         if not path.advance():
             return None, f"the branch could not be continued beyond a slope of {np.exp(path.points[-1].q[0]):.6g}"
-        before, after = path.points[-2:]
-        if test(before) * test(after) < 0:
-            gait = path.locate_root(test)
-            event = _Event(kind, path.problem, gait, slope_error(path.problem, kind, gait.Z[:, 0]))
+        (before, after), at = path.points[-2:], path.points[-1].q[0]
+        a, b = test(before), test(after)
+        if a * b < 0:
+            solved = solve(path.problem, kind, path.between(a / (a - b)))
+            if not solved.ok[0]:
+                return None, f"the next one could not be located, near a slope of {np.exp(at):.6g}"
+            error = slope_error(path.problem, kind, solved.Z[:, 0])
+            event = _Event(kind, path.problem, linearised(path.problem, solved.Z), error)
             if not low <= event.q <= high:
                 return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
             return event, ""
-        if not low - 0.05 <= after.q[0] <= high + 0.05:
-            return None, f"the branch leaves the window at a slope of {np.exp(after.q[0]):.6g}"
+        if not low - 0.05 <= at <= high + 0.05:
+            return None, f"the branch leaves the window at a slope of {np.exp(at):.6g}"
     return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(path.points[-1].q[0]):.6g}"

@@ -8,14 +8,14 @@ coincide, so ends are followed as folds and flips are.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.defining import joint_derivative
 from gaitsweep.tasks.continuation.joint import but_times
-from gaitsweep.tasks.continuation.root import passes
+from gaitsweep.tasks.continuation.root import bracketed_root, hermite, passes
 from gaitsweep.tasks.continuation.tracking import CLOSED, Track, joined
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -45,16 +45,11 @@ _FIRST_STEP, _MAX_POINTS = 0.02, 5000
 BORDER, LOST, TOO_MANY = "border", "no further point", "too many points"
 
 
-@dataclass
-class _AtPoint:
+class _AtPoint(NamedTuple):
     """The equations at a point, to first order, in arrays of one lane."""
 
     residual: np.ndarray
     derivative: np.ndarray
-
-    def assign(self, lanes: np.ndarray, other: _AtPoint) -> None:
-        """Replace it by another; `lanes` is the one there is."""
-        self.residual, self.derivative = other.residual, other.derivative
 
 
 class Curve:
@@ -256,12 +251,14 @@ def turning(
     def along(point: engine.Corrected) -> np.ndarray:
         return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
 
-    ends = [curve.correct(Z, chord) for Z, _ in (a, b)]
+    def at(share: float) -> engine.Corrected:
+        return curve.correct(hermite(*a, *b, length, share), chord)
+
+    ends = [at(share) for share in (0.0, 1.0)]
     tangents = [along(point)[component] for point in ends]
     if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
         return None
-    values = float(tangents[0]), float(tangents[1])
-    turn = engine.root_between(a, b, values, curve.correct, lambda point: float(along(point)[component]), 1e-11)
+    turn = at(bracketed_root(lambda share: float(along(at(share))[component]), 0.0, 1.0, 1e-11))
     if not turn.ok[0]:
         return None
     Z, tangent = turn.Z[:, 0], along(turn)

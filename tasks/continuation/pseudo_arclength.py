@@ -1,4 +1,4 @@
-"""Pseudo-arclength continuation: predictor, corrector, step control and the location of events between two points.
+"""Pseudo-arclength continuation: predictor, corrector and step control.
 
 What is continued are the zeros Z of any equations with one more unknown than there are of them: branches of gaits
 (`tracking`), of any number of steps, and curves of special points (`codimension_one`). Lanes have points of their own
@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.root import bracketed_root, hermite
-
-Point = TypeVar("Point", bound=Any)
+from gaitsweep.tasks.continuation.root import hermite
 
 #: Equations of some lanes at their points Z (c, n), to first order: their `residual` (c - 1, n), its `derivative`
-#: (c - 1, c, n), and `assign(lanes, other)`, which replaces some lanes; and the size of a bordered Newton step that
-#: rounding makes (n,), by the bordered matrix (n, c, c).
+#: (c - 1, c, n), and, of several lanes, `assign(lanes, other)`, which replaces some of them; and the size of a bordered
+#: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
 Linearise = Callable[[np.ndarray, np.ndarray], Any]
 RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
 
@@ -127,7 +125,7 @@ def bordered_newton(
     start, Z = Z, Z.copy()
     ok, error = np.zeros(n, bool), np.full(n, np.inf)
     active = np.arange(n)
-    for iteration in range(limits.max_iterations):
+    for _ in range(limits.max_iterations):
         normal, points = border[:, active], Z[:, active]
         system = linearise(active, points)
         matrix = bordered_matrix(system.derivative, normal)
@@ -141,7 +139,7 @@ def bordered_newton(
         )
         ok[active], error[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
-        if not iteration:
+        if len(active) == n:
             at, null = system, direction
         else:
             at.assign(active, system)
@@ -280,62 +278,3 @@ class Tracks:
         a, a_tangent, b, b_tangent = (each[:, active] for each in (*self.before, self.Z, self.tangent))
         off = hermite(a, a_tangent, b, b_tangent, length, 1 + self.step[active] / length) - guess
         return guess + np.where(has_two, off - border * (border * off).sum(axis=0), 0.0)
-
-
-def root_between(
-    a: tuple[np.ndarray, np.ndarray],
-    b: tuple[np.ndarray, np.ndarray],
-    values: tuple[float, float],
-    correct: Callable[[np.ndarray, np.ndarray], Point],
-    test: Callable[[Point], float],
-    tolerance: float,
-) -> Point:
-    """Locate the root of a test function between two points of a curve, where it changes sign.
-
-    Parameters
-    ----------
-    a, b : tuple of ndarray, shape (c,)
-        The points, each with the curve's tangent there.
-    values : tuple of float
-        Those of the test function at both.
-    correct : callable
-        The point in the plane through another normal to a direction, both (c,).
-    test : callable
-    tolerance : float
-        Of the root, over the distance of the points.
-
-    Returns
-    -------
-    object
-        As `correct` returns it.
-
-    Raises
-    ------
-    ValueError
-        Where the function has the same sign at both ends.
-    """
-    chord = b[0] - a[0]
-    length = float(np.linalg.norm(chord))
-    along, known, points = chord / length, {0.0: a, length: b}, dict[float, Point]()
-
-    def at(s: float) -> Point:
-        if s in points:
-            return points[s]
-        if s in known:
-            guess = known[s][0]
-        else:
-            # Near the root the nearest points that are known are so near that a step of Newton's or two remain.
-            low, high = max(x for x in known if x < s), min(x for x in known if x > s)
-            (Z_low, T_low), (Z_high, T_high) = known[low], known[high]
-            distance = float(np.linalg.norm(Z_high - Z_low))
-            guess = hermite(Z_low, T_low, Z_high, T_high, distance, (s - low) / (high - low))
-            guess = guess + along * (s - along @ (guess - a[0]))
-        points[s] = point = correct(guess, along)
-        tangent = point.direction[:, 0]
-        known[s] = point.Z[:, 0], tangent if tangent @ along >= 0 else -tangent
-        return point
-
-    def value(s: float) -> float:
-        return values[s > 0] if s in (0.0, length) else test(at(s))
-
-    return at(bracketed_root(value, 0.0, length, tolerance * length))

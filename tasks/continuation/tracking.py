@@ -9,7 +9,6 @@ number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,9 +21,8 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
     Tracks,
     bordered_matrix,
     bordered_newton,
-    root_between,
 )
-from gaitsweep.tasks.continuation.root import passes
+from gaitsweep.tasks.continuation.root import hermite, passes
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.registry import SLOPES
@@ -55,8 +53,6 @@ MAX_MULTIPLIER, _MAX_CHANGE = 20.0, 0.6
 #: Largest error of predicted event times.
 _MAX_TIME_ERROR = 0.1
 _MAX_NODES = 1500
-#: Distance from a root at which it is located, over the distance of the points between which it lies.
-_LOCATED = 3e-13
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
 MAX_CROSSING_STEP = 1e-4
@@ -334,15 +330,10 @@ class Path:
     def _correct(self, guess: np.ndarray, border: np.ndarray) -> Point:
         return correct(self.problem, guess, border)
 
-    def locate_root(self, test: Callable[[Point], float]) -> Point:
-        """Locate the root of a test function between the last two points, where it changes sign."""
-        ends = self.points[-2:]
-        a, b = ((point.Z[:, 0], point.direction[:, 0]) for point in ends)
-
-        def corrected(guess: np.ndarray, along: np.ndarray) -> Point:
-            return correct_and_evaluate(self.problem, guess[:, None], along[:, None]).oriented(along[:, None])
-
-        return root_between(a, b, (test(ends[0]), test(ends[1])), corrected, test, _LOCATED)
+    def between(self, share: float) -> np.ndarray:
+        """Point (c, 1) at a share of the way between the last two, on the cubic through both."""
+        a, b = self.points[-2:]
+        return hermite(a.Z, a.direction, b.Z, b.direction, float(np.linalg.norm(b.Z - a.Z)), share)
 
 
 class _Branches(Tracks):

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pytest
 
 from gaitsweep.tasks.continuation.pseudo_arclength import (
     Newton,
     StepControl,
     Tracks,
     bordered_newton,
-    root_between,
 )
 from gaitsweep.tasks.continuation.root import hermite
 
@@ -108,19 +106,6 @@ def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
         near, far = (np.linalg.norm(reached - Z, axis=0) for Z in (start, guess))
         assert (near[has_two] < 0.7 * far[has_two]).all() and (start == guess)[:, ~has_two].all()
         assert has_two.sum() == (0, 2, 3)[k]
-
-
-def test_a_root_is_located_between_two_points():
-    def correct(Z, direction):
-        return circles(SQUARES[:1])(Z[:, None], direction[:, None])
-
-    ends = []
-    for a in (0.2, 0.9):
-        tangent = np.array([-np.sin(a), np.cos(a), np.cos(2 * a)])
-        ends.append((np.array([np.cos(a), np.sin(a), np.sin(2 * a) / 2]), tangent / np.linalg.norm(tangent)))
-    values = tuple(float(Z[1] - Z[0]) for Z, _ in ends)
-    at = root_between(*ends, values, correct, lambda point: float(point.Z[1, 0] - point.Z[0, 0]), 1e-14).Z[:, 0]
-    assert at[:2] == pytest.approx(np.sqrt([0.5, 0.5]), abs=1e-13)
 
 
 def test_hermites_polynomial_is_the_cubic_through_both_points_and_tangents():
