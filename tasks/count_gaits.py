@@ -14,6 +14,7 @@ from gaitsweep.tasks.fixed_points.newton import newton, newton_step
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -88,8 +89,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    rows: dict[str, list[Any]] = {k: [] for k in _GAIT_COLUMNS}
-    cover: dict[str, list[Any]] = {k: [] for k in _COVERAGE_COLUMNS}
+    rows: list[tuple[Any, ...]] = []
+    cover: list[tuple[Any, ...]] = []
     for slope in np.asarray(params["slope"], float):
         y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
         first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
@@ -121,8 +122,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     radius[i],
                     int(hits[i]),
                 )
-                for key, value in zip(_GAIT_COLUMNS, values, strict=True):
-                    rows[key].append(value)
+                rows.append(values)
         once = int((hits == 1).sum())
         values = (
             slope,
@@ -136,10 +136,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             tried,
             added,
         )
-        for key, value in zip(_COVERAGE_COLUMNS, values, strict=True):
-            cover[key].append(value)
-    tables = {f"census/{k}": np.array(v) for k, v in rows.items()}
-    return tables | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
+        cover.append(values)
+    return table("census", _GAIT_COLUMNS, rows) | table("coverage", _COVERAGE_COLUMNS, cover)
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:

@@ -15,6 +15,7 @@ from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, foll
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import is_one_link, resolve
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
@@ -63,8 +64,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     own = _own_value(line, key)
     slope = np.asarray(params["slope"], float)
     window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
-    rows: dict[str, list[Any]] = {k: [] for k in _CURVES}
-    turns: dict[str, list[Any]] = {k: [] for k in _TURNINGS}
+    rows: list[tuple[Any, ...]] = []
+    turns: list[tuple[Any, ...]] = []
     for begin in _beginnings(own, low, high):
         beside = np.clip(begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0]), low, high)
         if not _is_ordinary(walker_at, beside.tolist(), usual):
@@ -80,21 +81,19 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             points, tangents, stopped = follow_both_directions(equations, first, window)
             # A curve that returns to the line it began on passes through another of its points.
             seen += [(kind, p) for p in _returns(equations, points, first.Z[:, 0])]
-            number = len(set(rows["curve"]))
+            number = len({row[0] for row in rows})
             why = [stopped[0], *[""] * (len(points) - 2), stopped[1]] if len(points) > 1 else [stopped[1]]
             for p, reason in zip(points, why, strict=True):
                 row = *_place(equations, p, key, window), _error(equations, p, window), int(equations.walks(p)), reason
-                _add(rows, (number, kind, *row))
+                rows.append((number, kind, *row))
             for component, turn in ((-1, "key"), (-2, "slope")):
                 for a, b in itertools.pairwise(zip(points, tangents, strict=True)):
                     found = turning(equations, a, b, component)
                     if found is not None:
-                        _add(turns, (number, kind, turn, *_place(equations, found[0], key, window), found[1]))
+                        turns.append((number, kind, turn, *_place(equations, found[0], key, window), found[1]))
         if seen:
             break
-    return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
-        f"turnings/{k}": np.array(v) for k, v in turns.items()
-    }
+    return table("curves", _CURVES, rows) | table("turnings", _TURNINGS, turns)
 
 
 def _beginnings(own: float, low: float, high: float) -> list[float]:
@@ -108,11 +107,6 @@ def _is_ordinary(walker_at: Callable[[float], Walker], values: list[float], usua
         return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in values)
     except WalkerError:
         return False
-
-
-def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
-    for column, value in zip(table.values(), row, strict=True):
-        column.append(value)
 
 
 def _place(equations: Curve, Z: np.ndarray, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.joint import Linearisation
-from gaitsweep.tasks.continuation.tracking import HALVED, Path, Point, correct
+from gaitsweep.tasks.continuation.tracking import HALVED, Point, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
@@ -29,7 +29,7 @@ _NEAR = 0.05
 _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
-def doubled(problem: Problem, flip: Linearisation, expected: float) -> Path | None:
+def doubled(problem: Problem, flip: Linearisation, expected: float) -> tuple[Point, np.ndarray, float] | None:
     """Begin the branch of twice as many steps at a flip.
 
     Parameters
@@ -43,8 +43,9 @@ def doubled(problem: Problem, flip: Linearisation, expected: float) -> Path | No
 
     Returns
     -------
-    Path or None
-        Of a problem of twice the steps; None where no point of the branch is found.
+    tuple or None
+        A point of the branch, the direction (c,) away from the flip and the length of a first step along it, as
+        `points_along` takes them; None where no point is found.
 
     Notes
     -----
@@ -77,7 +78,7 @@ def doubled(problem: Problem, flip: Linearisation, expected: float) -> Path | No
     if not farther:
         return None
     a, first = farther[-1]
-    return Path(twice, first, direction, 0.3 * a)
+    return first, direction, 0.3 * a
 
 
 def _relative(w: np.ndarray, m: int) -> np.ndarray:

@@ -9,6 +9,8 @@ number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +24,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
     bordered_matrix,
     bordered_newton,
 )
-from gaitsweep.tasks.continuation.root import hermite, passes
+from gaitsweep.tasks.continuation.root import passes
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.registry import SLOPES
@@ -291,49 +293,30 @@ def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.
     return (apart[0] * apart[1]).sum(axis=(0, 1)) > 0
 
 
-class Path:
-    """A branch followed in one direction, a point at each call of `advance`, for what lies soon on it.
+def points_along(problem: Problem, first: Point, direction: np.ndarray, step: float) -> Iterator[Point]:
+    """Yield the points of a branch in one direction, for what lies soon on it, as long as another can be found.
 
     Parameters
     ----------
     problem : Problem
     first : Point
-        Of one lane.
+        Of one lane, which is yielded first.
     direction : ndarray, shape (c,)
     step : float
         Length of the first step.
     """
+    point = first.oriented(direction[:, None])
+    tracks = Tracks(_CONTROL_OF_SEVERAL, point.Z, point.direction, step)
 
-    def __init__(self, problem: Problem, first: Point, direction: np.ndarray, step: float):
-        self.problem, self.points = problem, [first.oriented(direction[:, None])]
-        self._tracks = Tracks(_CONTROL_OF_SEVERAL, first.Z, self.points[0].direction, step)
+    def judge(new: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _of_several(np.ones(1, bool), error, new, _trace(point))
 
-    @property
-    def step(self) -> float:
-        """Length of the next step."""
-        return float(self._tracks.step[0])
-
-    def advance(self) -> bool:
-        """Add a point; False where none can be found."""
-        tracks, last = self._tracks, self.points[-1]
-
-        def judge(point: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return _of_several(np.ones(1, bool), error, point, _trace(last))
-
-        while tracks.step[0] > tracks.control.shortest:
-            point, fair = tracks.advance(np.array([0]), self._correct, judge)
-            if fair[0]:
-                self.points.append(point.oriented(tracks.tangent))
-                return True
-        return False
-
-    def _correct(self, guess: np.ndarray, border: np.ndarray) -> Point:
-        return correct(self.problem, guess, border)
-
-    def between(self, share: float) -> np.ndarray:
-        """Point (c, 1) at a share of the way between the last two, on the cubic through both."""
-        a, b = self.points[-2:]
-        return hermite(a.Z, a.direction, b.Z, b.direction, float(np.linalg.norm(b.Z - a.Z)), share)
+    yield point
+    while tracks.step[0] > tracks.control.shortest:
+        new, fair = tracks.advance(np.array([0]), functools.partial(correct, problem), judge)
+        if fair[0]:
+            point = new.oriented(tracks.tangent)
+            yield point
 
 
 class _Branches(Tracks):

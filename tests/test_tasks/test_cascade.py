@@ -9,7 +9,6 @@ from gaitsweep.tasks import columns, locate_cascade
 from gaitsweep.tasks.continuation import defining
 from gaitsweep.tasks.continuation.atlas import from_arrays
 from gaitsweep.tasks.continuation.special_points import flips as flips_of
-from gaitsweep.tasks.continuation.tracking import Path
 from gaitsweep.tasks.dynamics import crisis
 from gaitsweep.tasks.dynamics.crisis import surviving_slopes
 from gaitsweep.tasks.dynamics.initial_states import gaits_at
@@ -142,9 +141,9 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
     """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
     problem = Problem(resolve("D"))
     (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    path, evaluated, newton_step = Path(problem, start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.newton_step
+    begun, evaluated, newton_step = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.newton_step
     monkeypatch.setattr(defining, "newton_step", lambda *a, **k: evaluated.append(1) or newton_step(*a, **k))
-    event, _ = locate_cascade._first_event(path, "flip", *np.log([0.0145, 0.016]))
+    event, _ = locate_cascade._first_event(problem, begun, "flip", *np.log([0.0145, 0.016]))
     assert event.slope == pytest.approx(0.015088437941119463562, rel=1e-13)
     assert 0 < len(evaluated) < 8
 
