@@ -53,7 +53,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
     ends: list[tuple[float, BranchEnd]] = []
     for kind in _ENDS:
-        if "kneestrike" in kind and not len(at_good.stride.knee):
+        if "kneestrike" in kind and not len(at_good.stride.one.knee):
             continue
         test = test_function(kind)
         if test(at_good) * test(at_bad) < 0:

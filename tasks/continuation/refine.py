@@ -140,7 +140,7 @@ def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Proce
             if (yield from _is_interrupted(branch, place[k], fine[k])):
                 gaps.append(float(place[k]))
                 break
-            against = stride.start[4] < stride.start[5]
+            against = stride.one.start[4] < stride.one.start[5]
             k = int(np.diff(against.reshape(stride.steps, -1).any(axis=0)).argmax())
             low, high = place[k], place[k + 1]
     return sorted(set(gaps))

@@ -168,7 +168,7 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
     """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
-    knee = point.stride.knee
+    knee = point.stride.one.knee
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 

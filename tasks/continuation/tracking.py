@@ -153,35 +153,27 @@ def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stop_reasons(point: Point, count: np.ndarray) -> np.ndarray:
-    """Why tracks stop at their points, of which they have `count`: indices into `_STOP_REASONS`."""
+    """Why tracks stop at their points, of which they have `count`; empty where they go on."""
     q, angle = point.q, point.Z[0]
     slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
     vanished = rate_of_steps(point.Z[1 : point.m]) > MOST_RATE
     early = np.diff(point.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
-    tests = (slope, no_step, fall_margin(point.Z, point.stride.steps) > 0, vanished, early, count > _MAX_NODES)
-    return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
+    tests = {
+        "end of the window": slope,
+        "a fall": ~no_step & (fall_margin(point.Z, point.stride.steps) > 0),
+        "zero step length": no_step | vanished,
+        "heelstrike before kneestrike": early,
+        "too many points": count > _MAX_NODES,
+    }
+    return np.select(list(tests.values()), list(tests), "")
 
 
 #: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
 MOST_RATE = 36.0
 #: Why a track that returns to its start stops, and one of several steps that passes the flip of half as many.
 CLOSED, HALVED = "closed", "halved"
-_STOP_REASONS = (
-    "",
-    "end of the window",
-    "zero step length",
-    "a fall",
-    "heelstrike before kneestrike",
-    "too many points",
-    "not a step",
-    "no further point",
-    "no start",
-    CLOSED,
-    HALVED,
-    "multiplier_limit",
-)
 
 
 def rate_of_steps(rates: np.ndarray) -> np.ndarray:
@@ -221,54 +213,16 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
     list of (Track, Track)
         For each gait the tracks towards lower and higher slopes; both begin with the gait itself.
     """
-    m, n = problem.m, Z.shape[1]
-    first = correct(problem, Z, None)
+    n, first = Z.shape[1], correct(problem, Z, None)
     upwards = np.zeros(Z.shape)
     upwards[-1] = 1.0
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
-    problem = problem.some(lanes)
-    tracks = _Branches(first, lanes, sign * upwards[:, lanes], step)
+    tracks = _Branches(problem.some(lanes), first, lanes, sign * upwards[:, lanes], step)
     tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
-    tracks.stop[~first.ok[lanes]] = _STOP_REASONS.index("no start")
-    while len(active := np.flatnonzero(tracks.stop == 0)):
-        border, side = tracks.tangent[:, active], np.zeros(len(active))
-
-        def correct_active(guess: np.ndarray, border: np.ndarray, active: np.ndarray = active) -> Point:
-            return correct(problem.some(active), guess, border)
-
-        def judge(
-            point: Point,
-            guess: np.ndarray,
-            error: np.ndarray,
-            active: np.ndarray = active,
-            border: np.ndarray = border,
-            side: np.ndarray = side,
-        ) -> tuple[np.ndarray, np.ndarray]:
-            # Another root of a guard is another solution, even if the gait is nearly the same.
-            fair = (np.abs(point.Z - guess)[m:-1] < _MAX_TIME_ERROR).all(axis=0)
-            side[:] = np.sign(branch_point_determinant(point, border))
-            fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
-            return (fair, error) if problem.steps == 1 else _of_several(fair, error, point, tracks.trace[active])
-
-        before = tracks.Z[:, active], tracks.tangent[:, active]
-        point, fair = tracks.advance(active, correct_active, judge)
-        new, refused, point = active[fair], active[~fair], lanes_of(point, fair)
-        tracks.side[new], tracks.trace[new] = side[fair], _trace(point)
-        tracks.stop[new] = _stop_reasons(point, tracks.count[new])
-        if problem.steps > 1:
-            too_large = np.abs(point.multipliers[:, 0]) > MAX_MULTIPLIER
-            tracks.stop[new[too_large]] = _STOP_REASONS.index("multiplier_limit")
-            halved = ~_keeps_apart(before[0][:, fair], point.Z, problem)
-            tracks.stop[new[halved]] = _STOP_REASONS.index(HALVED)
-        # Beyond the flip of half its steps a branch repeats itself.
-        tracks.record(new[tracks.stop[new] != _STOP_REASONS.index(HALVED)])
-        closed = tracks.pass_start(new, *(each[:, fair] for each in before))
-        tracks.stop[new[closed]] = _STOP_REASONS.index(CLOSED)
-        tracks.stop[refused[tracks.step[refused] < tracks.control.shortest]] = _STOP_REASONS.index("no further point")
-        checked = new[(tracks.stop[new] == 0) & (tracks.count[new] % _CHECK_EVERY == 0)]
-        if len(checked):
-            tracks.stop[checked[~_are_steps(problem, tracks, checked)]] = _STOP_REASONS.index("not a step")
+    tracks.stop[~first.ok[lanes]] = "no start"
+    while len(active := np.flatnonzero(tracks.stop == "")):
+        tracks.go_on(active)
     return tracks.pairs()
 
 
@@ -322,17 +276,45 @@ def points_along(problem: Problem, first: Point, direction: np.ndarray, step: fl
 class _Branches(Tracks):
     """Branches in progress: their last points, all points in the order they were found, and why they stopped."""
 
-    def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray, step: float):
-        tangent = first.direction[:, lanes]
+    def __init__(self, problem: Problem, first: Point, lanes: np.ndarray, orientation: np.ndarray, step: float):
+        self.problem, tangent = problem, first.direction[:, lanes]
         tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        control = _CONTROL if first.stride.steps == 1 else _CONTROL_OF_SEVERAL
-        super().__init__(control, first.Z[:, lanes], tangent, step)
+        super().__init__(_CONTROL if problem.steps == 1 else _CONTROL_OF_SEVERAL, first.Z[:, lanes], tangent, step)
         self.trace = _trace(first)[lanes]
         n, self.first = len(lanes), (self.Z.copy(), self.tangent.copy())
-        self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.zeros(n, int)
+        self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.full(n, "", object)
         self.recent = np.zeros((_CHECK_EVERY // 3, *self.Z.shape))
         self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.record(np.arange(n))
+
+    def go_on(self, active: np.ndarray) -> None:
+        """Try a step of some tracks, ndarray of int of shape (j,), and see which of them stop."""
+        problem, m = self.problem, self.problem.m
+        before, tangent = self.Z[:, active], self.tangent[:, active]
+        side = np.zeros(len(active))
+
+        def judge(point: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            # Another root of a guard is another solution, even if the gait is nearly the same.
+            fair = (np.abs(point.Z - guess)[m:-1] < _MAX_TIME_ERROR).all(axis=0)
+            side[:] = np.sign(branch_point_determinant(point, tangent))
+            fair &= (self.side[active] * side >= 0) | (self.step[active] <= MAX_CROSSING_STEP)
+            return (fair, error) if problem.steps == 1 else _of_several(fair, error, point, self.trace[active])
+
+        point, fair = self.advance(active, functools.partial(correct, problem.some(active)), judge)
+        new, refused, point = active[fair], active[~fair], lanes_of(point, fair)
+        before, tangent = before[:, fair], tangent[:, fair]
+        self.side[new], self.trace[new] = side[fair], _trace(point)
+        self.stop[new] = _stop_reasons(point, self.count[new])
+        if problem.steps > 1:
+            self.stop[new[np.abs(point.multipliers[:, 0]) > MAX_MULTIPLIER]] = "multiplier_limit"
+            self.stop[new[~_keeps_apart(before, point.Z, problem)]] = HALVED
+        # Beyond the flip of half its steps a branch repeats itself.
+        self.record(new[self.stop[new] != HALVED])
+        self.stop[new[self.pass_start(new, before, tangent)]] = CLOSED
+        self.stop[refused[self.step[refused] < self.control.shortest]] = "no further point"
+        checked = new[(self.stop[new] == "") & (self.count[new] % _CHECK_EVERY == 0)]
+        if len(checked):
+            self.stop[checked[~_are_steps(problem, self, checked)]] = "not a step"
 
     def record(self, tracks: np.ndarray) -> None:
         """Add the last points of tracks to what was found."""
@@ -364,7 +346,7 @@ class _Branches(Tracks):
         order = np.argsort(owner, kind="stable")
         bounds = np.cumsum(self.count)[:-1]
         Z, tangent = (np.split(np.hstack([e[i] for e in self.log])[:, order], bounds, axis=1) for i in (1, 2))
-        tracks = [Track(*each) for each in zip(Z, tangent, (_STOP_REASONS[i] for i in self.stop), strict=True)]
+        tracks = [Track(*each) for each in zip(Z, tangent, self.stop.tolist(), strict=True)]
         n = len(tracks) // 2
         return list(zip(tracks[:n], tracks[n:], strict=True))
 

@@ -181,12 +181,8 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         wide = extended_precision.refine(
             problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
         )
-        y[:, lane], times[:, lane], stride.impact[..., lane], state[:, lane] = (
-            wide.y,
-            wide.times,
-            wide.impact,
-            wide.state,
-        )
+        y[:, lane], times[:, lane], state[:, lane] = wide.y, wide.times, wide.state
+        stride.one.impact[..., lane] = wide.impact
         bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     if len(unsure):
@@ -194,7 +190,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         some, samples = problem.some(unsure), SAMPLES if sampled else 0
         parameters = some.parameters(slope[unsure], scale[unsure])
         better = some.map(y[:, unsure], times[:, unsure], parameters, samples=samples)
-        better.impact = stride.impact[..., unsure]
+        better.one.impact = stride.one.impact[..., unsure]
         stride.assign(unsure, better)
         last[:, unsure] = 0.0
     step = strikes_fall_in_order(stride.closing, times)
@@ -256,7 +252,7 @@ def _polish(
     stride, scale = problem.stride(w, q)
     if samples:
         # Few guesses are gaits already; the motion of those is in doubt, and they are integrated again.
-        stride.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.motion]
+        stride.one.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.one.motion]
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)

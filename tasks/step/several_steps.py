@@ -46,34 +46,6 @@ class Strides:
         return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
 
     @property
-    def impact(self) -> np.ndarray:
-        """Rates just before the heelstrikes, shape (2, s, n)."""
-        return self.one.impact
-
-    @impact.setter
-    def impact(self, values: np.ndarray) -> None:
-        self.one.impact = values
-
-    @property
-    def motion(self) -> list[np.ndarray]:
-        """Samples of each phase of every step, shape (samples + 1, angles, s, n)."""
-        return self.one.motion
-
-    @motion.setter
-    def motion(self, values: list[np.ndarray]) -> None:
-        self.one.motion = values
-
-    @property
-    def start(self) -> np.ndarray:
-        """States just after heelstrike, shape (angles, s, n)."""
-        return self.one.start
-
-    @property
-    def knee(self) -> np.ndarray:
-        """States at kneestrike, shape (6, s, n)."""
-        return self.one.knee
-
-    @property
     def closing(self) -> np.ndarray:
         """Rates of the guards at the strikes, shape (k, n)."""
         return _in_a_row(self.one.closing)

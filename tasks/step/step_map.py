@@ -44,9 +44,8 @@ class Stride:
         dP/dy.
     times : ndarray, shape (k, n)
         Kneestrike, for knees, and heelstrike, corrected.
-    times_by_y : ndarray, shape (k, m, n)
-    by_slope, times_by_slope : ndarray, shape (m, n) and (k, n)
-        Derivatives of P(y) and of the times by the slope; zero where not asked for.
+    by_slope : ndarray, shape (m, n)
+        Derivative of P(y) by the slope; zero where not asked for.
     residual : ndarray, shape (m + k, n)
         Of the joint equations: the image less y, at the given durations of the phases, and the guards of the strikes.
     derivative : ndarray, shape (m + k, m + k + 1, n)
@@ -71,9 +70,7 @@ class Stride:
     image: np.ndarray
     jacobian: np.ndarray
     times: np.ndarray
-    times_by_y: np.ndarray
     by_slope: np.ndarray
-    times_by_slope: np.ndarray
     residual: np.ndarray
     derivative: np.ndarray
     inverse: np.ndarray
@@ -116,9 +113,11 @@ class Stride:
     steps = 1
 
     @property
-    def singles(self) -> Stride:
-        """The single steps in lanes."""
+    def one(self) -> Stride:
+        """The single steps."""
         return self
+
+    singles = one
 
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
@@ -353,21 +352,17 @@ class StrideMap:
             out, *finish_sizes(m, k)
         )
         derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
-        shifts = shifts.reshape(k, m + 2, n)
         new_times = times + matvec(times_by[:, : m + k], newton)
         moves = np.stack([*moves[:m], *(matvec(moves.transpose(1, 0, 2), row[: m + k]) for row in times_by)])
         if self.kneed:  # a later kneestrike with the same heelstrike shortens the last phase, and so does all else
             others = [*range(m + 1), m + 2]
             derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
-        by_durations = [matvec(times_by[:, m : m + k], shifts[:, d]) for d in range(m + 2)]
         return Stride(
             y,
             image,
             jacobian.reshape(m, m, n),
-            times + by_durations[0],
-            times_by[:, :m] + np.stack(by_durations[1:-1], axis=1),
+            times + matvec(times_by[:, m : m + k], shifts[:: m + 2]),
             by_slope,
-            times_by[:, -1] + by_durations[-1],
             residual,
             derivative,
             moves,
