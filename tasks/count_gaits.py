@@ -102,8 +102,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
             radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
-            section = np.exp(w[0]) * np.vstack([np.ones(w.shape[1]), w[1 : problem.m]])
-            stance_rate = problem.start(section, np.full(w.shape[1], slope))[1] / time_unit
+            stance_rate = problem.start(np.multiply(*problem.section(w)), np.full(w.shape[1], slope))[1] / time_unit
             anthropomorphic = verdict.anthropomorphic
             counts = {
                 "anthropomorphic": int(anthropomorphic.sum()),

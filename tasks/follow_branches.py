@@ -19,6 +19,7 @@ from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Columns of the tables `branches` and `special_points`.
@@ -57,8 +58,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
-    rows: dict[str, list[np.ndarray]] = {k: [] for k in COLUMNS}
-    points: list[dict[str, Any]] = []
+    parts: list[tuple[np.ndarray, ...]] = []
+    points: list[tuple[Any, ...]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(problem, curve, low, high, least)
         if not Z.shape[1]:
@@ -69,26 +70,17 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
         times = w[m:] * time_unit
         knee = times[0] if walker.knees else np.full(len(q), np.nan)
-        for key, value in (
-            ("branch", np.full(len(q), number)),
-            ("slope", np.exp(q)),
-            ("stance_angle", np.exp(w[0])),
-            *zip(RATES, rates, strict=True),
-            ("period", times[-1]),
-            ("kneestrike_time", knee),
-            ("spectral_radius", radius),
-            ("stable", (radius < 1).astype("i1")),
-            ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short")),
-        ):
-            rows[key].append(value)
+        label = np.where(gait_ratio(stride) < 0.5, "long", "short")
+        start = np.full(len(q), number), np.exp(q), np.exp(w[0]), *rates
+        parts.append((*start, times[-1], knee, radius, (radius < 1).astype("i1"), label))
         for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                rates = dict(zip(RATES, np.array(point["rates"]) / time_unit, strict=True))
-                points.append({"branch": number, **point, **rates, "period": point["period"] * time_unit})
-    out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
-    for key in SPECIAL:
-        out[f"special_points/{key}"] = np.array([p[key] for p in points])
-    return out
+                state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
+                period, error = point["period"] * time_unit, point["error_bound"]
+                points.append((number, point["kind"], point["slope"], *state, period, error))
+    columns = zip(*parts, strict=True) if parts else [(np.zeros(0),)] * len(COLUMNS)
+    branches = {f"branches/{k}": np.concatenate(v) for k, v in zip(COLUMNS, columns, strict=True)}
+    return branches | table("special_points", SPECIAL, points)
 
 
 def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:

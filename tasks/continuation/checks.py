@@ -12,7 +12,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
-from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate, fall_margin
+from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
@@ -103,12 +103,6 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
     at_ends = replace(point, Z=Z)
     for side, kind in enumerate(branch.why):
-        if kind == "a fall":
-            value = fall_margin(Z, branch.steps)[side]
-        elif kind in SCALARS and kind not in ("fold", "window"):
-            value = scalar(kind, at_ends)[side]
-        else:
-            continue
-        if not abs(value) < _MAX_END:
+        if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
             why[side] = "no further point"
     return replace(branch, why=(why[0], why[1])) if tuple(why) != branch.why else branch

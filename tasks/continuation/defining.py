@@ -16,7 +16,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.joint import Linearisation, determinants, linearised, rounding_step
 from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
-from gaitsweep.tasks.continuation.tracking import MOST_RATE, rate_of_steps
+from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
@@ -203,6 +203,7 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.q,
+    "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
     "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": lambda at: at.log_froude + at.log_unit,
     "exponent": _exponent,

@@ -133,9 +133,8 @@ def settle_on_branches(
 @np.errstate(invalid="ignore", divide="ignore")
 def _is_near(problem: Problem, at: Polished, w: np.ndarray) -> np.ndarray:
     """Whether gaits lie where Newton's method began and repeat no sooner, shape (n,)."""
-    reached = np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
-    near = np.abs(reached - w).max(axis=0) < _MAX_MOVE
-    apart, guessed = (distances_of_steps(each, problem.m, problem.steps) for each in (reached, w))
+    near = np.abs(at.w - w).max(axis=0) < _MAX_MOVE
+    apart, guessed = (distances_of_steps(each, problem.m, problem.steps) for each in (at.w, w))
     return np.asarray(near & (apart > np.maximum(_LEAST_SHARE * guessed, _LEAST_APART)).all(axis=0))
 
 

@@ -5,6 +5,8 @@ All are procedures, which run side by side (`tasks.continuation.lockstep`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
@@ -16,6 +18,7 @@ from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.polish import not_measured
 from gaitsweep.tasks.fixed_points.rounding import rounding, rounding_std
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
@@ -111,39 +114,53 @@ def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Proce
     check : StepCheck
         Of the nodes: `measure`.
     """
-    gaps: list[float] = []
     with np.errstate(invalid="ignore"):
         bend = distance[:-2] - 2 * distance[1:-1] + distance[2:]
         distance = np.where(check.step, distance, np.nan)
         inner = distance[1:-1]
         least = (inner <= distance[:-2]) & (inner <= distance[2:]) & ~(inner > bend)
-    for i in np.nonzero(least & np.isfinite(inner) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
-        low, high = i - 1.0, i + 1.0
-        for _ in range(_MAX_ROUNDS):
-            place = np.linspace(low, high, 9)
-            _, fine = yield Call(sampled_steps, (branch.at(place),), _FINER)
-            k = int(np.argmin(fine[1:-1])) + 1
-            if (yield from _is_interrupted(branch, place[k], fine[k])):
-                gaps.append(float(place[k]))
-                break
-            if fine[k] > max(fine[k - 1], fine[k + 1]) - fine[k]:
-                break
-            low, high = place[k - 1], place[k + 1]
+    near = np.nonzero(least & np.isfinite(inner) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1
+    searched: list[tuple[float, float, _Narrow]] = [(i - 1.0, i + 1.0, _beside_the_least) for i in near]
     # Where the released knee begins to move against its stop it may strike at once, with no extremum of its guard at
     # either node to show it.
-    for i in np.flatnonzero(np.diff(check.hyperextends) & check.step[1:] & check.step[:-1]):
-        low, high = i + 0.0, i + 1.0
-        for _ in range(_MAX_ROUNDS):
-            place = np.linspace(low, high, 9)
-            stride, fine = yield Call(sampled_steps, (branch.at(place),), _FINER)
-            k = int(np.argmin(fine[1:-1])) + 1
-            if (yield from _is_interrupted(branch, place[k], fine[k])):
-                gaps.append(float(place[k]))
-                break
-            against = stride.one.start[4] < stride.one.start[5]
-            k = int(np.diff(against.reshape(stride.steps, -1).any(axis=0)).argmax())
-            low, high = place[k], place[k + 1]
-    return sorted(set(gaps))
+    turns = np.flatnonzero(np.diff(check.hyperextends) & check.step[1:] & check.step[:-1])
+    searched += [(i + 0.0, i + 1.0, _where_the_knee_turns) for i in turns]
+    gaps: set[float] = set()
+    for low, high, narrow in searched:
+        gap = yield from _gap_between(branch, low, high, narrow)
+        if gap is not None:
+            gaps.add(gap)
+    return sorted(gaps)
+
+
+#: Numbers of the two of several places between which the search for a gap goes on, if it does: by the steps there,
+#: their distances from an earlier strike, and the number of the least of these.
+_Narrow = Callable[[AnyStride, np.ndarray, int], "tuple[int, int] | None"]
+
+
+def _beside_the_least(stride: AnyStride, fine: np.ndarray, k: int) -> tuple[int, int] | None:
+    return None if fine[k] > max(fine[k - 1], fine[k + 1]) - fine[k] else (k - 1, k + 1)
+
+
+def _where_the_knee_turns(stride: AnyStride, fine: np.ndarray, k: int) -> tuple[int, int]:
+    against = stride.one.start[4] < stride.one.start[5]
+    turn = int(np.diff(against.reshape(stride.steps, -1).any(axis=0)).argmax())
+    return turn, turn + 1
+
+
+def _gap_between(branch: Branch, low: float, high: float, narrow: _Narrow) -> Procedure[float | None]:
+    """A place between two where an earlier strike occurs, ever more closely searched for; None where none is found."""
+    for _ in range(_MAX_ROUNDS):
+        place = np.linspace(low, high, 9)
+        stride, fine = yield Call(sampled_steps, (branch.at(place),), _FINER)
+        k = int(np.argmin(fine[1:-1])) + 1
+        if (yield from _is_interrupted(branch, place[k], fine[k])):
+            return float(place[k])
+        inner = narrow(stride, fine, k)
+        if inner is None:
+            break
+        low, high = place[list(inner)].tolist()
+    return None
 
 
 _FINER = (("samples", 8 * SAMPLES),)

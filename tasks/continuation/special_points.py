@@ -180,9 +180,8 @@ def state_at(problem: Problem, point: Linearisation, lane: int) -> dict[str, Any
     dict
         `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
     """
-    w = from_largest(point.w[:, [lane]], problem.m, problem.steps)
-    angle = np.exp(w[:1])
-    state = problem.start(np.vstack([angle, angle * w[1 : problem.m]]), np.exp(point.q[[lane]]))[:, 0].tolist()
+    y, scale = problem.section(from_largest(point.w[:, [lane]], problem.m, problem.steps))
+    state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 

@@ -79,6 +79,11 @@ class Polished:
     step: np.ndarray
     leg_passes: np.ndarray
 
+    @property
+    def w(self) -> np.ndarray:
+        """Similarity coordinates and event times, shape (m + phases, n)."""
+        return np.vstack([np.log(self.y[:1] * self.scale), self.y[1:] / self.y[0], self.times])
+
     def assign(self, lanes: np.ndarray, other: Polished) -> None:
         """Replace some lanes by those of other gaits.
 
