@@ -62,7 +62,6 @@ class Points:
         Of SCALARS, another end of walking, or ANY_SLOPE.
     Z, rows : ndarray, shape (c, n)
         Point, and derivatives of its scalar; NaN where the kind has none.
-    log_slope : ndarray, shape (n,)
     error : ndarray, shape (n,)
         Bound on the error of Z, ln slope included.
     log_froude : ndarray, shape (n,)
@@ -86,8 +85,12 @@ class Points:
     walks: np.ndarray
     long: np.ndarray
     stable: np.ndarray
-    log_slope: np.ndarray
     faster: np.ndarray
+
+    @property
+    def log_slope(self) -> np.ndarray:
+        """Values of ln slope, shape (n,)."""
+        return self.Z[-1]
 
     def some(self, which: np.ndarray) -> Points:
         """Return some of the points.
@@ -107,7 +110,7 @@ def join(parts: Sequence[Points]) -> Points:
 def nothing(problem: Lanes, n: int) -> Points:
     """Return n placeholders, which do not walk."""
     Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
+    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, no)
 
 
 def may_be(name: str, kind: np.ndarray) -> np.ndarray:
@@ -237,7 +240,6 @@ def classify(
         walks=walks,
         long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
-        log_slope=Z[-1],
         faster=np.zeros(len(line), bool),
     )
 

@@ -79,7 +79,7 @@ def place(log_slope):
     return Points(
         line=np.zeros(1, int),
         kind=np.array(["window"], "U32"),
-        Z=np.zeros((4, 1)),
+        Z=np.array([[0.0], [0.0], [0.0], [log_slope]]),
         rows=np.zeros((4, 1)),
         error=np.zeros(1),
         log_froude=none,
@@ -87,7 +87,6 @@ def place(log_slope):
         walks=~no,
         long=~no,
         stable=no,
-        log_slope=np.array([log_slope]),
         faster=no,
     )
 

@@ -574,7 +574,7 @@ def test_a_line_without_a_point_of_a_role_has_none():
     points = Points(
         line=np.array([0, 0, 2]),
         kind=np.full(n, "fold"),
-        Z=np.zeros((4, n)),
+        Z=np.vstack([np.zeros((3, n)), [-3.0, -4.0, -5.0]]),
         rows=np.zeros((4, n)),
         error=np.zeros(n),
         log_froude=np.array([-1.0, -2.0, -3.0]),
@@ -582,7 +582,6 @@ def test_a_line_without_a_point_of_a_role_has_none():
         walks=yes,
         long=np.array([True, True, False]),
         stable=~yes,
-        log_slope=np.array([-3.0, -4.0, -5.0]),
         faster=yes,
     )
     assert best(points, 3, WINDOW)["smallest_slope"].tolist() == [1, -1, -1]

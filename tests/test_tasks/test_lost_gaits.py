@@ -340,7 +340,7 @@ def test_a_fold_at_a_node_gets_no_node_beside_it():
     near_c |= {"l_t": 0.2975081638879152, "l_s": 0.5104774396091883}
     asked = {"lines": [{"walker": "C", "set": near_c}], "slope": np.geomspace(1e-3, 0.15, 9), "want": ("stance_angle",)}
     ((found, _),) = lines(asked, [])
-    apart = np.linalg.norm(np.diff(found["Z"][:, :4], axis=0), axis=1)
+    apart = np.linalg.norm(np.diff(found["Z"][[0, 1, 2, -1]]), axis=0)
     assert (apart > 1e-14).all()
 
 
