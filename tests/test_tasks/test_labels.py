@@ -168,6 +168,12 @@ def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
         assert (np.diff(drawn["trace/time"][mine]) >= 0).all()
 
 
+def test_solve_counts_the_points_over_which_branches_were_continued():
+    nodes = atlas({"line": {"walker": "D", "set": {}}, "coarse": True}, [])["lengths"]
+    said = solve_at_slope.solve_one({"walker": "D", "slope": 0.009})["search"]
+    assert f"{len(nodes)} branches continued over {nodes.sum()} points" in said
+
+
 def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch):
     long, other = solve_at_slope.solve_one({"walker": "physical", "slope": 0.0195})["gaits"]
     assert (long["gait"], long["branch"], long["piece"]) == ("long", 0, 1)
