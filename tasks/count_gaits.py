@@ -74,7 +74,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    rows: list[dict[str, Any]] = []
+    rows: list[tuple[Any, ...]] = []
     cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float):
         y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
@@ -87,8 +87,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
             radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
-            section = np.exp(w[0]) * np.vstack([np.ones(w.shape[1]), w[1 : problem.m]])
-            stance_rate = problem.start(section, np.full(w.shape[1], slope))[1] / time_unit
+            stance_rate = problem.start(np.multiply(*problem.section(w)), np.full(w.shape[1], slope))[1] / time_unit
             anthropomorphic = verdict.anthropomorphic
             counts = {
                 "anthropomorphic": int(anthropomorphic.sum()),
@@ -107,7 +106,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     radius[i],
                     int(hits[i]),
                 )
-                rows.append(dict(zip(_GAIT_COLUMNS, values, strict=True)))
+                rows.append(values)
         once = int((hits == 1).sum())
         cover.append(
             {

@@ -19,6 +19,7 @@ from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Columns of the tables `branches` and `special_points`.
@@ -57,39 +58,29 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
-    rows: dict[str, list[np.ndarray]] = {k: [] for k in COLUMNS}
-    points: list[dict[str, Any]] = []
+    parts: list[tuple[np.ndarray, ...]] = []
+    points: list[tuple[Any, ...]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(problem, curve, low, high, least)
-        if not len(Z):
+        if not Z.shape[1]:
             continue
-        m = curve.m
-        w = from_largest(np.delete(Z, m, axis=1).T, m, problem.steps)
-        stride, scale = problem.stride(w, Z[:, m])
-        rates = problem.start(stride.y * scale, np.exp(Z[:, m]))[1:] / time_unit
+        w, q, m = from_largest(Z[:-1], curve.m, problem.steps), Z[-1], curve.m
+        stride, scale = problem.stride(w, q)
+        rates = problem.start(stride.y * scale, np.exp(q))[1:] / time_unit
         radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
         times = w[m:] * time_unit
-        knee = times[0] if walker.knees else np.full(len(Z), np.nan)
-        for key, value in (
-            ("branch", np.full(len(Z), number)),
-            ("slope", np.exp(Z[:, m])),
-            ("stance_angle", np.exp(w[0])),
-            *zip(RATES, rates, strict=True),
-            ("period", times[-1]),
-            ("kneestrike_time", knee),
-            ("spectral_radius", radius),
-            ("stable", (radius < 1).astype("i1")),
-            ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short")),
-        ):
-            rows[key].append(value)
+        knee = times[0] if walker.knees else np.full(len(q), np.nan)
+        label = np.where(gait_ratio(stride) < 0.5, "long", "short")
+        start = np.full(len(q), number), np.exp(q), np.exp(w[0]), *rates
+        parts.append((*start, times[-1], knee, radius, (radius < 1).astype("i1"), label))
         for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                rates = dict(zip(RATES, np.array(point["rates"]) / time_unit, strict=True))
-                points.append({"branch": number, **point, **rates, "period": point["period"] * time_unit})
-    out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
-    for key in SPECIAL:
-        out[f"special_points/{key}"] = np.array([p[key] for p in points])
-    return out
+                state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
+                period, error = point["period"] * time_unit, point["error_bound"]
+                points.append((number, point["kind"], point["slope"], *state, period, error))
+    columns = zip(*parts, strict=True) if parts else [(np.zeros(0),)] * len(COLUMNS)
+    branches = {f"branches/{k}": np.concatenate(v) for k, v in zip(COLUMNS, columns, strict=True)}
+    return branches | table("special_points", points, SPECIAL)
 
 
 def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:
@@ -107,13 +98,12 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
     list of dict
         As `special_points`, of kind `end_contact_lost`. The step map does not model it, and the branch continues.
     """
-    m = branch.m
 
-    def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
-        stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
-        each, (scale, slope) = stride.singles, np.tile([scale, np.exp(X[m])], stride.steps)
+    def least(Z: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
+        stride, scale = problem.stride(Z[:-1], Z[-1], samples=samples)
+        each, (scale, slope) = stride.singles, np.tile([scale, np.exp(Z[-1])], stride.steps)
         # A step begins with the heelstrike that ends the one before it.
-        impact, motion = np.roll(each.impact, X.shape[1], axis=1) * scale, [part * scale for part in each.motion]
+        impact, motion = np.roll(each.impact, Z.shape[1], axis=1) * scale, [part * scale for part in each.motion]
         force = violations.measure(problem.walker, motion, impact, each.times, slope)["least_normal_force"]
         return force.reshape(stride.steps, -1).min(axis=0)
 
@@ -123,19 +113,17 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
     if not len(near):
         return []
     force = np.full(len(branch.q), np.nan)
-    force[near] = least(branch.Z[near, : m + 1].T, branch.Z[near, m + 1 :].T)
+    force[near] = least(branch.Z[:, near])
     records: list[dict[str, Any]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
-        point, _ = run(
-            problem, locate_root(branch, int(segment), lambda point, _: float(least(point.X, point.times)[0]))
-        )
+        point = run(problem, locate_root(branch, int(segment), lambda point: float(least(point.Z)[0])))
         # Closer samples show the error of the minimum of a sampled force.
-        error = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
+        error = least(point.Z, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
         records.append(
             {
                 "kind": "end_contact_lost",
-                "slope": float(np.exp(point.X[m, 0])),
+                "slope": float(np.exp(point.q[0])),
                 **state_at(problem, point, 0),
                 "period": float(point.times[-1, 0]),
                 "error_bound": slope_error + 64 * EPS,
@@ -145,19 +133,18 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
 
 
 def _dense(problem: Problem, branch: Branch, low: float, high: float, least: int) -> np.ndarray:
-    """Rows of the branch within the window, at its nodes and as many points between as `least` rows need."""
+    """Points of the branch within the window, its nodes and as many between as `least` points need."""
     parts = 1
     while True:
-        place, rows = within(branch, np.log(low), np.log(high), parts)
-        if not len(rows) or len(rows) >= least or parts >= _MAX_PARTS:
+        place, Z = within(branch, np.log(low), np.log(high), parts)
+        if not len(place) or len(place) >= least or parts >= _MAX_PARTS:
             break
         parts *= 2
     # The polynomials of gaits of several steps are coarse. Beside folds, slopes do not tell gaits apart.
     between = np.flatnonzero(place % 1 > 0) if branch.steps > 1 else np.zeros(0, int)
     if len(between):
-        border, m = branch.direction[place[between].astype(int)].T.copy(), branch.m
-        border[:, np.abs(border[m]) > _STEEP] = np.eye(len(border))[:, [m]]
-        Z = rows[between].T
-        point = correct(problem, Z[: m + 1], Z[m + 1 :], border)
-        rows[between[point.ok]] = point.Z.T[point.ok]
-    return rows
+        border = branch.direction[:, place[between].astype(int)]
+        border[:, np.abs(border[-1]) > _STEEP] = np.eye(len(border))[:, [-1]]
+        point = correct(problem, Z[:, between], border)
+        Z[:, between[point.ok]] = point.Z[:, point.ok]
+    return Z

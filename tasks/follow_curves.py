@@ -15,6 +15,7 @@ from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, foll
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import is_one_link, resolve
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
@@ -63,8 +64,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     own = _own_value(line, key)
     slope = np.asarray(params["slope"], float)
     window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
-    rows: dict[str, list[Any]] = {k: [] for k in _CURVES}
-    turns: dict[str, list[Any]] = {k: [] for k in _TURNINGS}
+    rows: list[tuple[Any, ...]] = []
+    turns: list[tuple[Any, ...]] = []
     for begin in _beginnings(own, low, high):
         beside = np.clip(begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0]), low, high)
         if not _is_ordinary(walker_at, beside.tolist(), usual):
@@ -74,29 +75,25 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         seen: list[tuple[str, np.ndarray]] = []
         for kind, Z in _seeds(problem, branches, options["kinds"], window):
             equations = Curve(kind, walker_at, usual, (low, high))
-            place = equations.m + 1
-            first = equations.correct(np.insert(Z, place, begin / equations.scale), np.eye(len(Z) + 1)[place])
-            own_part = first.Z[: place + 1, 0]
-            if not first.ok[0] or any(k == kind and np.abs(own_part - p).max() < 1e-3 for k, p in seen):
+            first = equations.correct(np.append(Z, begin / equations.scale), np.eye(len(Z) + 1)[-1])
+            if not first.ok[0] or any(k == kind and np.abs(first.Z[:, 0] - p).max() < 1e-3 for k, p in seen):
                 continue
             points, tangents, stopped = follow_both_directions(equations, first, window)
             # A curve that returns to the line it began on passes through another of its points.
-            seen += [(kind, p[: place + 1]) for p in _returns(equations, points, first.Z[:, 0])]
-            number = len(set(rows["curve"]))
+            seen += [(kind, p) for p in _returns(equations, points, first.Z[:, 0])]
+            number = len({row[0] for row in rows})
             why = [stopped[0], *[""] * (len(points) - 2), stopped[1]] if len(points) > 1 else [stopped[1]]
             for p, reason in zip(points, why, strict=True):
                 row = *_place(equations, p, key, window), _error(equations, p, window), int(equations.walks(p)), reason
-                _add(rows, (number, kind, *row))
-            for component, turn in ((place, "key"), (place - 1, "slope")):
+                rows.append((number, kind, *row))
+            for component, turn in ((-1, "key"), (-2, "slope")):
                 for a, b in itertools.pairwise(zip(points, tangents, strict=True)):
                     found = turning(equations, a, b, component)
                     if found is not None:
-                        _add(turns, (number, kind, turn, *_place(equations, found[0], key, window), found[1]))
+                        turns.append((number, kind, turn, *_place(equations, found[0], key, window), found[1]))
         if seen:
             break
-    return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
-        f"turnings/{k}": np.array(v) for k, v in turns.items()
-    }
+    return table("curves", rows, _CURVES) | table("turnings", turns, _TURNINGS)
 
 
 def _beginnings(own: float, low: float, high: float) -> list[float]:
@@ -112,24 +109,18 @@ def _is_ordinary(walker_at: Callable[[float], Walker], values: list[float], usua
         return False
 
 
-def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
-    for column, value in zip(table.values(), row, strict=True):
-        column.append(value)
-
-
 def _place(equations: Curve, Z: np.ndarray, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
     """Slope, key, its value, stance angle and period of a point, in the walker's units."""
-    m, walker = equations.m, equations.walker_at(equations.value(Z))
-    slope, value = np.exp(np.clip(Z[m], *window["q"])), np.clip(Z[m + 1] * equations.scale, *window["key"])
-    period = Z[-1] * np.sqrt(walker.leg / walker.g)
+    walker = equations.walker_at(equations.value(Z))
+    slope, value = np.exp(np.clip(Z[-2], *window["q"])), np.clip(Z[-1] * equations.scale, *window["key"])
+    period = Z[-3] * np.sqrt(walker.leg / walker.g)
     return float(slope), key, float(value), float(np.exp(Z[0])), float(period)
 
 
 def _error(equations: Curve, Z: np.ndarray, window: Mapping[str, tuple[float, float]]) -> float:
     """Bound on the relative error of a point's slope, at its value of the key; infinite where the key turns."""
-    m, problem = equations.m, equations.problem(Z)
-    Z = np.concatenate([Z[:m], [np.clip(Z[m], *window["q"])], Z[m + 2 :]])
-    return slope_error(problem, equations.kind, Z) + 8 * EPS
+    at_slope = np.append(Z[:-2], np.clip(Z[-2], *window["q"]))
+    return slope_error(equations.problem(Z), equations.kind, at_slope) + 8 * EPS
 
 
 def _own_value(line: Mapping[str, Any], key: str) -> float:
@@ -147,7 +138,6 @@ def _seeds(
 ) -> list[tuple[str, np.ndarray]]:
     """Special points of a line's branches at which curves begin: kind, and Z (c,) without a key."""
     seeds = []
-    m = problem.m
     for branch in branches:
         for point in special_points(problem, branch):
             q = np.log(float(point["slope"]))
@@ -155,21 +145,20 @@ def _seeds(
                 continue
             # Folds are nodes; between nodes the branch's polynomial is accurate enough as a guess.
             angle = np.log(float(point["stance_angle"]))
-            near = [branch.Z[np.argmin(np.abs(branch.Z[:, [0, m]] - [angle, q]).max(axis=1))]]
-            near += [Z[0] for _, Z, _ in branch.guesses(np.array([q]))]
-            seeds.append((str(point["kind"]), min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))))
+            near = [branch.Z[:, np.argmin(np.abs(branch.Z[[0, -1]].T - [angle, q]).max(axis=1))]]
+            near += [Z[:, 0] for _, Z, _ in branch.guesses(np.array([q]))]
+            seeds.append((str(point["kind"]), min(near, key=lambda z: abs(z[0] - angle) + abs(z[-1] - q))))
     return seeds
 
 
 def _returns(equations: Curve, points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
     """Points of a curve at the value of the key at which it began."""
-    place = equations.m + 1
-    border, value = np.eye(len(first))[place], first[place]
+    border, value = np.eye(len(first))[-1], first[-1]
     # One that began at the border of the range ends there.
-    returns = [first, *(p for p in (points[0], points[-1]) if abs(p[place] - value) < 1e-9)]
+    returns = [first, *(p for p in (points[0], points[-1]) if abs(p[-1] - value) < 1e-9)]
     for a, b in itertools.pairwise(points):
-        if (a[place] - value) * (b[place] - value) < 0:
-            h = (value - a[place]) / (b[place] - a[place])
+        if (a[-1] - value) * (b[-1] - value) < 0:
+            h = (value - a[-1]) / (b[-1] - a[-1])
             at = equations.correct((1 - h) * a + h * b, border)
             returns += [at.Z[:, 0]] if at.ok[0] else []
     return returns

@@ -47,12 +47,12 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     followed = _searched(problem, branches, steps, single, [])
     begins = single if steps == 1 else _flips_of(problem, followed)
     while steps < n:
-        half, steps = problem.of_steps(steps), 2 * steps
-        followed = []
+        half, twice = problem.of_steps(steps), problem.of_steps(2 * steps)
+        steps, followed = 2 * steps, []
         for flip in begins:
-            path = doubled(half, flip, _EXPECTED)
-            if path and not _is_on(followed, path.problem, path.points[0]):
-                followed += _along(path.problem, path.points[0], path.step, begins)
+            begun = doubled(half, flip, _EXPECTED)
+            if begun and not is_known(followed, begun[0].Z[:, 0]):
+                followed += _along(twice, begun[0], begun[2], begins)
         followed += _searched(problem, branches, steps, single, followed)
         begins = _flips_of(problem, followed)
     return ranked(followed)
@@ -64,12 +64,8 @@ def _flips_of(problem: Problem, branches: list[Branch]) -> list[Point]:
 
 def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Point]) -> list[Branch]:
     """The branch through a gait, followed both ways, in parts that walk."""
-    ((down, up),) = follow(problem, gait.w, gait.q, step)
+    ((down, up),) = follow(problem, gait.Z, step)
     return run(problem, branches_along(problem, down, up, COARSE, begins))
-
-
-def _is_on(branches: list[Branch], problem: Problem, gait: Point) -> bool:
-    return is_known(branches, problem.m, gait.w[:, 0], float(gait.q[0]))
 
 
 def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
@@ -93,6 +89,6 @@ def _searched(
         slopes = _beyond_flips(problem, branches)
     for slope in slopes:
         for gait in search_cycles(problem, branches, float(slope), n, _STARTS):
-            if abs(gait.multipliers[0, 0]) <= MAX_MULTIPLIER and not _is_on([*known, *followed], several, gait):
+            if abs(gait.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known([*known, *followed], gait.Z[:, 0]):
                 followed += _along(several, gait, _FIRST_STEP, [])
     return followed

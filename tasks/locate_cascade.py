@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,20 +12,22 @@ import numpy as np
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar, slope_error
+from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
+from gaitsweep.tasks.continuation.joint import Linearisation, linearised
 from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.continuation.root import hermite
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
-from gaitsweep.tasks.continuation.tracking import Path, Point, correct
+from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct, points_along
 from gaitsweep.tasks.dynamics.crisis import lost
 from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -49,12 +52,13 @@ _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 @dataclass(frozen=True)
 class _Event:
-    """A fold or flip of a family, with its problem, and the relative error of its slope."""
+    """A fold or flip of a family, its problem, the relative error of its slope, and the gaits between which it lies."""
 
     kind: str
     problem: Problem
-    gait: Point
+    gait: Linearisation
     error: float
+    beside: tuple[Point, ...] = ()
 
     @property
     def q(self) -> float:
@@ -97,9 +101,9 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.sort(np.asarray(params["slope"], float))
     if not len(slope):
         return {}
-    rows: list[dict[str, Any]] = []
-    limits: list[dict[str, Any]] = []
-    ends: list[dict[str, Any]] = []
+    rows: list[tuple[Any, ...]] = []
+    limits: list[tuple[Any, ...]] = []
+    ends: list[tuple[Any, ...]] = []
     for number in options["families"]:
         families: list[list[_Event]] = []
         reasons: list[str] = []
@@ -109,9 +113,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 families.append(family)
                 reasons.append(stopped)
         if not families:
-            limits.append(
-                dict(zip(_ACCUMULATION, (f"{number}", 0, *[np.nan] * 4, _absent(int(number), slope)), strict=True))
-            )
+            limits.append((f"{number}", 0, *[np.nan] * 4, _absent(int(number), slope)))
         for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
             flips = np.array([e.slope for e in family if e.kind == "flip"])
@@ -119,7 +121,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             ratio = iter(ratios)
             for event in family:
                 state = state_at(event.problem, event.gait, 0)
-                _, check = verify_steps(event.problem, event.gait.w, event.gait.q)
+                check = check_steps(event.problem, event.gait.Z)
                 values = (
                     name,
                     event.problem.steps,
@@ -131,25 +133,16 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     *(np.array(state["rates"]) / np.sqrt(walker.leg / walker.g)).tolist(),
                     int(check.step[0]),
                 )
-                rows.append(dict(zip(_CASCADE, values, strict=True)))
+                rows.append(values)
             value, low, high = scaling.accumulation(flips)
-            limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan, stopped)
-            limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
+            limits.append((name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan, stopped))
             if int(options["steps"]) and np.isfinite(value):
                 end = float(np.clip(value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]))
                 low, high = lost(problem, _spread_around(family[-1]), value, end, int(options["steps"]))
                 reason = _unbracketed(low, high, value, end)
                 bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
-                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"]), reason), strict=True)))
-    return {
-        f"{group}/{k}": np.array([r[k] for r in table])
-        for group, columns, table in (
-            ("cascade", _CASCADE, rows),
-            ("accumulation", _ACCUMULATION, limits),
-            ("lost", _LOST, ends),
-        )
-        for k in columns
-    }
+                ends.append((name, *bracket, _ORBITS, int(options["steps"]), reason))
+    return table("cascade", rows, _CASCADE) | table("accumulation", limits, _ACCUMULATION) | table("lost", ends, _LOST)
 
 
 def _absent(n: int, slope: np.ndarray) -> str:
@@ -213,9 +206,8 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
             kept.append(i)
     if not kept:
         return []
-    w, q = result.w[:, kept], q[kept]
-    _, check = verify_steps(problem, w, q)
-    gaits = correct(problem, np.vstack([w[:m], q]), w[m:], None)
+    Z = np.vstack([result.w, q])[:, kept]
+    check, gaits = check_steps(problem, Z), correct(problem, Z, None)
     return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
 
 
@@ -263,22 +255,20 @@ def _follow_family(
     """
     low, high = np.log(slope[0]), np.log(slope[-1])
     problem = problem.of_steps(start.stride.steps)
-    up = np.zeros(len(start.Z))
-    up[problem.m] = 1.0
+    up = np.eye(len(start.Z))[-1]
     events: list[_Event] = []
     if problem.steps > 1:
         # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
-        down = Path(problem, start, -up, _FIRST_STEP * (high - low))
-        fold, _ = _first_event(down, "fold", low, high)
+        fold, _ = _first_event(problem, (start, -up, _FIRST_STEP * (high - low)), "fold", low, high)
         if fold:
             events.append(fold)
             if any(_is_same(fold, other[0]) for other in others if other):
                 return events, None
-            start = min(down.points[-2:], key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
-    path: Path | None = Path(problem, start, up, _FIRST_STEP * (high - low))
+            start = min(fold.beside, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
+    begun: _Begun | None = (start, up, _FIRST_STEP * (high - low))
     expected, period = high - low, problem.steps
-    while path is not None and period <= longest:
-        flip, stopped = _first_event(path, "flip", low, high)
+    while begun is not None and period <= longest:
+        flip, stopped = _first_event(problem.of_steps(period), begun, "flip", low, high)
         if flip is None:
             return events, f"No flip of period {period}: {stopped}."
         before = [e.q for e in events]
@@ -286,28 +276,38 @@ def _follow_family(
         # The next interval by Feigenbaum's law from the last.
         expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
         period *= 2
-        path = doubled(flip.problem, flip.gait, expected) if period <= longest else None
+        begun = doubled(flip.problem, flip.gait, expected) if period <= longest else None
     if period <= longest:
         return events, f"No gait of period {period} was found beside the flip."
     return events, f"The longest period of the search, {longest}, is reached."
 
 
-def _first_event(path: Path, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
+#: Where a branch is followed from: what `points_along` takes besides the problem.
+_Begun = tuple[Point, np.ndarray, float]
+
+
+def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
     """The first fold or flip along a branch inside the window, or why there is none."""
 
     def test(gait: Point) -> float:
-        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.tangent[-1, 0])
+        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.direction[-1, 0])
 
-    for _ in range(_MAX_POINTS):
-        if not path.advance():
-            return None, f"the branch could not be continued beyond a slope of {np.exp(path.points[-1].q[0]):.6g}"
-        before, after = path.points[-2:]
-        if test(before) * test(after) < 0:
-            gait = path.locate_root(test)
-            event = _Event(kind, path.problem, gait, slope_error(path.problem, kind, gait.Z[:, 0]))
+    q, points = float(begun[0].q[0]), points_along(problem, *begun)
+    for number, (before, after) in enumerate(itertools.pairwise(points)):
+        if number == _MAX_POINTS:
+            return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}"
+        q, a, b = float(after.q[0]), test(before), test(after)
+        if a * b < 0:
+            length = float(np.linalg.norm(after.Z - before.Z))
+            guess = hermite(before.Z, before.direction, after.Z, after.direction, length, a / (a - b))
+            solved = solve(problem, kind, guess)
+            if not solved.ok[0]:
+                return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
+            error = slope_error(problem, kind, solved.Z[:, 0])
+            event = _Event(kind, problem, linearised(problem, solved.Z), error, (before, after))
             if not low <= event.q <= high:
                 return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
             return event, ""
-        if not low - 0.05 <= after.q[0] <= high + 0.05:
-            return None, f"the branch leaves the window at a slope of {np.exp(after.q[0]):.6g}"
-    return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(path.points[-1].q[0]):.6g}"
+        if not low - 0.05 <= q <= high + 0.05:
+            return None, f"the branch leaves the window at a slope of {np.exp(q):.6g}"
+    return None, f"the branch could not be continued beyond a slope of {np.exp(q):.6g}"

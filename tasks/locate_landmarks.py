@@ -51,7 +51,7 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             flip = paper.line(walker).special_of("flip")[0]
             place = (flip["slope"], flip["slope"], flip["slope"], flip["stance_angle"])
             rows.append((f"{walker} flip", walker, "", *_FLIPS[walker], *place))
-    return _table("landmarks", rows)
+    return table("landmarks", rows, _COLUMNS)
 
 
 def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -80,7 +80,7 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 bounds = (least, most)
             place = (0.5 * (low + high), *bounds, np.nan)
             rows.append((f"{walker} loss of walking", walker, "", *_CRISES[walker], *place))
-    return _table("crises", rows)
+    return table("crises", rows, _COLUMNS)
 
 
 def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -109,7 +109,3 @@ def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 def _walkers(params: Mapping[str, Any]) -> list[str]:
     """Walkers of the catalogue among a study's lines, as they are there."""
     return [line["walker"] for line in params["lines"] if isinstance(line["walker"], str) and not line["set"]]
-
-
-def _table(group: str, rows: list[tuple[Any, ...]]) -> Arrays:
-    return table(group, [dict(zip(_COLUMNS, row, strict=True)) for row in rows])

@@ -70,7 +70,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
-    log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
+    log.append(f"{len(branches)} branches continued over {sum(len(b.q) for b in branches)} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, slope, gaits, request["accuracy"], limits)
         log.append(_describe_starts(problem, slope))

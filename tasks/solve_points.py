@@ -260,7 +260,7 @@ def _pieces(
             Z, segment = branch.on_piece(first, last, q[index])
             may_hold = _may_hold(branch, segment, wanted)
             if may_hold.any():
-                index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
+                index, Z, segment = index[may_hold], Z[:, may_hold], segment[may_hold]
                 guesses = branch.known_guesses(Z, segment, slope[index])
                 pieces.append(_Piece(index, segment, guesses, branch, number))
     return pieces

@@ -10,19 +10,22 @@ import numpy as np
 Arrays = dict[str, np.ndarray]
 
 
-def table(group: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = ()) -> Arrays:
-    """Rows as the columns of one group, named as in the first row.
+def table(group: str, rows: Sequence[Mapping[str, Any] | Sequence[Any]], columns: Sequence[str] = ()) -> Arrays:
+    """Rows as the columns of one group.
 
     Parameters
     ----------
     group : str
-    rows : sequence of mapping
-        Values by column.
+    rows : sequence of mapping, or of sequence
+        Values by column, or in the order of `columns`.
     columns : sequence of str, optional
-        Names of columns that are there, empty, if there are no rows.
+        Names of the columns; by default those of the first row.
 
     Returns
     -------
     dict of ndarray, shape (rows,)
     """
-    return {f"{group}/{name}": np.array([row[name] for row in rows]) for name in (rows[0] if rows else columns)}
+    names = columns or (tuple(rows[0]) if rows else ())
+    each = [[row[name] for name in names] if isinstance(row, Mapping) else row for row in rows]
+    values = zip(*each, strict=True) if each else [()] * len(names)
+    return {f"{group}/{name}": np.array(column) for name, column in zip(names, values, strict=True)}

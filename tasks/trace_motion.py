@@ -57,7 +57,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
             at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
             stride = problem.map(at.y, at.times, problem.parameters(slope[index], at.scale), samples=SAMPLES)
             for lane, g in np.argwhere(is_drawn):
-                times, angles = _cycle(stride.motion, at.times[:, lane], lane)
+                times, angles = _cycle(stride.one.motion, at.times[:, lane], lane)
                 a, b, c = angles * at.scale[lane]
                 n = len(times)
                 for key, value in (

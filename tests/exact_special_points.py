@@ -68,7 +68,7 @@ def _gradient(problem, kind, Z, h):
 def exact_slope(problem: Problem, kind: str, Z: np.ndarray):
     """Slope of a special point [rad] in 113 bits, or None where Newton's method does not converge near Z.
 
-    Z, shape (m + 1 + k,), is the point in doubles: similarity coordinates, ln slope, event times.
+    Z, shape (c,), is the point in doubles: similarity coordinates, event times, ln slope.
     """
     found = (_newton(problem, kind, Z, h) for h in (1e-5, 1e-7, 1e-9))
     return next((slope for slope in found if slope is not None), None)
@@ -86,7 +86,7 @@ def _newton(problem, kind, Z, h):
     exact = lump(problem.walker, number)
     _, scale = problem.section(Z[:, None])
     section = np.append(np.exp(Z[0]), np.exp(Z[0]) * Z[1:m]) / scale
-    y, times, slope, last = wide(section), wide(Z[m + 1 :]), number(float(np.exp(Z[m]))), 1e-3
+    y, times, slope, last = wide(section), wide(Z[m:-1]), number(float(np.exp(Z[-1]))), 1e-3
     for _ in range(_MAX_STEPS):
         parameters = np.array([slope, number(float(scale[0])), *(exact[k] for k in structure.constants)], dtype=number)
         step = _precise(structure).stride(y, times, parameters)
@@ -94,9 +94,9 @@ def _newton(problem, kind, Z, h):
         change = np.linalg.solve(matrix, [-float(x) for x in values])
         if not np.abs(change).max() < 0.5 * last:
             return None
-        dX, last = wide(change), np.abs(change).max()
-        y = np.array([y[0] + dX[0] * y[0], *(y[1:] + y[0] * dX[1:m] + dX[0] * y[1:])], dtype=number)
-        slope, times = slope + slope * dX[m], times + wide(at.times_by[:, :, 0] @ change)
+        dZ, last = wide(change), np.abs(change).max()
+        y = np.array([y[0] + dZ[0] * y[0], *(y[1:] + y[0] * dZ[1:m] + dZ[0] * y[1:])], dtype=number)
+        slope, times = slope + slope * dZ[-1], times + dZ[m:-1]
         if last < 1e-22:
             return slope
     return None
@@ -123,7 +123,7 @@ def _mapped(problem: Problem, Z: np.ndarray, times: np.ndarray):
 
 def steps_of(problem: Problem, Z: np.ndarray):
     """Sections (m, n) [rad, rad/sqrt(leg/g)] and event times (k, n) [sqrt(leg/g)] of the steps of a gait."""
-    y, durations = (part[..., 0].T for part in sections(np.delete(Z, problem.m)[:, None], problem.m, problem.steps))
+    y, durations = (part[..., 0].T for part in sections(Z[:-1, None], problem.m, problem.steps))
     return np.exp(Z[0]) * y, np.cumsum(durations, axis=0)
 
 
@@ -133,7 +133,7 @@ def exact_cycle_slope(problem: Problem, kind: str, Z: np.ndarray):
     `Z` is the gait there in doubles. The derivative of det(M + 1) or det(M - 1) is that of differences in doubles.
     """
     m, n, number, sign = problem.structure.dimension, problem.steps, hy.real128, {"flip": 1.0, "fold": -1.0}[kind]
-    (Y, times), q = steps_of(problem, Z), Z[problem.m]
+    (Y, times), q = steps_of(problem, Z), Z[-1]
     Z = np.append(Y.T.ravel() / np.sqrt(n), q)
 
     def determinant(Z):
@@ -188,9 +188,9 @@ def _touched(problem, Z):
 
     At a kneestrike, where rates jump, the guard of heelstrike has a corner: time 0 of the second phase.
     """
-    m, count = problem.m, 1024
-    stride, _ = problem.stride(np.append(Z[:m], Z[m + 1 :])[:, None], Z[m : m + 1], samples=count)
-    durations, found = np.diff(np.append(0.0, Z[m + 1 :])), []
+    count = 1024
+    stride, _ = problem.stride(Z[:-1, None], Z[-1:], samples=count)
+    durations, found = np.diff(np.append(0.0, Z[problem.m : -1])), []
     motion = stride.scaled_motion()
     if len(motion) == 2 and abs(motion[1][0, 0, 0] + motion[1][0, 1, 0]) < 1e-12:
         return 1, 0, 0.0
@@ -233,7 +233,7 @@ def exact_earlier_strike(problem: Problem, Z: np.ndarray):
         flow = precise.free if size == 6 else precise.locked
         return np.concatenate([residual, _guards(precise._integrate(flow, start, D, parameters, z[-1])[:size])[guard]])
 
-    z, last = wide([angle, *(angle * Z[1:m]), np.exp(Z[m]), *Z[m + 1 :], *([tau] if tau else [])]), 1e-2
+    z, last = wide([angle, *(angle * Z[1:m]), np.exp(Z[-1]), *Z[m:-1], *([tau] if tau else [])]), 1e-2
     size = np.array([*[abs(angle)] * m, float(z[m]), *[1.0] * (len(z) - m - 1)])
     h = number(1e-9)
     units = [wide(row) for row in np.diag(size)]

@@ -20,14 +20,10 @@ from gaitsweep.tasks.continuation.checks import checked
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
 from gaitsweep.tasks.continuation.locate import (
-    check_steps,
     correct_at,
     is_step,
     locate_root,
     narrow_segment,
-    oriented_tangent,
-    row,
-    row_tangent,
     sharpened_fold,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
@@ -38,12 +34,13 @@ from gaitsweep.tasks.continuation.tracking import (
     MOST_RATE,
     Point,
     Track,
+    check_steps,
     fall_margin,
     follow,
+    joined,
     rate_of_steps,
 )
 from gaitsweep.tasks.fixed_points.search import search_lines, starts
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance
 from gaitsweep.tasks.walkers.walker import Walker
@@ -65,9 +62,9 @@ _FEW = 8
 
 def _join(problem: Problem, down: Track, up: Track) -> tuple[Branch, int]:
     """Join the tracks down and up to one branch; also the index of their start on it."""
-    Z, tangent = np.vstack([down.Z[:0:-1], up.Z]), np.vstack([-down.tangent[:0:-1], up.tangent])
-    why = down.stop_reason, up.stop_reason
-    return Branch(problem.m, Z, tangent, np.zeros(len(Z)), why, steps=problem.steps), len(down.Z) - 1
+    Z, tangent = joined(down, up)
+    n, why = Z.shape[1], (down.stop_reason, up.stop_reason)
+    return Branch(problem.m, Z, tangent, np.zeros(n), why, steps=problem.steps), down.Z.shape[1] - 1
 
 
 def branches_along(
@@ -84,19 +81,17 @@ def branches_along(
     flips : sequence of Point
         Of gaits of half as many steps: where branches of several steps begin.
     """
-    m = problem.m
     raw, start = _join(problem, down, up)
-    if len(raw.Z) < 4:
+    if len(raw.q) < 4:
         return []
-    check = yield Call(check_steps, (raw.Z[:, : m + 1].T, raw.Z[:, m + 1 :].T))
-    steps, gait = check.step, raw.Z[start]
+    check = yield Call(check_steps, (raw.Z,))
+    steps, gait = check.step, raw.Z[:, start]
     if not steps[start]:
         return []
     if is_closed := down.stop_reason == CLOSED:
-        order = _loop(len(down.Z), steps, raw.tangent[:, m])
+        order = _loop(down.Z.shape[1], steps, raw.tangent[-1])
         # A loop of steps alone is cut at a fold, where it begins and ends; any other where a gait is no step.
-        Z, tangent, steps = raw.Z[order], raw.tangent[order], steps[order]
-        raw = Branch(m, Z, tangent, np.zeros(len(order)), ("", ""), steps=raw.steps)
+        raw, steps = replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0)), steps[order]
     branches: list[Branch] = []
     for first, last in _runs(steps):
         branch = yield from _with_ends(raw, first, last)
@@ -108,7 +103,7 @@ def branches_along(
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order(gait), gait)
             branch = yield from checked(branch, gait)
-            if len(branch.Z) >= MIN_NODES:
+            if len(branch.q) >= MIN_NODES:
                 branches += yield from _without_gaps(branch, gait, tolerance)
     return branches
 
@@ -152,29 +147,28 @@ def _runs(true: np.ndarray) -> list[tuple[int, int]]:
 
 def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     """Branch of a run of nodes that are steps, with its located ends; None where fewer than three nodes remain."""
-    whole = first == 0, last == len(raw.Z) - 1
+    whole = first == 0, last == len(raw.q) - 1
     ends: dict[int, BranchEnd] = {}
     if not whole[1]:
-        raw, last = yield from narrow_segment(raw, last, lambda point, direction: is_step(point))
+        raw, last = yield from narrow_segment(raw, last, is_step)
         ends[1] = yield from locate_end(raw, last, last + 1)
     if not whole[0]:
-        before = len(raw.Z)
-        raw, segment = yield from narrow_segment(raw, first - 1, lambda point, direction: _is_no_step(point))
-        first, last = segment + 1, last + len(raw.Z) - before
+        before = len(raw.q)
+        raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
+        first, last = segment + 1, last + len(raw.q) - before
         ends[0] = yield from locate_end(raw, first, segment)
-    m, steps = raw.m, raw.steps
     # What is positive beyond ends that the last point of a track has passed.
     beyond: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "a fall": lambda Z: fall_margin(Z[: m + 1, None], Z[m + 1 :, None], steps)[0],
-        "zero step length": lambda Z: rate_of_steps(Z[1:m]) - MOST_RATE,
+        "a fall": lambda Z: fall_margin(Z, raw.steps),
+        "zero step length": lambda Z: rate_of_steps(Z[1 : raw.m]) - MOST_RATE,
     }
-    for side, segment in ((0, 0), (1, len(raw.Z) - 2)):
+    for side, segment in ((0, 0), (1, len(raw.q) - 2)):
         if not whole[side] or raw.why[side] not in beyond:
             continue
         test = beyond[raw.why[side]]
-        if float(test(raw.Z[-side])) > 0:
-            passed = yield from locate_root(raw, segment, partial(_of_row, test))
-            ends[side] = BranchEnd(raw.why[side], *passed, raw.end_errors[side])
+        if float(test(raw.Z[:, [-side]])[0]) > 0:
+            passed = yield from locate_root(raw, segment, partial(_of_Z, test))
+            ends[side] = BranchEnd(raw.why[side], passed, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
@@ -182,22 +176,22 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     branch = raw.part(np.arange(first, last + 1))
     why, errors = list(raw.why), list(raw.end_errors)
     for side, end in ends.items():
-        branch = branch.insert(side * len(branch.Z), row(end.point), row_tangent(end.point, end.direction))
+        branch = branch.insert(side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0])
         why[side], errors[side] = end.kind, end.error
     # The node before an end may be that end: between them there is no polynomial.
-    twins = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _TWIN
-    kept = np.ones(len(branch.Z), bool)
+    twins = np.linalg.norm(np.diff(branch.Z), axis=0) < _TWIN
+    kept = np.ones(len(branch.q), bool)
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
     branch = branch.part(np.flatnonzero(kept))
-    if len(branch.Z) < MIN_NODES:
+    if len(branch.q) < MIN_NODES:
         return None
     return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
 
 
-def _of_row(test: Callable[[np.ndarray], np.ndarray], point: Point, _: np.ndarray) -> float:
-    """Value of a test of rows of Z at a point."""
-    return float(test(row(point)))
+def _of_Z(test: Callable[[np.ndarray], np.ndarray], point: Point) -> float:
+    """Value of a test of Z at a point."""
+    return float(test(point.Z)[0])
 
 
 def _is_no_step(point: Point) -> Procedure[bool]:
@@ -215,9 +209,9 @@ def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedu
     whole = branch
     for place in sorted(gaps, reverse=True):
         segment = int(place)
-        a, b = whole.Z[segment : segment + 2, whole.axis[segment]]
-        point, direction = yield from correct_at(whole, segment, a + (b - a) * (place - segment))
-        branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
+        a, b = whole.ends_of(np.array(segment)).tolist()
+        point = yield from correct_at(whole, segment, a + (b - a) * (place - segment))
+        branch = branch.insert(segment + 1, point.Z[:, 0], point.direction[:, 0])
         steps = np.insert(steps, segment + 1, False)
     branches = []
     for first, last in _runs(steps):
@@ -225,7 +219,7 @@ def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedu
         if part is not None:
             part = yield from densify(part, tolerance)
             part = yield from checked(part, gait)
-            if len(part.Z) >= MIN_NODES:
+            if len(part.q) >= MIN_NODES:
                 yield from measure(part, tolerance)
                 branches.append(part)
     return branches
@@ -233,23 +227,22 @@ def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedu
 
 def _with_folds(branch: Branch) -> Procedure[Branch]:
     """Put a node on every fold, where the slope turns."""
-    m = branch.m
 
-    def slope_rate(point: Point, direction: np.ndarray) -> float:
-        return float(oriented_tangent(point, direction)[m])
+    def slope_rate(point: Point) -> float:
+        return float(point.direction[-1, 0])
 
-    for segment in np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0][::-1]:
-        sign = np.sign(branch.tangent[segment, m])
+    for segment in np.nonzero(np.diff(np.sign(branch.tangent[-1])) != 0)[0][::-1]:
+        sign = np.sign(branch.tangent[-1, segment])
 
-        def is_before(point: Point, direction: np.ndarray, sign: float = sign) -> bool:
-            return bool(slope_rate(point, direction) * sign > 0)
+        def is_before(point: Point, sign: float = sign) -> bool:
+            return bool(slope_rate(point) * sign > 0)
 
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
-        point, direction = yield from locate_root(branch, at, slope_rate)
+        point = yield from locate_root(branch, at, slope_rate)
         point = yield from sharpened_fold(point)
         # A node may equal the fold to all but the last digits: between them there is no polynomial.
-        if np.linalg.norm(branch.Z[at : at + 2] - row(point), axis=1).min() > _TWIN:
-            branch = branch.insert(at + 1, row(point), row_tangent(point, direction))
+        if np.linalg.norm(branch.Z[:, at : at + 2] - point.Z, axis=0).min() > _TWIN:
+            branch = branch.insert(at + 1, point.Z[:, 0], point.direction[:, 0])
     return branch
 
 
@@ -285,45 +278,43 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     list of list of Branch
         For each line, its branches in the order of their numbers.
     """
-    m = problem.m
     branches: list[list[Branch]] = [[] for _ in problem.lanes]
-    for q, w, lines in _gaits_at_anchors(problem):
-        new = [i for i, line in enumerate(lines) if not is_known(branches[line], m, w[:, i], q)]
+    for Z, lines in _gaits_at_anchors(problem):
+        new = [i for i, line in enumerate(lines) if not is_known(branches[line], Z[:, i])]
         if not new:
             continue
-        w, lines = w[:, new], lines[new]
-        pairs = follow(problem.some(lines), w, np.full(len(new), q))
+        Z, lines = Z[:, new], lines[new]
+        pairs = follow(problem.some(lines), Z)
         turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
         if len(lines) < _FEW:
             turn[:] = 0
         for k in range(turn.max() + 1):
-            chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], m, w[:, i], q)]
+            chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], Z[:, i])]
             parts = side_by_side(
                 problem, lines[chosen], [branches_along(problem, *pairs[i], tolerance) for i in chosen]
             )
             for i, part in zip(chosen, parts, strict=True):
-                if is_known(branches[lines[i]], m, w[:, i], q):
+                if is_known(branches[lines[i]], Z[:, i]):
                     continue
                 for branch in part:
-                    middle = branch.Z[len(branch.Z) // 2]
-                    if not is_known(branches[lines[i]], m, np.delete(middle, m), middle[m]):
+                    if not is_known(branches[lines[i]], branch.Z[:, len(branch.q) // 2]):
                         branches[lines[i]].append(branch)
     return [ranked(each) for each in branches]
 
 
-def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
-    """Anthropomorphic gaits of several lines that the search finds, for each anchor its ln slope, w and their lines."""
+def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Anthropomorphic gaits of several lines that the search finds, for each anchor Z (c, n) and their lines."""
     gaits = search_lines(problem, ANCHORS, _SHARES)
     counts = np.array([[w.shape[1] for w in each] for each in gaits])
     q = np.log(ANCHORS)
     lines, at = np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()), counts.sum(axis=1)
     if not len(lines):
         return
-    w = np.hstack([w for each in gaits for w in each])
-    _, check = verify_steps(problem.some(lines), w, np.repeat(q, at))
+    Z = np.vstack([np.hstack([w for each in gaits for w in each]), np.repeat(q, at)])
+    check = check_steps(problem.some(lines), Z)
     for k, end in enumerate(np.cumsum(at).tolist()):
         kept = end - at[k] + np.flatnonzero(check.anthropomorphic[end - at[k] : end])
-        yield float(q[k]), w[:, kept], lines[kept]
+        yield Z[:, kept], lines[kept]
 
 
 def ranked(branches: list[Branch]) -> list[Branch]:
@@ -336,27 +327,16 @@ def ranked(branches: list[Branch]) -> list[Branch]:
         lowest = int(branch.q.argmin())
         q = max(float(branch.q[lowest]), np.log(MIN_SLOPE))
         angles = (float(Z[0, 0]) for _, Z, _ in branch.guesses(np.array([q])))
-        return q, min(angles, default=float(branch.Z[lowest, 0]))
+        return q, min(angles, default=float(branch.Z[0, lowest]))
 
     return sorted(branches, key=place)
 
 
-def is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
-    """True where a gait lies on a branch already followed.
-
-    Parameters
-    ----------
-    branches : list of Branch
-    m : int
-        Number of section coordinates.
-    w : ndarray, shape (m + phases,)
-        The gait in similarity coordinates.
-    q : float
-        ln of its slope in rad.
-    """
+def is_known(branches: list[Branch], gait: np.ndarray) -> bool:
+    """True where a gait (c,) lies on a branch already followed."""
     for branch in branches:
-        for _, Z, _ in branch.guesses(np.array([q])):
-            if distance(np.delete(Z[0], m), w, m, branch.steps) < _SAME:
+        for _, Z, _ in branch.guesses(gait[-1:]):
+            if distance(Z[:-1, 0], gait[:-1], branch.m, branch.steps) < _SAME:
                 return True
     return False
 
@@ -369,7 +349,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     dict of ndarray
         `lengths`, `why` and `end_errors` of the branches, `m`, and the nodes' arrays of all branches one after another.
     """
-    lengths = np.array([len(b.Z) for b in branches], dtype=np.int64)
+    lengths = np.array([len(b.q) for b in branches], dtype=np.int64)
     if not branches:
         return {"lengths": lengths}
     return {
@@ -378,7 +358,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
         "steps": np.array([branches[0].steps]),
         "why": np.array([b.why for b in branches]),
         "end_errors": np.array([b.end_errors for b in branches]),
-        **{name: np.concatenate([getattr(b, name) for b in branches]) for name in _BY_NODE},
+        **{name: np.concatenate([getattr(b, name) for b in branches], axis=-1) for name in _BY_NODE},
     }
 
 
@@ -400,7 +380,7 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
             steps=int(arrays["steps"][0]),
             why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
             end_errors=(float(arrays["end_errors"][i][0]), float(arrays["end_errors"][i][1])),
-            **{name: arrays[name][a:b] for name in _BY_NODE},
+            **{name: arrays[name][..., a:b] for name in _BY_NODE},
         )
         for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends, strict=True))
     ]

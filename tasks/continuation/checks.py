@@ -12,7 +12,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
-from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate, fall_margin
+from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
@@ -33,7 +33,7 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     Parameters
     ----------
     gait : ndarray, shape (c,)
-        Where the branch began, a row of Z: of a branch that is cut the part with it remains.
+        Where the branch began: of a branch that is cut the part with it remains.
 
     Returns
     -------
@@ -41,81 +41,68 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
         Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
         and the slope turns at folds alone. Where it was cut, and at a false end, there is `no further point`.
     """
-    if len(branch.Z) == 1:
+    if len(branch.q) == 1:
         return branch
     for _ in range(_MAX_ROUNDS):
         failing = yield from _failing(branch)
         if not failing.any():
             break
         split = yield from _split(branch, np.flatnonzero(failing))
-        if len(split.Z) == len(branch.Z):
+        if len(split.q) == len(branch.q):
             break
         branch = split
     else:
         failing = yield from _failing(branch)
     if failing.any():
         branch = branch.part_of(gait, np.flatnonzero(failing))
-    return (yield from _with_consistent_ends(branch)) if len(branch.Z) > 1 else branch
+    return (yield from _with_consistent_ends(branch)) if len(branch.q) > 1 else branch
 
 
 def _split(branch: Branch, segments: np.ndarray) -> Procedure[Branch]:
     """The branch with nodes in the middles of segments, predicted by their own two nodes, where they lie on them."""
-    m = branch.m
     alone = [branch.part(np.array([k, k + 1])) for k in segments]
-    Z = np.vstack([part.evaluate(np.array([0]), part.Z[:, part.axis].mean(axis=0)) for part in alone])
-    border = branch.direction[segments] + branch.direction[segments + 1]
-    border /= np.linalg.norm(border, axis=1, keepdims=True)
-    point = yield Call(correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, border.T))
-    tangent = point.direction.T * np.where((point.direction.T * border).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    Z = np.hstack([part.at(np.array([0.5])) for part in alone])
+    border = branch.between(segments)
+    point = (yield Call(correct_and_evaluate, (Z, border))).oriented(border)
     kept = point.ok & branch.lies_between(segments, point.Z)
-    return branch.insert(segments[kept] + 1, point.Z.T[kept], tangent[kept])
+    return branch.insert(segments[kept] + 1, point.Z[:, kept], point.direction[:, kept])
 
 
 def _failing(branch: Branch) -> Procedure[np.ndarray]:
     """Which segments fail, shape (n - 1,)."""
-    m, n = branch.m, len(branch.Z) - 1
+    n = len(branch.q) - 1
     failing = _too_long(branch)
     for fold, _ in branch.pieces()[1:]:
         # A node at which the slope turns is a fold: it falls on one side and rises on the other.
-        sides = branch.tangent[[fold - 1, fold + 1], m]
+        sides = branch.tangent[-1, [fold - 1, fold + 1]]
         failing[[fold - 1, fold]] |= sides.prod() > 0
     held_out = np.unique((n * (_GOLDEN * np.arange(1, _HELD_OUT + 1) % 1)).astype(int))
-    rows = branch.at(held_out + _PLACE)
-    border = branch.direction[held_out] + branch.direction[held_out + 1]
-    border /= np.linalg.norm(border, axis=1, keepdims=True)
-    point = yield Call(correct, (rows[:, : m + 1].T, rows[:, m + 1 :].T, border.T))
-    chord = np.linalg.norm(branch.Z[held_out + 1] - branch.Z[held_out], axis=1)
-    moved = np.linalg.norm(point.Z.T - rows, axis=1)
-    failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord, _ROUNDING))
+    Z, chord = branch.at(held_out + _PLACE), np.linalg.norm(np.diff(branch.Z), axis=0)
+    point = yield Call(correct, (Z, branch.between(held_out)))
+    moved = np.linalg.norm(point.Z - Z, axis=0)
+    failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING))
     # Nodes this close leave no room for another.
-    failing[np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _ROUNDING] = False
+    failing[chord < _ROUNDING] = False
     return failing
 
 
 def _too_long(branch: Branch) -> np.ndarray:
     """Which segments' polynomials are more than twice as long as their chords, shape (n - 1,)."""
-    n = len(branch.Z) - 1
+    Z, n = branch.Z, len(branch.q) - 1
     place = (np.arange(n)[:, None] + np.arange(1, _PARTS) / _PARTS).ravel()
-    inner = branch.at(place).reshape(n, _PARTS - 1, -1)
-    points = np.concatenate([branch.Z[:-1, None], inner, branch.Z[1:, None]], axis=1)
-    length = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
-    chord = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1)
+    inner = branch.at(place).reshape(len(Z), n, -1)
+    points = np.concatenate([Z[:, :-1, None], inner, Z[:, 1:, None]], axis=2)
+    length = np.linalg.norm(np.diff(points), axis=0).sum(axis=1)
+    chord = np.linalg.norm(np.diff(Z), axis=0)
     return np.asarray(~(chord >= _MIN_CHORD * length))
 
 
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     """The branch; ends whose own condition fails become `no further point`."""
-    m, why = branch.m, list(branch.why)
-    Z = branch.Z[[0, -1]].T
-    point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], branch.direction[[0, -1]].T), (("max_iterations", 1),))
-    at_ends = replace(point, X=Z[: m + 1], times=Z[m + 1 :])
+    why, Z = list(branch.why), branch.Z[:, [0, -1]]
+    point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
+    at_ends = replace(point, Z=Z)
     for side, kind in enumerate(branch.why):
-        if kind == "a fall":
-            value = fall_margin(at_ends.X, at_ends.times, branch.steps)[side]
-        elif kind in SCALARS and kind not in ("fold", "window"):
-            value = scalar(kind, at_ends)[side]
-        else:
-            continue
-        if not abs(value) < _MAX_END:
+        if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
             why[side] = "no further point"
     return replace(branch, why=(why[0], why[1])) if tuple(why) != branch.why else branch

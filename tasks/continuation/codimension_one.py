@@ -1,20 +1,22 @@
 """Curves of special points in two parameters: folds, flips and ends of walking in slope and one walker key.
 
-A point is Z = (X, key, times): similarity coordinates and ln slope, the key over its range, and the event times. It
-solves the defining equations (`tasks.continuation.defining`) with the key as a further unknown. Nothing is singular
-where strikes turn tangential or coincide, so ends are followed as folds and flips are.
+A point is (Z, key): that of a gait, then the key over its range. It solves the defining equations
+(`tasks.continuation.defining`) with the key as a further unknown. Nothing is singular where strikes turn tangential or
+coincide, so ends are followed as folds and flips are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.defining import joint_derivative
-from gaitsweep.tasks.continuation.root import passes
-from gaitsweep.tasks.continuation.tracking import CLOSED, Track
+from gaitsweep.tasks.continuation.joint import but_times
+from gaitsweep.tasks.continuation.root import bracketed_root, hermite, passes
+from gaitsweep.tasks.continuation.tracking import CLOSED, Track, joined
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import STRUCK
@@ -43,6 +45,13 @@ _FIRST_STEP, _MAX_POINTS = 0.02, 5000
 BORDER, LOST, TOO_MANY = "border", "no further point", "too many points"
 
 
+class _AtPoint(NamedTuple):
+    """The equations at a point, to first order, in arrays of one lane."""
+
+    residual: np.ndarray
+    derivative: np.ndarray
+
+
 class Curve:
     """The equations of special points over slope and a key.
 
@@ -65,7 +74,7 @@ class Curve:
 
     def value(self, Z: np.ndarray) -> float:
         """Return the key's value at a point Z (c,), or its limit where the point lies beyond."""
-        return float(np.clip(Z[self.m + 1] * self.scale, *self.limits))
+        return float(np.clip(Z[-1] * self.scale, *self.limits))
 
     def problem(self, Z: np.ndarray) -> Problem:
         """Return the step map at a point Z (c,)."""
@@ -84,7 +93,7 @@ class Curve:
             lanes.constants = 2 * lanes.constants - mirrored.constants
         return lanes
 
-    def system(self, Z: np.ndarray, h: float = DIFFERENCE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def system(self, Z: np.ndarray, h: float = DIFFERENCE) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the equations at one point.
 
         Parameters
@@ -97,34 +106,27 @@ class Curve:
         -------
         residual : ndarray, shape (c - 1,)
         derivative : ndarray, shape (c - 1, c)
-            By X, the key and the durations of the phases.
-        times_by : ndarray, shape (k, c)
-            Derivatives of the event times by the same.
         """
-        place = self.m + 1
-        lanes = self._lanes((Z[place] + h * np.array([0.0, 1.0, -1.0])) * self.scale)
-        residual, derivative, times_by = joint_derivative(lanes, self.kind, np.delete(Z, place), np.array([h]), h=h)
-        by_key, derivative = derivative[:, -1:], derivative[:, :-1]
-        derivative = np.hstack([derivative[:, :place], by_key, derivative[:, place:]])
-        return residual, derivative, np.insert(times_by, place, 0.0, axis=1)
+        lanes = self._lanes((Z[-1] + h * np.array([0.0, 1.0, -1.0])) * self.scale)
+        return joint_derivative(lanes, self.kind, Z[:-1], np.array([h]), h=h)
 
     def correct(self, Z: np.ndarray, border: np.ndarray) -> engine.Corrected:
         """Correct a point of the curve in the plane through Z normal to `border`, both (c,) or (c, 1), by Newton."""
         Z, border = Z.reshape(-1, 1), border.reshape(-1, 1)
-        return engine.bordered_newton(self._linearise, lambda *_: _ROUNDING_STEP, _NEWTON, Z, border, self.m + 2)
+        sized = [*but_times(self.m)[:-1], -2, -1]
+        return engine.bordered_newton(self._linearise, lambda *_: _ROUNDING_STEP, _NEWTON, Z, border, sized)
 
-    def _linearise(self, lanes: np.ndarray, Z: np.ndarray) -> engine.Linearisation:
+    def _linearise(self, lanes: np.ndarray, Z: np.ndarray) -> _AtPoint:
         """The equations at one point, as a lane; NaN where there is no such walker."""
-        c, k = len(Z), len(Z) - self.m - 2
         try:
-            residual, derivative, times_by = self.system(Z[:, 0])
+            residual, derivative = self.system(Z[:, 0])
         except WalkerError:
-            residual, derivative, times_by = np.full(c - 1, np.nan), np.full((c - 1, c), np.nan), np.zeros((k, c))
-        return engine.Linearisation(residual[None], derivative[None], times_by[..., None])
+            residual, derivative = np.full(len(Z) - 1, np.nan), np.full((len(Z) - 1, len(Z)), np.nan)
+        return _AtPoint(residual[:, None], derivative[..., None])
 
     def walks(self, Z: np.ndarray) -> bool:
         """Whether a point's step happens, or at an end of walking is the limit of steps that do."""
-        problem, w, q = self.problem(Z), np.delete(Z, [self.m, self.m + 1])[:, None], Z[self.m : self.m + 1]
+        problem, w, q = self.problem(Z), Z[:-2, None], Z[-2:-1]
         times = w[self.m :]
         if self.kind.startswith("end_"):
             # Kneestrike is not late, and the foot does not rise as it strikes.
@@ -148,16 +150,16 @@ def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapp
     window : mapping
         `q` (ln slope) and `key`: least and largest value of each.
     """
-    tangent = first.direction * (np.sign(first.direction[curve.m + 1, 0]) or 1.0) * direction
-    Z, T, measured = [first.Z[:, 0]], [tangent[:, 0]], curve.m + 2
+    tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
+    Z, T = [first.Z[:, 0]], [tangent[:, 0]]
 
     def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.ones(1, bool), error / track.step
 
     def until(reason: str) -> Track:
-        return Track(np.array(Z), np.array(T), reason)
+        return Track(np.array(Z).T, np.array(T).T, reason)
 
-    track = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP, measured)
+    track = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP)
     while len(Z) < _MAX_POINTS and track.step[0] > _CONTROL.shortest:
         step = track.step[0]
         _, fair = track.advance(np.array([0]), curve.correct, judge)
@@ -175,10 +177,9 @@ def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapp
                 Z.append(at.Z[:, 0])
                 T.append(at.direction[:, 0] * (np.sign(at.direction[:, 0] @ T[-1]) or 1.0))
                 return until(BORDER)
-            track = engine.Tracks(_CONTROL, Z[-1][:, None], T[-1][:, None], _CONTROL.reduction * step, measured)
+            track = engine.Tracks(_CONTROL, Z[-1][:, None], T[-1][:, None], _CONTROL.reduction * step)
             continue
-        own = (each[:measured] for each in (Z[0], T[0], Z[-1], T[-1], new, ahead))
-        closes = len(Z) > 3 and passes(*own)
+        closes = len(Z) > 3 and passes(Z[0], T[0], Z[-1], T[-1], new, ahead)
         Z.append(Z[0] if closes else new)
         T.append(T[0] if closes else ahead)
         if closes:
@@ -191,7 +192,7 @@ def _exit(
 ) -> tuple[int, float, float] | None:
     """Component of Z in which a continuation step leaves the window, the border, and the share of the step up to it."""
     exits = []
-    for component, (low, high) in ((curve.m, window["q"]), (curve.m + 1, np.array(window["key"]) / curve.scale)):
+    for component, (low, high) in ((-2, window["q"]), (-1, np.array(window["key"]) / curve.scale)):
         edge = float(np.clip(new[component], low, high))
         if edge != new[component]:
             share = float((edge - last[component]) / (new[component] - last[component]))
@@ -213,10 +214,10 @@ def follow_both_directions(
     """
     up = follow(curve, first, 1.0, window)
     if up.stop_reason == CLOSED:
-        return up.Z, up.tangent, (CLOSED, CLOSED)
+        return up.Z.T, up.tangent.T, (CLOSED, CLOSED)
     down = follow(curve, first, -1.0, window)
-    Z, tangent = np.vstack([down.Z[:0:-1], up.Z]), np.vstack([-down.tangent[:0:-1], up.tangent])
-    return Z, tangent, (down.stop_reason, up.stop_reason)
+    Z, tangent = joined(down, up)
+    return Z.T, tangent.T, (down.stop_reason, up.stop_reason)
 
 
 def turning(
@@ -243,27 +244,26 @@ def turning(
     """
     if a[1][component] * b[1][component] >= 0:
         return None
-    measured = curve.m + 2
-    chord = (b[0] - a[0]) * (np.arange(len(a[0])) < measured)
+    chord = b[0] - a[0]
     length = float(np.linalg.norm(chord))
     chord /= length
 
     def along(point: engine.Corrected) -> np.ndarray:
         return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
 
-    ends = [curve.correct(Z, chord) for Z, _ in (a, b)]
+    def at(share: float) -> engine.Corrected:
+        return curve.correct(hermite(*a, *b, length, share), chord)
+
+    ends = [at(share) for share in (0.0, 1.0)]
     tangents = [along(point)[component] for point in ends]
     if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
         return None
-    values = float(tangents[0]), float(tangents[1])
-    turn = engine.root_between(
-        a, b, values, measured, curve.correct, lambda point: float(along(point)[component]), 1e-11
-    )
+    turn = at(bracketed_root(lambda share: float(along(at(share))[component]), 0.0, 1.0, 1e-11))
     if not turn.ok[0]:
         return None
     Z, tangent = turn.Z[:, 0], along(turn)
     derivative = curve.system(Z, 2 * DIFFERENCE)[1]
-    coarse = np.linalg.svd(derivative)[2][-1][:measured]
-    coarse *= np.sign(coarse @ tangent[:measured]) / np.linalg.norm(coarse)
+    coarse = np.linalg.svd(derivative)[2][-1]
+    coarse *= np.sign(coarse @ tangent)
     moved = abs(coarse[component] - tangent[component]) * length / abs(tangents[1] - tangents[0]) + 1e-11 * length
-    return Z, float(turn.error[0] + moved * abs(tangent[curve.m])) + 8 * np.finfo(float).eps
+    return Z, float(turn.error[0] + moved * abs(tangent[-2])) + 8 * np.finfo(float).eps

@@ -1,29 +1,25 @@
 """Defining equations of special points: the equations of a gait with one scalar beside them, and Newton's method.
 
-A point is Z = (X, times), X = (similarity coordinates, ln slope). The joint equations of a gait leave it one freedom;
-a scalar that vanishes at the special point takes it. Their derivative is exact, that of the scalar a row of central
-differences, which changes so little from point to point that a row interpolated between neighbours serves as well.
-All are smooth where strikes are tangential or the durations of phases vanish. In shapes, n counts lanes, each with a
-walker of its own, and c = m + 1 + k is the length of Z.
+A point is Z (`tasks.continuation.joint`). The joint equations of a gait leave it one freedom; a scalar that vanishes at
+the special point takes it. Their derivative is exact, that of the scalar a row of central differences, which changes so
+little from point to point that a row interpolated between neighbours serves as well. All are smooth where strikes are
+tangential or the durations of phases vanish. In shapes, n counts lanes, each with a walker of its own.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
+from gaitsweep.tasks.continuation.joint import Linearisation, determinants, linearised, rounding_step
 from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
-from gaitsweep.tasks.continuation.tracking import MOST_RATE, Point, rate_of_steps
+from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
-from gaitsweep.tasks.step.several_steps import AnyStride
-from gaitsweep.tasks.step.step_map import matvec
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
@@ -39,50 +35,10 @@ _ROUNDING_FACTOR = 16.0
 
 
 @dataclass
-class Evaluation:
-    """Steps at n points Z (c, n).
+class Evaluation(Linearisation):
+    """Steps at n points, of `problem`: of one walker, or of the n lanes."""
 
-    Attributes
-    ----------
-    Z : ndarray, shape (c, n)
-    stride : Stride or Strides
-        Differentiated by the slope too.
-    problem : Problem
-        Of one walker, or of the n lanes.
-    """
-
-    Z: np.ndarray
-    stride: AnyStride
     problem: Problem
-
-    @property
-    def m(self) -> int:
-        """Number of section coordinates."""
-        return len(self.stride.y)
-
-    @functools.cached_property
-    def _joint(self) -> tuple[np.ndarray, np.ndarray]:
-        return joint(self.stride, self.Z)
-
-    @property
-    def residual(self) -> np.ndarray:
-        """Residual of the joint equations, shape (n, m + k)."""
-        return self._joint[0]
-
-    @property
-    def derivative(self) -> np.ndarray:
-        """Its derivative by X and the durations of the phases, shape (n, m + k, c)."""
-        return self._joint[1]
-
-    @functools.cached_property
-    def times_by(self) -> np.ndarray:
-        """Derivatives of the event times by the same, shape (k, c, n)."""
-        return joint_by_X(self.stride.times_by, self.stride, self.Z)
-
-    @property
-    def jacobians(self) -> np.ndarray:
-        """Jacobians of all steps of a gait, shape (n, d, d)."""
-        return np.moveaxis(self.stride.jacobian, -1, 0)
 
     @property
     def radius(self) -> np.ndarray:
@@ -105,18 +61,8 @@ class Evaluation:
         return log_froude_by_Z(self.Z, self.radius)
 
     def bordered(self, by_Z: np.ndarray) -> np.ndarray:
-        """Return the matrix of the joint equations and of a scalar, by X and the durations.
-
-        Parameters
-        ----------
-        by_Z : ndarray, shape (c, n)
-            Derivatives of the scalar by Z.
-
-        Returns
-        -------
-        ndarray, shape (n, c, c)
-        """
-        return bordered_matrix(self.derivative, by_Z, self.times_by)
+        """Return the matrix (n, c, c) of the joint equations and of a scalar with the derivatives `by_Z` (c, n)."""
+        return bordered_matrix(self.derivative, by_Z)
 
 
 def foot_radius(problem: Lanes) -> np.ndarray:
@@ -154,7 +100,7 @@ def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
     """
     angle = np.exp(Z[0])
-    return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-1]))
+    return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-2]))
 
 
 def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -172,7 +118,7 @@ def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """
     angle, by_Z = np.exp(Z[0]), np.zeros_like(Z)
     by_Z[0] = angle * ((1 - radius) * np.cos(angle) + radius) / ((1 - radius) * np.sin(angle) + radius * angle)
-    by_Z[-1] = -1 / Z[-1]
+    by_Z[-2] = -1 / Z[-2]
     return by_Z
 
 
@@ -189,9 +135,7 @@ def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
     samples : int
         Equal intervals of each phase at whose ends the motion is also returned.
     """
-    m = problem.m
-    stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
-    return Evaluation(Z, stride, problem)
+    return Evaluation(Z, linearised(problem, Z, samples).stride, problem)
 
 
 def _flip(at: Evaluation) -> np.ndarray:
@@ -220,21 +164,25 @@ def _closing(at: Any, strike: int) -> np.ndarray:
 
 def _last_phase(at: Any) -> np.ndarray:
     """Duration of a step's last phase."""
-    durations = np.diff(at.Z[at.m + 1 :], axis=0, prepend=0)
+    durations = np.diff(at.times, axis=0, prepend=0)
     return _nearest(durations.reshape(at.stride.steps, -1, durations.shape[1])[:, -1], at)
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def _fold(at: Evaluation) -> np.ndarray:
-    return determinants(np.delete(at.derivative, at.m, axis=2))
+def _fold(at: Linearisation) -> np.ndarray:
+    return determinants(_at_slope(at))
 
 
-def _exponent(at: Evaluation) -> np.ndarray:
+def _at_slope(at: Linearisation) -> np.ndarray:
+    """Derivatives of the joint equations by all but ln slope, shape (n, m + k, m + k)."""
+    return at.derivative[:, :-1].transpose(2, 0, 1)
+
+
+def _exponent(at: Linearisation) -> np.ndarray:
     """Local exponent d ln angle/d ln slope."""
-    derivative, m = at.derivative, at.m
-    return -np.linalg.solve(np.delete(derivative, m, axis=2), derivative[:, :, [m]])[:, 0, 0]
+    return -np.linalg.solve(_at_slope(at), at.derivative[:, -1].T[..., None])[:, 0, 0]
 
 
 def _speed_maximum(at: Evaluation) -> np.ndarray:
@@ -250,11 +198,12 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "end_kneestrike_at_heelstrike": _last_phase,
     "end_tangential_heelstrike": lambda at: _closing(at, -1),
     "end_tangential_kneestrike": lambda at: _closing(at, 0),
-    "foot_at_kneestrike": lambda at: _nearest(at.stride.knee[0] + at.stride.knee[1], at) / at.stride.y[0],
-    "release_hyperextension": lambda at: _nearest(at.stride.start[4] - at.stride.start[5], at) / at.stride.y[0],
+    "foot_at_kneestrike": lambda at: _nearest(at.stride.one.knee[0] + at.stride.one.knee[1], at) / at.stride.y[0],
+    "release_hyperextension": lambda at: _nearest(at.stride.one.start[4] - at.stride.one.start[5], at) / at.stride.y[0],
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
-    "window": lambda at: at.Z[at.m],
+    "window": lambda at: at.q,
+    "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
     "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": lambda at: at.log_froude + at.log_unit,
     "exponent": _exponent,
@@ -262,15 +211,15 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def scalar(kind: str, at: Evaluation | Point, target: np.ndarray | float = 0.0) -> np.ndarray:
+def scalar(kind: str, at: Linearisation, target: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the scalar that vanishes at special points of a kind.
 
     Parameters
     ----------
     kind : str
         Of SCALARS.
-    at : Evaluation, or Point
-        Of a point of a branch, scalars that need no derivative of the equations.
+    at : Linearisation
+        Of `fastest` and `speed` an Evaluation, whose walkers are known.
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
         units for `speed`, of d ln angle/d ln slope for `exponent`.
@@ -307,7 +256,7 @@ def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def joint_derivative(
     problem: Lanes, kind: str, Z: np.ndarray, steps: np.ndarray, target: float = 0.0, h: float = _DIFFERENCE
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the defining equations of one point and their derivative, with keys as further unknowns.
 
     By implicit differentiation the last columns give how the point moves with the keys.
@@ -329,19 +278,16 @@ def joint_derivative(
     -------
     residual : ndarray, shape (c,)
     derivative : ndarray, shape (c, c + i)
-        By X, the durations of the phases and the keys, which leave the event times as they are.
-    times_by : ndarray, shape (k, c)
-        Derivatives of the event times by X and the durations.
+        By Z and the keys.
     """
     c, keys = len(Z), len(steps)
     moved = np.hstack([np.zeros((c, 1)), h * np.eye(c), -h * np.eye(c), np.zeros((c, 2 * keys))])
     lanes = np.concatenate([np.zeros(1 + 2 * c, int), np.arange(1, 1 + 2 * keys)])
     at = evaluate(problem.some(lanes), Z[:, None] + moved)
-    values = np.vstack([at.residual.T, scalar(kind, at, target)])
+    values = np.vstack([at.residual, scalar(kind, at, target)])
     up, down = np.split(values[:, 1 + 2 * c :], 2, axis=1)
     row = (values[-1, 1 : 1 + c] - values[-1, 1 + c : 1 + 2 * c]) / (2 * h)
-    matrix = bordered_matrix(at.derivative[:1], row[:, None], at.times_by[..., :1])[0]
-    return values[:, 0], np.hstack([matrix, (up - down) / (2 * steps)]), at.times_by[..., 0]
+    return values[:, 0], np.hstack([np.vstack([at.derivative[..., 0], row]), (up - down) / (2 * steps)])
 
 
 def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.0) -> np.ndarray:
@@ -362,7 +308,7 @@ def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.
     """
     at = evaluate(problem, Z)
     matrix = at.bordered(gradient(problem, kind, Z))
-    return np.vstack([at.residual.T, scalar(kind, at, target), determinants(matrix)])
+    return np.vstack([at.residual, scalar(kind, at, target), determinants(matrix)])
 
 
 @dataclass
@@ -427,11 +373,9 @@ def newton_step(
     size = np.linalg.norm(rows, axis=0)
     matrix = at.bordered(rows)
     matrix[:, -1] /= size[:, None]
-    right = -np.concatenate([at.residual, (value / size)[:, None]], axis=1)
-    *both, solvable = solve_bordered(matrix, right)
-    change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in both)
+    change, along, solvable = solve_bordered(matrix, -np.vstack([at.residual, value / size]))
     change[:, ~solvable] = np.nan
-    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride), rows)
+    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at), rows)
 
 
 @dataclass
@@ -535,23 +479,23 @@ def slope_error(problem: Problem, kind: str, Z: np.ndarray) -> float:
     flips add the rounding of every derivative. Rounding is measured: in other units every operation rounds anew. That
     of the walker's constants, which no change of units shows, is half a unit in each one's last place.
     """
-    m, column = problem.m, Z[:, None]
+    column = Z[:, None]
     matrix = evaluate(problem, column).bordered(gradient(problem, kind, column))[0]
     if not np.isfinite(matrix).all() or not np.linalg.cond(matrix) < 1 / EPS:
         return np.inf
-    by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[m])
+    by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[-1])
 
-    (y, scale), n = problem.section(column), len(problem.parameters(column[m], column[m])) - 2
+    (y, scale), n = problem.section(column), len(problem.parameters(column[-1], column[-1])) - 2
     # Neighbouring states in every unit, then the point itself with each constant varied, and as it is.
     states = np.repeat(by_fifteen(y * (1 + _APART * np.arange(_STATES))), len(UNITS), axis=1)
     units = np.append(np.tile(UNITS, _STATES), np.ones(2 * n + 1))
     varied = _VARIED * np.hstack([np.eye(n), -np.eye(n), np.zeros((n, 1))])
     y = np.hstack([states, np.repeat(y, 2 * n + 1, axis=1)]) / units
     points = np.repeat(column, len(units), axis=1)
-    parameters = problem.parameters(np.exp(points[m]), scale * units)
+    parameters = problem.parameters(np.exp(points[-1]), scale * units)
     parameters[2:, -2 * n - 1 :] *= 1 + varied
-    at = Evaluation(points, problem.map(y, points[m + 1 :], parameters, slope=True), problem)
-    off = by_values @ np.vstack([at.residual.T, scalar(kind, at)])
+    at = Evaluation(points, problem.map(y, points[problem.m : -1], parameters, slope=True), problem)
+    off = by_values @ np.vstack([at.residual, scalar(kind, at)])
     rounded, by_constants = np.split(off[:-1], [_STATES * len(UNITS)])
     std = np.sqrt(rounded.reshape(_STATES, -1).var(axis=1, ddof=1).mean())
     constants = EPS / 2 * np.abs(np.diff(by_constants.reshape(2, n), axis=0) / (2 * _VARIED)).sum()

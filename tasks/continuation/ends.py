@@ -10,20 +10,16 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.locate import (
-    check_steps,
     correct_at,
     is_step,
     locate_root,
-    row,
-    row_tangent,
     sampled_steps,
     search_segment,
-    strike_distances,
     test_function,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.root import root_search
-from gaitsweep.tasks.continuation.tracking import Point, correct
+from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct
 from gaitsweep.tasks.fixed_points.step_check import verified
 from gaitsweep.tasks.step.step_map import SAMPLES
 
@@ -38,11 +34,10 @@ _EARLIEST_KNEESTRIKE = 2e-6
 
 @dataclass(frozen=True)
 class BranchEnd:
-    """Where walking ends on a branch: its kind, the point, the branch's direction there, and the error of ln slope."""
+    """Where walking ends on a branch: its kind, the point, and the error of ln slope."""
 
     kind: str
     point: Point
-    direction: np.ndarray
     error: float
 
 
@@ -54,17 +49,17 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     """Locate the end of walking between two neighbouring nodes, of which `good` is a step and `bad` is not."""
     segment = min(good, bad)
     axis = branch.axis[segment]
-    at_good = yield from correct_at(branch, segment, branch.Z[good, axis])
-    at_bad = yield from correct_at(branch, segment, branch.Z[bad, axis])
+    at_good = yield from correct_at(branch, segment, branch.Z[axis, good])
+    at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
     ends: list[tuple[float, BranchEnd]] = []
     for kind in _ENDS:
-        if "kneestrike" in kind and not len(at_good[0].stride.knee):
+        if "kneestrike" in kind and not len(at_good.stride.one.knee):
             continue
         test = test_function(kind)
-        if test(*at_good) * test(*at_bad) < 0:
-            end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
+        if test(at_good) * test(at_bad) < 0:
+            end = BranchEnd(kind, (yield from locate_root(branch, segment, test)), 0.0)
             # In the coordinate in which the segment is monotone: all others turn where kneestrike is tangential.
-            ends.append((abs(float(row(end.point)[axis] - branch.Z[good, axis])), end))
+            ends.append((abs(float(end.point.Z[axis, 0] - branch.Z[axis, good])), end))
     if ends:
         end = min(ends, key=lambda end: end[0])[1]
         if (yield from _walks_up_to(branch, good, segment, end)):
@@ -76,10 +71,8 @@ def _with_a_kneestrike(branch: Branch, segment: int, end: BranchEnd) -> Procedur
     """Where the knee strikes as soon as it is released, the end at the earliest kneestrike that rounding resolves."""
     if end.kind != "end_tangential_kneestrike" or _earliest_kneestrike(end.point) > _EARLIEST_KNEESTRIKE:
         return end
-    earliest = yield from locate_root(
-        branch, segment, lambda point, _: _earliest_kneestrike(point) - _EARLIEST_KNEESTRIKE
-    )
-    return BranchEnd(end.kind, *earliest, abs(float(earliest[0].X[-1, 0] - end.point.X[-1, 0])))
+    earliest = yield from locate_root(branch, segment, lambda point: _earliest_kneestrike(point) - _EARLIEST_KNEESTRIKE)
+    return BranchEnd(end.kind, earliest, abs(float(earliest.q[0] - end.point.q[0])))
 
 
 def _earliest_kneestrike(point: Point) -> float:
@@ -89,12 +82,10 @@ def _earliest_kneestrike(point: Point) -> float:
 
 def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Procedure[bool]:
     """Whether gaits ever nearer an end are steps, so that no earlier strike comes before it."""
-    axis, m = branch.axis[segment], branch.m
-    a, b = branch.Z[good, axis], row(end.point)[axis]
-    Z = branch.evaluate(np.full(len(_SHARES), segment), a + (b - a) * _SHARES).T
-    border = np.repeat(end.direction[:, None], len(_SHARES), axis=1)
-    points = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border))
-    check = yield Call(check_steps, (points.X, points.times))
+    axis, segments = branch.axis[segment], np.full(len(_SHARES), segment)
+    a, b = branch.Z[axis, good], end.point.Z[axis, 0]
+    points = yield Call(correct, (branch.evaluate(segments, a + (b - a) * _SHARES), branch.between(segments)))
+    check = yield Call(check_steps, (points.Z,))
     values = scalar(end.kind, points)
     # Corrected points lie slightly off the polynomial; those beyond the end do not count.
     before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
@@ -104,10 +95,10 @@ def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Pro
 def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Procedure[BranchEnd]:
     """Locate where an earlier strike occurs on a segment: a minimum of a guard touches zero."""
     axis = branch.axis[segment]
-    a, b = branch.Z[good, axis], branch.Z[bad, axis]
+    a, b = branch.Z[axis, good], branch.Z[axis, bad]
 
-    def distance(point: Point, direction: np.ndarray, samples: int = 16 * SAMPLES) -> Procedure[float]:
-        distances = yield Call(strike_distances, (point.X, point.times), (("samples", samples),))
+    def distance(point: Point, samples: int = 16 * SAMPLES) -> Procedure[float]:
+        _, distances = yield Call(sampled_steps, (point.Z,), (("samples", samples),))
         return float(distances[0])
 
     def bisect(
@@ -115,7 +106,7 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
     ) -> Procedure[tuple[float, float]]:
         for _ in range(rounds):
             middle = 0.5 * (a + b)
-            point, _ = yield from correct_at(branch, segment, middle)
+            point = yield from correct_at(branch, segment, middle)
             if point.ok[0] and (yield from happens(point)):
                 a = middle
             else:
@@ -125,25 +116,24 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
     # Bisection by whether the step happens brackets the point; the guard's minimum is smooth only near it.
     nodes = a, b
     a, b = yield from bisect(*nodes, 8)
-    at_a = yield from distance(*(yield from correct_at(branch, segment, a)))
-    at_b = yield from distance(*(yield from correct_at(branch, segment, b)))
+    at_a = yield from distance((yield from correct_at(branch, segment, a)))
+    at_b = yield from distance((yield from correct_at(branch, segment, b)))
     if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
         root = yield from search_segment(root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, distance)
-        point, direction = yield from correct_at(branch, segment, root)
+        point = yield from correct_at(branch, segment, root)
         # The value at half as many samples shows the error of the cubic's minimum.
-        error = abs((yield from distance(point, direction, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
+        error = abs((yield from distance(point, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
     else:
         # Only samples locate it: as many as points are verified with, and finer ones to show the error.
         a, _ = yield from bisect(a, b, 40)
         fine, _ = yield from bisect(*nodes, 48, _is_step_finely)
-        point, direction = yield from correct_at(branch, segment, a)
+        point = yield from correct_at(branch, segment, a)
         error = 2 * (fine - a)
-    tangent = row_tangent(point, direction)
-    error = abs(error * float(tangent[branch.m] / tangent[axis]))
-    return BranchEnd("end_earlier_strike", point, direction, error)
+    tangent = point.direction[:, 0]
+    return BranchEnd("end_earlier_strike", point, abs(error * float(tangent[-1] / tangent[axis])))
 
 
 def _is_step_finely(point: Point) -> Procedure[bool]:
     """Whether a corrected point is a step that happens, by four times as many samples as settle a doubt."""
-    stride, _ = yield Call(sampled_steps, (point.X, point.times), (("samples", 64 * SAMPLES),))
+    stride, _ = yield Call(sampled_steps, (point.Z,), (("samples", 64 * SAMPLES),))
     return bool(verified(stride).step[0])

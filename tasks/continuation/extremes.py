@@ -62,7 +62,6 @@ class Points:
         Of SCALARS, another end of walking, or ANY_SLOPE.
     Z, rows : ndarray, shape (c, n)
         Point, and derivatives of its scalar; NaN where the kind has none.
-    log_slope : ndarray, shape (n,)
     error : ndarray, shape (n,)
         Bound on the error of Z, ln slope included.
     log_froude : ndarray, shape (n,)
@@ -86,8 +85,12 @@ class Points:
     walks: np.ndarray
     long: np.ndarray
     stable: np.ndarray
-    log_slope: np.ndarray
     faster: np.ndarray
+
+    @property
+    def log_slope(self) -> np.ndarray:
+        """Values of ln slope, shape (n,)."""
+        return self.Z[-1]
 
     def some(self, which: np.ndarray) -> Points:
         """Return some of the points.
@@ -107,7 +110,7 @@ def join(parts: Sequence[Points]) -> Points:
 def nothing(problem: Lanes, n: int) -> Points:
     """Return n placeholders, which do not walk."""
     Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
+    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, no)
 
 
 def may_be(name: str, kind: np.ndarray) -> np.ndarray:
@@ -237,7 +240,6 @@ def classify(
         walks=walks,
         long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
-        log_slope=Z[at.m],
         faster=np.zeros(len(line), bool),
     )
 
@@ -248,10 +250,10 @@ class _Nodes:
     def __init__(self, problem: Lanes, surveyed: Sequence[Sequence[Branch]], targets: Mapping[str, float]):
         self.branches = [branch for branches in surveyed for branch in branches]
         lines = [i for i, branches in enumerate(surveyed) for _ in branches]
-        lengths = [len(branch.Z) for branch in self.branches]
+        lengths = [len(branch.q) for branch in self.branches]
         self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
         self.first = np.cumsum([0, *lengths])[:-1]
-        self.Z = np.concatenate([branch.Z for branch in self.branches]).T
+        self.Z = np.hstack([branch.Z for branch in self.branches])
         self.values = {"label": self.of_nodes("ratio") - 0.5}
         self.walks = self.of_nodes("leg_passes") == 1
         radius, kinds = np.full(len(self.line), np.nan), ("flip", "neimark_sacker", "fastest", *targets)
@@ -273,7 +275,7 @@ class _Nodes:
         Z = np.zeros((len(self.Z), len(node)))
         for b in np.unique(self.branch[node]).tolist():
             which = np.flatnonzero(self.branch[node] == b)
-            Z[:, which] = self.branches[b].at(node[which] - self.first[b] + share[which]).T
+            Z[:, which] = self.branches[b].at(node[which] - self.first[b] + share[which])
         return Z
 
 
@@ -359,9 +361,9 @@ def _at_edge(nodes: _Nodes, edge: float) -> tuple[str, np.ndarray, np.ndarray, n
     """The points at which branches cross the edge of the window."""
     node, Z = [np.zeros(0, int)], [np.zeros((len(nodes.Z), 0))]
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
-        for _, rows, segment in branch.guesses(np.array([edge])):
+        for _, crossing, segment in branch.guesses(np.array([edge])):
             node.append(first + segment)
-            Z.append(rows.T)
+            Z.append(crossing)
     every = np.concatenate(node)
     return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
 
@@ -371,7 +373,7 @@ def _turns_and_ends(nodes: _Nodes, low: float) -> list[tuple[str, np.ndarray, np
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         by_kind.setdefault("fold", []).extend(first + place for place, _ in branch.pieces()[1:])
-        for place, why in zip((0, len(branch.Z) - 1), branch.why, strict=True):
+        for place, why in zip((0, len(branch.q) - 1), branch.why, strict=True):
             is_any = branch.q[place] <= np.log(_VANISHING) and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else END_NAMES.get(why, why), []).append(first + place)
     return [

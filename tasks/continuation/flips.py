@@ -13,7 +13,8 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import slope_error
-from gaitsweep.tasks.continuation.tracking import HALVED, Path, Point, correct
+from gaitsweep.tasks.continuation.joint import Linearisation
+from gaitsweep.tasks.continuation.tracking import HALVED, Point, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
@@ -28,22 +29,23 @@ _NEAR = 0.05
 _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
-def doubled(problem: Problem, flip: Point, expected: float) -> Path | None:
+def doubled(problem: Problem, flip: Linearisation, expected: float) -> tuple[Point, np.ndarray, float] | None:
     """Begin the branch of twice as many steps at a flip.
 
     Parameters
     ----------
     problem : Problem
         Of the flip.
-    flip : Point
+    flip : Linearisation
         Of one lane, with a multiplier of -1.
     expected : float
         Rough length in ln slope of the branch up to its own flip.
 
     Returns
     -------
-    Path or None
-        Of a problem of twice the steps; None where no point of the branch is found.
+    tuple or None
+        A point of the branch, the direction (c,) away from the flip and the length of a first step along it, as
+        `points_along` takes them; None where no point is found.
 
     Notes
     -----
@@ -58,13 +60,13 @@ def doubled(problem: Problem, flip: Point, expected: float) -> Path | None:
         half.append(v)
         v = matvec(each.jacobian[:, :, [i]], v)
     change = np.concatenate([*half, *(-part for part in half)]) / flip.stride.y[0]
-    direction = np.append(similarity(_relative(base[:, 0], twice.m), change), 0.0)
-    direction = np.append(direction / np.linalg.norm(direction), np.zeros(twice.phases))
-    Z = np.concatenate([base[: twice.m, 0], [q], base[twice.m :, 0]])
+    direction = np.zeros(len(base) + 1)
+    direction[: twice.m] = similarity(_relative(base[:, 0], twice.m), change)[:, 0]
+    direction /= np.linalg.norm(direction)
+    Z = np.append(base[:, 0], q)
     a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Point]]()
     for _ in range(6):
-        guess = (Z + a * direction)[:, None]
-        first = correct(twice, guess[: twice.m + 1], guess[twice.m + 1 :], direction[:, None], _MAX_ITERATIONS)
+        first = correct(twice, (Z + a * direction)[:, None], direction[:, None], _MAX_ITERATIONS)
         if first.ok[0] and first.q[0] != q:
             farther.append((a, first))
             distance = abs(float(first.q[0]) - q)
@@ -76,7 +78,7 @@ def doubled(problem: Problem, flip: Point, expected: float) -> Path | None:
     if not farther:
         return None
     a, first = farther[-1]
-    return Path(twice, first, direction, 0.3 * a)
+    return first, direction, 0.3 * a
 
 
 def _relative(w: np.ndarray, m: int) -> np.ndarray:
@@ -84,14 +86,14 @@ def _relative(w: np.ndarray, m: int) -> np.ndarray:
     return np.append(1.0, w[1:m])[:, None]
 
 
-def _twice(problem: Problem, flip: Point) -> np.ndarray:
+def _twice(problem: Problem, flip: Linearisation) -> np.ndarray:
     """A flip as gaits of twice as many steps, begun at each of its own: similarity coordinates (2 (m + k), steps)."""
     y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, problem.m, problem.steps))
     w = np.repeat(joined(flip.w[:1], y, durations), problem.steps, axis=1)
     return begun_at(w, 2 * problem.m, 2 * problem.steps, np.arange(problem.steps))
 
 
-def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> Branch:
+def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Linearisation]) -> Branch:
     """Branch of several steps with the flips of half as many as its ends, where its halves meet.
 
     Parameters
@@ -99,7 +101,7 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> 
     problem : Problem
         Of the branch.
     branch : Branch
-    flips : sequence of Point
+    flips : sequence of Linearisation
         Of gaits of half as many steps.
     """
     if HALVED not in branch.why:
@@ -109,8 +111,7 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> 
         why, errors = list(branch.why), list(branch.end_errors)
         if why[side] != HALVED:
             continue
-        node = branch.Z[-side]
-        w = np.delete(node, m)
+        w = branch.Z[:-1, -side]
         near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
         apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
         if flip is None or apart.min() > _NEAR:
@@ -120,15 +121,14 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Point]) -> 
         at = _twice(half, flip)[:, int(apart.argmin())]
         # The halves leave the flip to opposite sides; all else changes by the square of the distance.
         y, durations = (part - np.roll(part, half.steps, axis=0) for part in sections(w[:, None], m, problem.steps))
-        along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], [0.0]])
-        along = np.append(along, np.cumsum(durations))
-        Z = np.insert(at, m, flip.q[0])
-        apart = np.abs(branch.Z - Z).max(axis=1)
+        along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], np.cumsum(durations), [0.0]])
+        Z = np.append(at, flip.q[0])
+        apart = np.abs(branch.Z - Z[:, None]).max(axis=0)
         clear = np.flatnonzero(apart > min(_CLEAR, _CLEAR_SHARE * apart.max()))
         kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
-        branch, node = branch.part(kept), branch.Z[kept[-side]]
+        branch, node = branch.part(kept), branch.Z[:, kept[-side]]
         along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
         why[side], errors[side] = "branch_point", slope_error(half, "flip", flip.Z[:, 0])
-        branch = branch.insert(side * len(branch.Z), Z, along)
+        branch = branch.insert(side * len(branch.q), Z, along)
         branch = replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
     return branch

@@ -1,55 +1,90 @@
-"""The equations of a gait, linearised in similarity coordinates, ln slope and the durations of the phases."""
+"""The equations of a gait, linearised.
+
+Its unknowns are one vector, Z: similarity coordinates w, which are ln angle, rates/angle and event times, then
+q = ln slope. In shapes, n counts lanes, m section coordinates, k event times, and c = m + k + 1 is the length of Z.
+"""
 
 from __future__ import annotations
 
+import functools
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import matvec
 
 
-def joint(stride: AnyStride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and derivative of the joint equations of state and event times, both over the stance angle.
+@dataclass
+class Linearisation:
+    """Steps at n points, and to first order the joint equations of state and event times there.
 
-    Parameters
+    Attributes
     ----------
-    stride : Stride
+    Z : ndarray, shape (c, n)
+    stride : Stride or Strides
         Differentiated by the slope too.
-    X : ndarray, shape (m + 1, n)
-        Where it was evaluated.
-
-    Returns
-    -------
-    residual : ndarray, shape (n, m + k)
-    derivative : ndarray, shape (n, m + k, m + 1 + k)
-        By X and the durations of the phases.
     """
-    derivative = joint_by_X(stride.derivative, stride, X)
-    return (stride.residual / stride.y[0]).T, (derivative / stride.y[0]).transpose(2, 0, 1)
+
+    Z: np.ndarray
+    stride: AnyStride
+
+    @property
+    def m(self) -> int:
+        """Number of section coordinates."""
+        return len(self.stride.y)
+
+    @property
+    def w(self) -> np.ndarray:
+        """Similarity coordinates and event times, shape (m + k, n)."""
+        return self.Z[:-1]
+
+    @property
+    def q(self) -> np.ndarray:
+        """Values of ln slope, shape (n,)."""
+        return self.Z[-1]
+
+    @property
+    def times(self) -> np.ndarray:
+        """Event times, shape (k, n) [sqrt(leg/g)]."""
+        return self.Z[self.m : -1]
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Residual of the joint equations over the stance angle, shape (m + k, n)."""
+        return np.asarray(self.stride.residual / self.stride.y[0])
+
+    @functools.cached_property
+    def derivative(self) -> np.ndarray:
+        """Its derivative by Z, shape (m + k, c, n)."""
+        m, y, by = self.m, self.stride.y, self.stride.derivative / self.stride.y[0]
+        by[:, 0], by[:, 1:m] = matvec(by[:, :m], y), self.stride.derivative[:, 1:m]
+        by[:, -1] *= np.exp(self.q)
+        return by
+
+    @property
+    def jacobians(self) -> np.ndarray:
+        """Jacobians of all steps of a gait, shape (n, d, d)."""
+        return np.moveaxis(self.stride.jacobian, -1, 0)
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Multipliers, largest magnitude first, shape (n, d); NaN where there are none."""
+        return multipliers(self.stride.jacobian, len(self.stride.jacobian))
+
+    def assign(self, lanes: np.ndarray, other: Any) -> None:
+        """Replace some lanes, ndarray of int of shape (j,), by those of another."""
+        self.Z[:, lanes] = other.Z
+        self.stride.assign(lanes, other.stride)
+        vars(self).pop("derivative", None)
 
 
-def joint_by_X(by: np.ndarray, stride: AnyStride, X: np.ndarray) -> np.ndarray:
-    """Return derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope.
-
-    Parameters
-    ----------
-    by : ndarray, shape (i, m + k + 1, n)
-    stride : Stride
-    X : ndarray, shape (m + 1, n)
-
-    Returns
-    -------
-    ndarray, shape (i, m + 1 + k, n)
-    """
-    m = len(stride.y)
-    return np.concatenate([_by_X(by[:, :m], by[:, -1], stride, X), by[:, m:-1]], axis=1)
-
-
-def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: AnyStride, X: np.ndarray) -> np.ndarray:
-    """Derivatives by X, shape (i, m + 1, n), of what has the derivatives by y, (i, m, n), and by the slope, (i, n)."""
-    y, slope = stride.y, np.exp(X[len(stride.y)])
-    return np.concatenate([matvec(by_y, y)[:, None], by_y[:, 1:] * y[0], (by_slope * slope)[:, None]], axis=1)
+def linearised(problem: Problem, Z: np.ndarray, samples: int = 0) -> Linearisation:
+    """Evaluate the steps at points Z (c, n), with `samples` of their motion as `Problem.stride` takes them."""
+    return Linearisation(Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0])
 
 
 def determinants(matrices: np.ndarray) -> np.ndarray:
@@ -70,23 +105,34 @@ def determinants(matrices: np.ndarray) -> np.ndarray:
     return out
 
 
-def rounding_step(matrix: np.ndarray, stride: AnyStride) -> np.ndarray:
-    """Size of a bordered Newton step that rounding alone makes.
+def rounding_step(matrix: np.ndarray, at: Linearisation) -> np.ndarray:
+    """Size of a bordered Newton step, event times apart, that rounding alone makes.
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, m + 1 + k, m + 1 + k)
+    matrix : ndarray, shape (n, c, c)
         Of the joint equations, and the border.
-    stride : Stride
+    at : Linearisation
 
     Returns
     -------
     ndarray, shape (n,)
     """
-    m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
-    inverse = np.linalg.inv(matrix)[:, : m + 1]
+    stride, m, y = at.stride, at.m, np.abs(at.stride.y) / at.stride.y[0]
+    inverse = np.linalg.inv(matrix)[:, but_times(m)]
     error = np.abs(inverse) @ np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))]).T[..., None]
     # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
     carried = stride.derivative[:, :m].transpose(2, 0, 1) + np.eye(len(stride.derivative), m)
     error = error + np.abs(inverse[..., :-1] @ carried) @ y.T[..., None]
     return 6 * EPS * np.nan_to_num(error).max(axis=(1, 2))
+
+
+def but_times(m: int) -> list[int]:
+    """Return the places in Z of all but the event times, of which Newton's method asks only that they are the guards'.
+
+    Parameters
+    ----------
+    m : int
+        Number of section coordinates.
+    """
+    return [*range(m), -1]

@@ -16,15 +16,14 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, lanes_of, run
 from gaitsweep.tasks.continuation.root import root_search
-from gaitsweep.tasks.continuation.tracking import Point, correct_and_evaluate
+from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
-from gaitsweep.tasks.step.verify_step import StepCheck, strike_distance
+from gaitsweep.tasks.step.verify_step import strike_distance
 
-TestFunction = Callable[[Point, np.ndarray], float | bool]
+TestFunction = Callable[[Point], float | bool]
 
 
 #: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
@@ -38,44 +37,23 @@ _LEAST_SHARE, _LEAST_APART = 0.5, 1e-10
 _SHARP = 1e-13
 
 
-def test_function(kind: str) -> Callable[[Point, np.ndarray], float]:
+def test_function(kind: str) -> Callable[[Point], float]:
     """Return the scalar of a kind of special point as a test function."""
-    return lambda point, direction: float(scalar(kind, point)[0])
+    return lambda point: float(scalar(kind, point)[0])
 
 
-def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Return the tangent of X at a point, turned along the branch.
-
-    Parameters
-    ----------
-    point : Point
-        Of one lane.
-    direction : ndarray, shape (m + 1 + k,)
-        Of the branch there.
-
-    Returns
-    -------
-    ndarray, shape (m + 1,)
-    """
-    return row_tangent(point, direction)[: len(point.X)]
-
-
-def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point, np.ndarray]]:
+def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:
     """Correct the point at coordinate x of a segment.
 
     Returns
     -------
     point : Point
-        Of one lane.
-    direction : ndarray, shape (m + 1 + k,)
-        Of the branch there.
+        Of one lane, its tangent along the branch.
     """
-    m = branch.m
-    Z = branch.evaluate(np.array([segment]), np.array([x]))
-    direction = branch.direction[segment] + branch.direction[segment + 1]
-    direction = direction / np.linalg.norm(direction)
-    point = yield Call(correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
-    return point, direction
+    at = np.array([segment])
+    direction = branch.between(at)
+    point = yield Call(correct_and_evaluate, (branch.evaluate(at, np.array([x])), direction))
+    return point.oriented(direction)
 
 
 def search_segment(
@@ -84,7 +62,7 @@ def search_segment(
     """Send a search for a root the values of a test function, or of a procedure, at corrected points of a segment."""
     x = next(search)
     while True:
-        value = test(*(yield from correct_at(branch, segment, x)))
+        value = test((yield from correct_at(branch, segment, x)))
         if isinstance(value, Generator):
             value = yield from value
         try:
@@ -93,25 +71,21 @@ def search_segment(
             return float(end.value)
 
 
-def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[tuple[Point, np.ndarray]]:
+def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[Point]:
     """Locate the root of a test function on a segment over which it changes sign, to rounding.
 
     Returns
     -------
     point : Point
-        Of one lane.
-    direction : ndarray, shape (m + 1 + k,)
-        Of the branch there.
+        Of one lane, its tangent along the branch.
     """
-    axis = branch.axis[segment]
-    a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
-
+    a, b = branch.ends_of(np.array(segment)).tolist()
     try:
         root = yield from search_segment(root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, test)
     except ValueError:
         # The values at the nodes differ in sign by rounding only: the end nearer zero is the root.
         at_a, at_b = (yield from correct_at(branch, segment, a)), (yield from correct_at(branch, segment, b))
-        root = a if abs(test(*at_a)) < abs(test(*at_b)) else b
+        root = a if abs(test(at_a)) < abs(test(at_b)) else b
     return (yield from correct_at(branch, segment, root))
 
 
@@ -146,7 +120,7 @@ def settle_on_branches(
         beyond = functools.partial(_beyond, np.log(guesses.slope[lane]))
         # By all four nodes around; by its own two where the others mislead, as where two of them all but coincide.
         for part, own in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
-            point, _ = run(walker, locate_root(part, own, beyond))
+            point = run(walker, locate_root(part, own, beyond))
             if point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]:
                 again.w[:, i] = from_largest(point.w, branch.m, branch.steps)[:, 0]
                 break
@@ -159,73 +133,30 @@ def settle_on_branches(
 @np.errstate(invalid="ignore", divide="ignore")
 def _is_near(problem: Problem, at: Polished, w: np.ndarray) -> np.ndarray:
     """Whether gaits lie where Newton's method began and repeat no sooner, shape (n,)."""
-    reached = np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
-    near = np.abs(reached - w).max(axis=0) < _MAX_MOVE
-    apart, guessed = (distances_of_steps(each, problem.m, problem.steps) for each in (reached, w))
+    near = np.abs(at.w - w).max(axis=0) < _MAX_MOVE
+    apart, guessed = (distances_of_steps(each, problem.m, problem.steps) for each in (at.w, w))
     return np.asarray(near & (apart > np.maximum(_LEAST_SHARE * guessed, _LEAST_APART)).all(axis=0))
 
 
-def _beyond(q: float, point: Point, _: np.ndarray) -> float:
-    return float(point.X[-1, 0]) - q
-
-
-def row(point: Point) -> np.ndarray:
-    """Return a corrected point as a node of a branch.
-
-    Returns
-    -------
-    ndarray, shape (m + 1 + k,)
-        A row of Z.
-    """
-    return point.Z[:, 0]
-
-
-def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Return the tangent of a corrected point as that of a node.
-
-    Parameters
-    ----------
-    point : Point
-        Of one lane.
-    direction : ndarray, shape (m + 1 + k,)
-        Of the branch there.
-
-    Returns
-    -------
-    ndarray, shape (m + 1 + k,)
-        Pointing along the branch.
-    """
-    tangent = point.direction[:, 0]
-    return tangent if tangent @ direction >= 0 else -tangent
-
-
-def check_steps(problem: Problem, X: np.ndarray, times: np.ndarray) -> StepCheck:
-    """Verify that points of branches are steps.
-
-    Parameters
-    ----------
-    X, times : ndarray, shape (m + 1, n) and (k, n)
-    """
-    _, check = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
-    return check
+def _beyond(q: float, point: Point) -> float:
+    return float(point.q[0]) - q
 
 
 def is_step(point: Point) -> Procedure[bool]:
     """Whether a corrected point is a step that happens."""
-    check = yield Call(check_steps, (point.X, point.times))
+    check = yield Call(check_steps, (point.Z,))
     return bool(check.step[0])
 
 
 def narrow_segment(
-    branch: Branch, segment: int, like_left: Callable[[Point, np.ndarray], bool | Procedure[bool]]
+    branch: Branch, segment: int, like_left: Callable[[Point], bool | Procedure[bool]]
 ) -> Procedure[tuple[Branch, int]]:
     """Split a segment on which a property changes until its polynomial leads to this branch and to no other.
 
     Parameters
     ----------
     like_left : callable
-        Whether a point, with the branch's direction there, has the property of the segment's left node; it may be a
-        procedure.
+        Whether a point has the property of the segment's left node; it may be a procedure.
 
     Returns
     -------
@@ -238,10 +169,10 @@ def narrow_segment(
         alone = branch.part(np.array([segment, segment + 1]))
         # By all four nodes around; by its own two where the others mislead.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
-            x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
-            guess = part.evaluate(np.array([at]), np.array([x]))[0]
-            point, direction = yield from correct_at(part, at, x)
-            chord = np.linalg.norm(part.Z[at + 1] - part.Z[at])
+            x = float(part.ends_of(np.array(at)) @ [1 - share, share])
+            guess = part.evaluate(np.array([at]), np.array([x]))[:, 0]
+            point = yield from correct_at(part, at, x)
+            chord = np.linalg.norm(part.Z[:, at + 1] - part.Z[:, at])
             near = bool(np.linalg.norm(point.Z[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
             if point.ok[0] and part.lies_between(np.array([at]), point.Z)[0]:
                 break
@@ -249,34 +180,18 @@ def narrow_segment(
             return branch, segment
         if near and part is branch:
             break
-        branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
-        is_left = like_left(point, direction)
+        branch = branch.insert(segment + 1, point.Z[:, 0], point.direction[:, 0])
+        is_left = like_left(point)
         segment += (yield from is_left) if isinstance(is_left, Generator) else is_left
     return branch, segment
 
 
-def strike_distances(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> np.ndarray:
-    """Distances of the steps at points of branches from an earlier strike, as `strike_distance` has them.
-
-    Parameters
-    ----------
-    X, times : ndarray, shape (m + 1, n) and (k, n)
-    samples : int
-        Intervals of each phase.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return sampled_steps(problem, X, times, samples)[1]
-
-
-def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> tuple[AnyStride, np.ndarray]:
+def sampled_steps(problem: Problem, Z: np.ndarray, samples: int) -> tuple[AnyStride, np.ndarray]:
     """Evaluate the steps at points of branches with samples of their motion.
 
     Parameters
     ----------
-    X, times : ndarray, shape (m + 1, n) and (k, n)
+    Z : ndarray, shape (c, n)
     samples : int
         Intervals of each phase.
 
@@ -286,7 +201,7 @@ def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: i
     distance : ndarray, shape (n,)
         From an earlier strike, as `strike_distance` has it.
     """
-    stride, _ = problem.stride(np.vstack([X[: problem.m], times]), X[problem.m], samples=samples)
+    stride, _ = problem.stride(Z[:-1], Z[-1], samples=samples)
     each = stride.singles
     distance = strike_distance(each.scaled_motion(), each.times)
     return stride, distance.reshape(stride.steps, -1).min(axis=0)
@@ -294,9 +209,9 @@ def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: i
 
 def _fold_covector(point: Point, lane: int) -> np.ndarray:
     """How far residuals of the joint equations, over the stance angle, move the ln slope of a fold, shape (m + k,)."""
-    derivative, m = point.derivative[..., lane], len(point.X) - 1
-    least = np.linalg.svd(np.delete(derivative, m, axis=1))[0][:, -1]
-    return np.asarray(-least / (least @ derivative[:, m]))
+    derivative = point.derivative[..., lane]
+    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
+    return np.asarray(-least / (least @ derivative[:, -1]))
 
 
 def fold_error(point: Point, lane: int) -> float:
@@ -323,7 +238,7 @@ def sharpened_fold(point: Point) -> Procedure[Point]:
     """
     if fold_error(point, 0) < _SHARP:
         return point
-    residual = yield Call(extended_precision.residual, (point.X, point.times))
-    X = point.X.copy()
-    X[-1, 0] += _fold_covector(point, 0) @ residual[:, 0]
-    return replace(point, X=X)
+    residual = yield Call(extended_precision.residual, (point.Z,))
+    Z = point.Z.copy()
+    Z[-1, 0] += _fold_covector(point, 0) @ residual[:, 0]
+    return replace(point, Z=Z)

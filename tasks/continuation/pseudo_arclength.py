@@ -1,64 +1,25 @@
-"""Pseudo-arclength continuation: predictor, corrector, step control and the location of events between two points.
+"""Pseudo-arclength continuation: predictor, corrector and step control.
 
-What is continued are the zeros of any equations with one more unknown than there are of them: branches of gaits
-(`tracking`), of any number of steps, and curves of special points (`codimension_one`). A point is Z: coordinates
-that are unknowns themselves, then event times, which follow from the unknowns. Lanes have points of their own and share
-nothing but the call. In shapes, n counts lanes, c coordinates of Z, u unknowns and k event times.
+What is continued are the zeros Z of any equations with one more unknown than there are of them: branches of gaits
+(`tracking`), of any number of steps, and curves of special points (`codimension_one`). Lanes have points of their own
+and share nothing but the call. In shapes, n counts lanes and c coordinates of Z.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.root import bracketed_root, hermite
-from gaitsweep.tasks.step.step_map import matvec
+from gaitsweep.tasks.continuation.root import hermite
 
-Point = TypeVar("Point", bound=Any)
-
-
-@dataclass
-class Linearisation:
-    """Equations of n lanes at their points, to first order.
-
-    Attributes
-    ----------
-    residual : ndarray, shape (n, u - 1)
-    derivative : ndarray, shape (n, u - 1, u)
-        By the unknowns, of which the first c - k are those coordinates of Z.
-    times_by : ndarray, shape (k, u, n)
-        Derivatives of the event times by the unknowns.
-    evaluation : object
-        What was evaluated for it, if it is wanted; its `assign(lanes, other)` replaces some lanes.
-    """
-
-    residual: np.ndarray
-    derivative: np.ndarray
-    times_by: np.ndarray
-    evaluation: Any = None
-
-    def assign(self, lanes: np.ndarray, other: Linearisation) -> None:
-        """Replace some lanes by those of another.
-
-        Parameters
-        ----------
-        lanes : ndarray of int, shape (j,)
-        other : Linearisation
-            Of j lanes.
-        """
-        self.residual[lanes], self.derivative[lanes] = other.residual, other.derivative
-        self.times_by[..., lanes] = other.times_by
-        if self.evaluation is not None:
-            self.evaluation.assign(lanes, other.evaluation)
-
-
-#: The linearisation of some lanes at their points Z (c, n), and the size of a bordered Newton step that rounding makes
-#: (n,), by the bordered matrix (n, u, u).
-Linearise = Callable[[np.ndarray, np.ndarray], Linearisation]
-RoundingStep = Callable[[np.ndarray, Linearisation], "np.ndarray | float"]
+#: Equations of some lanes at their points Z (c, n), to first order: their `residual` (c - 1, n), its `derivative`
+#: (c - 1, c, n), and, of several lanes, `assign(lanes, other)`, which replaces some of them; and the size of a bordered
+#: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
+Linearise = Callable[[np.ndarray, np.ndarray], Any]
+RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
 
 
 @dataclass(frozen=True)
@@ -82,42 +43,25 @@ class Corrected:
     Attributes
     ----------
     Z, direction : ndarray, shape (c, n)
-        The points and the tangents there, of length one in the coordinates that lengths are measured in.
+        The points and the tangents there, of length one.
     ok : ndarray of bool, shape (n,)
         Whether Newton converged.
     error : ndarray, shape (n,)
         Size of the last step.
-    at : Linearisation
-        The last one: at the point or a Newton step away.
+    at : object
+        The equations there, to first order: at the point or a Newton step away.
     """
 
     Z: np.ndarray
     direction: np.ndarray
     ok: np.ndarray
     error: np.ndarray
-    at: Linearisation
+    at: Any
 
 
-def bordered_matrix(derivative: np.ndarray, by_Z: np.ndarray, times_by: np.ndarray) -> np.ndarray:
-    """Return the matrix of equations and of one more function, by the unknowns.
-
-    Parameters
-    ----------
-    derivative : ndarray, shape (n, u - 1, u)
-        Of the equations.
-    by_Z : ndarray, shape (c, n)
-        Derivatives of the function by Z.
-    times_by : ndarray, shape (k, u, n)
-        Derivatives of the event times by the unknowns.
-
-    Returns
-    -------
-    ndarray, shape (n, u, u)
-    """
-    own = len(by_Z) - len(times_by)
-    row = matvec(times_by.transpose(1, 0, 2), by_Z[own:])
-    row[:own] += by_Z[:own]
-    return np.concatenate([derivative, row.T[:, None]], axis=1)
+def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
+    """Return the matrix (n, c, c) of equations with derivatives (c - 1, c, n) and of one more, (c, n)."""
+    return np.concatenate([derivative, border[None]]).transpose(2, 0, 1)
 
 
 def solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,19 +69,19 @@ def solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, n
 
     Parameters
     ----------
-    matrix : ndarray, shape (n, u, u)
+    matrix : ndarray, shape (n, c, c)
         Becomes the identity, in place, where there is no solution.
-    right : ndarray, shape (n, u)
+    right : ndarray, shape (c, n)
 
     Returns
     -------
-    solution, direction : ndarray, shape (u, n)
+    solution, direction : ndarray, shape (c, n)
         Along the direction the last equation's value grows by 1; both are 0 where there is no solution.
     solvable : ndarray of bool, shape (n,)
     """
-    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    both = np.zeros((*right.shape, 2))
-    both[..., 0], both[:, -1, 1] = right, 1.0
+    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=0)
+    both = np.zeros((*right.T.shape, 2))
+    both[..., 0], both[:, -1, 1] = right.T, 1.0
     try:
         solution = np.linalg.solve(matrix[solvable], both[solvable])
     except np.linalg.LinAlgError:  # one of them is singular to the last digit
@@ -156,7 +100,7 @@ def bordered_newton(
     limits: Newton,
     Z: np.ndarray,
     border: np.ndarray,
-    measured: int | None = None,
+    sized: Sequence[int],
 ) -> Corrected:
     """Solve for the zeros in the planes through some points normal to `border`, by Newton's method.
 
@@ -170,8 +114,8 @@ def bordered_newton(
     Z : ndarray, shape (c, n)
         Predicted points.
     border : ndarray, shape (c, n)
-    measured : int, optional
-        Number of coordinates, the first, that lengths are measured in; all if omitted.
+    sized : sequence of int
+        Coordinates whose largest change is the size of a step.
 
     Returns
     -------
@@ -181,24 +125,21 @@ def bordered_newton(
     start, Z = Z, Z.copy()
     ok, error = np.zeros(n, bool), np.full(n, np.inf)
     active = np.arange(n)
-    for iteration in range(limits.max_iterations):
+    for _ in range(limits.max_iterations):
         normal, points = border[:, active], Z[:, active]
         system = linearise(active, points)
-        own = len(Z) - len(system.times_by)
-        matrix = bordered_matrix(system.derivative, normal, system.times_by)
+        matrix = bordered_matrix(system.derivative, normal)
         off = (normal * (start[:, active] - points)).sum(axis=0)
-        right = np.concatenate([-system.residual, off[:, None]], axis=1)
-        change, direction, solvable = solve_bordered(matrix, right)
-        size = np.abs(change[:own]).max(axis=0)
-        new_times = points[own:] + matvec(system.times_by, change)
-        moving = solvable & (size <= limits.max_step) & np.isfinite(new_times).all(axis=0)
-        Z[:, active[moving]] = np.vstack([points[:own] + change[:own], new_times])[:, moving]
+        change, direction, solvable = solve_bordered(matrix, np.vstack([-system.residual, off]))
+        size = np.abs(change[sized]).max(axis=0)
+        moving = solvable & (size <= limits.max_step)
+        Z[:, active[moving]] += change[:, moving]
         done = moving & (
             (size < rounding_step(matrix, system)) | ((size < limits.small) & (size > limits.shrinking * error[active]))
         )
         ok[active], error[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
-        if not iteration:
+        if len(active) == n:
             at, null = system, direction
         else:
             at.assign(active, system)
@@ -206,10 +147,9 @@ def bordered_newton(
         active = active[moving & ~done]
         if not len(active):
             break
-    direction = np.vstack([null[:own], matvec(np.nan_to_num(at.times_by), null)])
-    length = np.sqrt((direction[:measured] ** 2).sum(axis=0))
+    length = np.linalg.norm(null, axis=0)
     length[length == 0] = 1.0  # in lanes that are lost
-    return Corrected(Z, direction / length, ok, error, at)
+    return Corrected(Z, null / length, ok, error, at)
 
 
 @dataclass(frozen=True)
@@ -278,10 +218,8 @@ class Tracks:
         Length of the next steps.
     """
 
-    def __init__(
-        self, control: StepControl, Z: np.ndarray, tangent: np.ndarray, step: float, measured: int | None = None
-    ):
-        self.control, self.measured = control, measured
+    def __init__(self, control: StepControl, Z: np.ndarray, tangent: np.ndarray, step: float):
+        self.control = control
         self.Z, self.tangent, self.turning = Z.copy(), tangent.copy(), np.zeros(Z.shape)
         self.step = np.full(Z.shape[1], step)
         # The points before the last ones, the tangents there, and the distances; 0 where there are none.
@@ -313,9 +251,8 @@ class Tracks:
         """
         h, border = self.step[active], self.tangent[:, active].copy()
         guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
-        border[self.measured or len(border) :] = 0.0
         point = correct(self._near(active, guess, border), border)
-        error = np.linalg.norm((point.Z - guess)[: self.measured], axis=0)
+        error = np.linalg.norm(point.Z - guess, axis=0)
         cosine = (point.direction * border).sum(axis=0)
         fair, measure = judge(point, guess, error)
         fair = fair & point.ok & self.control.accepts(error, h, np.abs(cosine))
@@ -323,7 +260,7 @@ class Tracks:
         tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]
         Z = point.Z[:, fair]
         # The tangent keeps turning as over the last step.
-        chord = np.linalg.norm((Z - self.Z[:, new])[: self.measured], axis=0)
+        chord = np.linalg.norm(Z - self.Z[:, new], axis=0)
         self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
         for values, last in zip(self.before, (self.Z, self.tangent), strict=True):
             values[:, new] = last[:, new]
@@ -341,66 +278,3 @@ class Tracks:
         a, a_tangent, b, b_tangent = (each[:, active] for each in (*self.before, self.Z, self.tangent))
         off = hermite(a, a_tangent, b, b_tangent, length, 1 + self.step[active] / length) - guess
         return guess + np.where(has_two, off - border * (border * off).sum(axis=0), 0.0)
-
-
-def root_between(
-    a: tuple[np.ndarray, np.ndarray],
-    b: tuple[np.ndarray, np.ndarray],
-    values: tuple[float, float],
-    measured: int,
-    correct: Callable[[np.ndarray, np.ndarray], Point],
-    test: Callable[[Point], float],
-    tolerance: float,
-) -> Point:
-    """Locate the root of a test function between two points of a curve, where it changes sign.
-
-    Parameters
-    ----------
-    a, b : tuple of ndarray, shape (c,)
-        The points, each with the curve's tangent there.
-    values : tuple of float
-        Those of the test function at both.
-    measured : int
-        Number of coordinates, the first, that lengths are measured in.
-    correct : callable
-        The point in the plane through another normal to a direction, both (c,).
-    test : callable
-    tolerance : float
-        Of the root, over the distance of the points.
-
-    Returns
-    -------
-    object
-        As `correct` returns it.
-
-    Raises
-    ------
-    ValueError
-        Where the function has the same sign at both ends.
-    """
-    chord = b[0] - a[0]
-    chord[measured:] = 0.0
-    length = float(np.linalg.norm(chord))
-    along, known, points = chord / length, {0.0: a, length: b}, dict[float, Point]()
-
-    def at(s: float) -> Point:
-        if s in points:
-            return points[s]
-        if s in known:
-            guess = known[s][0]
-        else:
-            # Near the root the nearest points that are known are so near that a step of Newton's or two remain.
-            low, high = max(x for x in known if x < s), min(x for x in known if x > s)
-            (Z_low, T_low), (Z_high, T_high) = known[low], known[high]
-            distance = float(np.linalg.norm((Z_high - Z_low)[:measured]))
-            guess = hermite(Z_low, T_low, Z_high, T_high, distance, (s - low) / (high - low))
-            guess = guess + along * (s - along @ (guess - a[0]))
-        points[s] = point = correct(guess, along)
-        tangent = point.direction[:, 0]
-        known[s] = point.Z[:, 0], tangent if tangent @ along >= 0 else -tangent
-        return point
-
-    def value(s: float) -> float:
-        return values[s > 0] if s in (0.0, length) else test(at(s))
-
-    return at(bracketed_root(value, 0.0, length, tolerance * length))

@@ -1,6 +1,6 @@
 """Points of a branch chosen to a tolerance: as few as a figure needs, from the atlas alone.
 
-A place on a branch is the number of a segment plus a fraction of it; a row is Z there.
+A place on a branch is the number of a segment plus a fraction of it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance:
 
     Returns
     -------
-    ndarray, shape (k, c)
-        Rows of Z.
+    ndarray, shape (c, k)
 
     Notes
     -----
@@ -41,16 +40,16 @@ def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance:
     allows are drawn through them one after another, ends and folds kept. Steps are evaluated only at the chosen points
     and at two between any two.
     """
-    place, rows = within(branch, np.log(low), np.log(high), int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512)))
-    if not len(rows):
-        return rows
+    place, Z = within(branch, np.log(low), np.log(high), int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512)))
+    if not len(place):
+        return Z
     # A branch may leave the window and re-enter it: no line crosses the gap.
-    runs = np.split(np.arange(len(rows)), np.nonzero(np.diff(place) > 1.0)[0] + 1)
+    runs = np.split(np.arange(len(place)), np.nonzero(np.diff(place) > 1.0)[0] + 1)
     parts = [
         _with_radius(
             problem,
             branch,
-            place[run][_thinned(plane(rows[run], branch.m), np.isin(place[run], _folds(branch)), tolerance)],
+            place[run][_thinned(plane(Z[:, run]), np.isin(place[run], _folds(branch)), tolerance)],
             tolerance,
         )
         for run in runs
@@ -58,9 +57,9 @@ def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance:
     return branch.at(np.concatenate(parts))
 
 
-def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
-    """Spectral radius at rows; infinite where heelstrike is tangential and the map has no derivative."""
-    stride, _ = problem.stride(np.delete(rows, problem.m, axis=1).T, rows[:, problem.m])
+def _radius(problem: Problem, Z: np.ndarray) -> np.ndarray:
+    """Spectral radius at points; infinite where heelstrike is tangential and the map has no derivative."""
+    stride, _ = problem.stride(Z[:-1], Z[-1])
     return np.nan_to_num(np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1), nan=np.inf)
 
 
@@ -78,28 +77,28 @@ def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndar
     -------
     place : ndarray, shape (k,)
         Rising.
-    rows : ndarray, shape (k, c)
-        Rows of Z there.
+    Z : ndarray, shape (c, k)
+        The points there.
     """
     q = np.sort([branch.q[:-1], branch.q[1:]], axis=0)
     # A polynomial stays near the range of its segment's nodes.
     near = np.flatnonzero((2 * q[0] - q[1] <= high) & (2 * q[1] - q[0] >= low))
     segments, part = np.repeat(near, parts), np.tile(np.arange(parts) / parts, len(near))
-    a, b = (branch.Z[segments + i, branch.axis[segments]] for i in (0, 1))
-    rows = np.vstack([branch.evaluate(segments, a + (b - a) * part), branch.Z[-1:]])
-    place = np.append(segments + part, len(branch.Z) - 1.0)
-    inside = (rows[:, branch.m] >= low) & (rows[:, branch.m] <= high)
-    place, rows = place[inside], rows[inside]
-    for _, Z, segment in branch.guesses(np.array([low, high])):
+    a, b = branch.ends_of(segments)
+    Z = np.hstack([branch.evaluate(segments, a + (b - a) * part), branch.Z[:, -1:]])
+    place = np.append(segments + part, len(branch.q) - 1.0)
+    inside = (Z[-1] >= low) & (Z[-1] <= high)
+    place, Z = place[inside], Z[:, inside]
+    for _, edge, segment in branch.guesses(np.array([low, high])):
         # The branch crosses the window's edges here.
-        at = Z[np.arange(len(Z)), branch.axis[segment]]
-        a, b = (branch.Z[segment + i, branch.axis[segment]] for i in (0, 1))
-        place, rows = np.append(place, segment + (at - a) / (b - a)), np.vstack([rows, Z])
+        at = edge[branch.axis[segment], np.arange(len(segment))]
+        a, b = branch.ends_of(segment)
+        place, Z = np.append(place, segment + (at - a) / (b - a)), np.hstack([Z, edge])
     order = np.argsort(place, kind="stable")
-    place, rows = place[order], rows[order]
+    place, Z = place[order], Z[:, order]
     # A node on an edge is that edge.
     kept = np.diff(place, prepend=-1.0) > _SAME_PLACE
-    return place[kept], rows[kept]
+    return place[kept], Z[:, kept]
 
 
 def _folds(branch: Branch) -> np.ndarray:
@@ -107,20 +106,18 @@ def _folds(branch: Branch) -> np.ndarray:
     return np.array([float(first) for first, _ in branch.pieces()[1:]])
 
 
-def plane(rows: np.ndarray, m: int) -> np.ndarray:
-    """Return ln slope, ln angle and ln period of rows of Z.
+def plane(Z: np.ndarray) -> np.ndarray:
+    """Return ln slope, ln angle and ln period of points.
 
     Parameters
     ----------
-    rows : ndarray, shape (n, c)
-    m : int
-        Number of section coordinates.
+    Z : ndarray, shape (c, n)
 
     Returns
     -------
     ndarray, shape (n, 3)
     """
-    return np.column_stack([rows[:, m], rows[:, 0], np.log(rows[:, -1])])
+    return np.column_stack([Z[-1], Z[0], np.log(Z[-2])])
 
 
 def apart(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -167,7 +164,7 @@ def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndar
 
 def _with_radius(problem: Problem, branch: Branch, places: np.ndarray, tolerance: float) -> np.ndarray:
     """Add places where the spectral radius bends or the stability of the gaits changes."""
-    points = plane(branch.at(places), problem.m)
+    points = plane(branch.at(places))
     radius = _radius(problem, branch.at(places))
     segments = np.arange(len(places) - 1)
     for _ in range(_MAX_ROUNDS):
@@ -178,9 +175,9 @@ def _with_radius(problem: Problem, branch: Branch, places: np.ndarray, tolerance
         # Two places between any two: at one alone a corner and a bend may cancel.
         pair = segments[None] + np.zeros((2, 1), int)
         middle = places[pair] + np.array(_PROBES)[:, None] * (places[pair + 1] - places[pair])
-        rows = branch.at(middle.ravel())
-        middle_radius = _radius(problem, rows).reshape(middle.shape)
-        middle_points = plane(rows, problem.m).reshape(*middle.shape, 3)
+        Z = branch.at(middle.ravel())
+        middle_radius = _radius(problem, Z).reshape(middle.shape)
+        middle_points = plane(Z).reshape(*middle.shape, 3)
         near, far = (np.linalg.norm(middle_points - points[pair + i], axis=2) for i in (0, 1))
         with np.errstate(invalid="ignore"):
             line = (radius[pair] * far + radius[pair + 1] * near) / np.maximum(near + far, 1e-300)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import LOST, Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
+from gaitsweep.tasks.continuation.joint import Linearisation
 from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
 from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
@@ -47,7 +48,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     kinds += ["release_hyperextension"] if problem.walker.knees else []
     for kind, segment, point in crossings(problem, branch, nodes, kinds):
         records.append((segment + 0.5, _record(kind, problem, point, 0)))
-    ends = list(zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True))
+    ends = list(zip((0, len(branch.q) - 1), branch.why, branch.end_errors, strict=True))
     # Both ends of a closed branch are one fold.
     for index, kind, error in ends[: 1 if branch.why == ("fold", "fold") else 2]:
         record = _record(END_NAMES.get(kind, kind), problem, nodes, index, error)
@@ -59,11 +60,10 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
 
 def corrected(problem: Problem, branch: Branch) -> Point:
     """Return the nodes of a branch as points."""
-    m = branch.m
-    nodes = correct(problem, branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T, branch.direction.T)
+    nodes = correct(problem, branch.Z, branch.direction)
     for end in np.flatnonzero(np.array(branch.why) == "branch_point"):  # a flip, known better than by these equations
-        nodes.X[:, -end], nodes.times[:, -end] = branch.Z[-end, : m + 1], branch.Z[-end, m + 1 :]
-    return nodes
+        nodes.Z[:, -end] = branch.Z[:, -end]
+    return nodes.oriented(branch.direction)
 
 
 def flips(problem: Problem, branch: Branch) -> list[Point]:
@@ -90,16 +90,15 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
     kinds : sequence of str
         Of SCALARS, and `branch_point`.
     """
-    direction = branch.direction.T
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
         kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
-            branch_point_determinant(nodes, direction),
-            lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
+            branch_point_determinant(nodes, nodes.direction),
+            lambda point: float(branch_point_determinant(point, point.direction)[0]),
         )
-    crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
+    crossed: list[tuple[str, int, Procedure[Point]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
         if kind != "release_hyperextension":
@@ -112,7 +111,7 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
             for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
         ]
     located = side_by_side(problem, [0] * len(crossed), [procedure for *_, procedure in crossed])
-    for (kind, segment, _), (point, _) in zip(crossed, located, strict=True):
+    for (kind, segment, _), point in zip(crossed, located, strict=True):
         if point.ok[0] and _is_genuine(kind, point):
             yield kind, segment, point
 
@@ -135,17 +134,17 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the angle has vanished in doubles.
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
-    Z, tangent, m = branch.Z[order], branch.tangent[order], branch.m
-    left = abs(float(tangent[0, m] / tangent[0, 0]))
-    values = np.exp(Z[:1, m])
-    shares = 1 / np.abs(Z[:, 1 + int(np.abs(Z[0, 1:m]).argmax())])
+    Z, tangent = branch.Z[:, order], branch.tangent[:, order]
+    left = abs(float(tangent[-1, 0] / tangent[0, 0]))
+    values = np.exp(Z[-1, :1])
+    shares = 1 / np.abs(Z[1 + int(np.abs(Z[1 : branch.m, 0]).argmax())])
     beyond = shares > _EXTRAPOLATION_SPAN * shares[0]
     count = int(beyond.argmax()) if beyond.any() else len(shares)
     if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
         wanted = np.cos(np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1))
         wanted = shares[0] + (shares[count - 1] - shares[0]) * (0.5 - 0.5 * wanted)
         at = np.unique(np.abs(shares[:count, None] - wanted).argmin(axis=0))
-        x, row = shares[at], np.exp(Z[at, m])
+        x, row = shares[at], np.exp(Z[-1, at])
         for k in range(1, len(x)):
             row = (x[k:] * row[:-1] - x[:-k] * row[1:]) / (x[k:] - x[:-k])
             values = np.append(values, row[0])
@@ -169,11 +168,11 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
     """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
-    knee = point.stride.knee
+    knee = point.stride.one.knee
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
-def state_at(problem: Problem, point: Point, lane: int) -> dict[str, Any]:
+def state_at(problem: Problem, point: Linearisation, lane: int) -> dict[str, Any]:
     """State at the start of a point's step, of several that with the largest stance angle.
 
     Returns
@@ -181,9 +180,8 @@ def state_at(problem: Problem, point: Point, lane: int) -> dict[str, Any]:
     dict
         `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
     """
-    w = from_largest(point.w[:, [lane]], problem.m, problem.steps)
-    angle = np.exp(w[:1])
-    state = problem.start(np.vstack([angle, angle * w[1 : problem.m]]), np.exp(point.X[-1:, lane]))[:, 0].tolist()
+    y, scale = problem.section(from_largest(point.w[:, [lane]], problem.m, problem.steps))
+    state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
@@ -198,7 +196,7 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {
         "kind": kind,
-        "slope": float(np.exp(point.X[problem.m, lane])),
+        "slope": float(np.exp(point.q[lane])),
         **state_at(problem, point, lane),
         "period": float(point.times[-1, lane]),
         "error_bound": error + 8 * EPS,

@@ -63,7 +63,7 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
             # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
             nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
             piece = np.full((m + 2, n), np.nan)
-            piece[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[:, 0], np.nan)
+            piece[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
             piece[1, index] = np.where(converged, gait_ratio(at.stride), nodes)
             piece[2:, index] = np.where(converged, at.y * at.scale, np.nan)
             angle, ratio = np.vstack([angle, piece[:1]]), np.vstack([ratio, piece[1:2]])

@@ -306,8 +306,7 @@ class _Maker:
         if name not in self.located:  # two pieces meet at a fold
             self.located[name] = self.special.ends(scalar, self.unit[: self.few], known, self.total)
         points = self.located[name]
-        m = self.structure.dimension
-        slope = replace(points, coefficients=points.coefficients[:, m : m + 1])
+        slope = replace(points, coefficients=points.coefficients[:, -1:])
         return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)
 
     def event(self, q: np.ndarray, sign: int, vanishing: float) -> _End:

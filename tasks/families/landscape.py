@@ -124,7 +124,7 @@ def points_at(
     while left.any():
         due = left.copy() if every else np.zeros_like(left)
         for name in QUANTITIES:
-            value = np.column_stack([values(name, Z[maker.m], v) for Z, v in zip(predicted, froude, strict=True)])
+            value = np.column_stack([values(name, Z[-1], v) for Z, v in zip(predicted, froude, strict=True)])
             value[:, ~may_be(name, kinds)] = np.inf
             value[~left] = np.inf
             first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE

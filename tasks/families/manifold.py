@@ -202,7 +202,7 @@ def _is_end(kind: str) -> bool:
 
 def _walks(problem: Lanes, kind: str, step: Polish, near: np.ndarray) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
-    m, walks, lanes = problem.m, np.zeros(len(near), bool), np.flatnonzero(near)
+    walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
     if not len(lanes):
         return walks
     Z, stride = step.at.Z[:, lanes], None
@@ -213,6 +213,6 @@ def _walks(problem: Lanes, kind: str, step: Polish, near: np.ndarray) -> np.ndar
         Z = Z + step.change[:, lanes] + side * _INSIDE * along / np.linalg.norm(along, axis=0)
     else:
         stride = step.at.stride.some(lanes)
-    _, check = verify_steps(problem.some(lanes), np.delete(Z, m, axis=0), Z[m], stride)
+    _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)
     walks[lanes] = check.anthropomorphic
     return walks

@@ -173,7 +173,7 @@ def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple
         The largest Lipschitz estimate of each group, its mean gradient and the root of its mean variance of rounding,
         as `Guesses` has them.
     """
-    lipschitz, gradient = curvature(problem, np.vstack([w[: problem.m], q]), w[problem.m :])
+    lipschitz, gradient = curvature(problem, w, q)
     variance = rounding_std(problem, w, q) ** 2
     gradient, variance = (values.reshape(*values.shape[:-1], -1, each).mean(axis=-1) for values in (gradient, variance))
     return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)

@@ -66,18 +66,18 @@ class Piece:
         ndarray, shape (m + k, n)
         """
         Z = self.branch.on_piece(self.first, self.last, np.clip(q, *self.q))[0]
-        return np.delete(Z, self.branch.m, axis=1).T
+        return Z[:-1]
 
     def rate_beside(self, k: int) -> float:
         """Return the largest norm of rates over angle on the half next to the lower (0) or upper (1) end."""
-        nodes = self.branch.Z[self.first : self.last + 1]
-        nodes = nodes if (nodes[0, self.branch.m] == self.q[k]) else nodes[::-1]
-        return float(rate_of_steps(nodes[: len(nodes) // 2 + 1, 1 : self.branch.m].T).max())
+        nodes = self.branch.Z[:, self.first : self.last + 1]
+        nodes = nodes if (nodes[-1, 0] == self.q[k]) else nodes[:, ::-1]
+        return float(rate_of_steps(nodes[1 : self.branch.m, : nodes.shape[1] // 2 + 1]).max())
 
     def end_point(self, k: int) -> np.ndarray:
         """Return its point (c,) at the lower (0) or upper (1) end."""
         first = self.branch.q[self.first] == self.q[k]
-        return self.branch.Z[self.first if first else self.last]
+        return self.branch.Z[:, self.first if first else self.last]
 
 
 def pieces_of(branches: list[Branch]) -> list[Piece]:

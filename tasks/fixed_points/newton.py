@@ -140,17 +140,17 @@ def newton(
     return NewtonResult(w, converged)
 
 
-def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How the derivatives change near solutions, by differences in all directions.
 
     Directions are those of the section and of the event times, F the joint equations of both.
 
     Parameters
     ----------
-    X : ndarray, shape (m + 1, n)
-        ln(angle), rates/angle and ln slope.
-    times : ndarray, shape (phases, n) [sqrt(leg/g)]
-        Event times.
+    w : ndarray, shape (m + phases, n)
+        Gaits in similarity coordinates.
+    log_slope : ndarray, shape (n,)
+        ln of the slope in rad.
 
     Returns
     -------
@@ -159,11 +159,12 @@ def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.nd
     gradient : ndarray, shape (d, m + phases, n)
         Derivatives of the coefficients of the characteristic polynomial by w, over their `characteristic_scale`.
     """
-    w, m = np.vstack([X[: problem.m], times]), problem.m
-    lipschitz, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
+    lipschitz, lanes = np.full(w.shape[1], np.nan), np.arange(w.shape[1])
     gradient = np.full((problem.structure.dimension, *w.shape), np.nan)
     for h in _DIFFERENCES:
-        lipschitz[lanes], gradient[..., lanes], change = _curvature(problem.some(lanes), w[:, lanes], X[m, lanes], h)
+        lipschitz[lanes], gradient[..., lanes], change = _curvature(
+            problem.some(lanes), w[:, lanes], log_slope[lanes], h
+        )
         # Where derivatives change much over the difference, that must be smaller.
         lanes = lanes[~((lipschitz[lanes] * h < _MAX_CHANGE) & (change < _MAX_STEEPNESS))]
         if not len(lanes):

@@ -79,6 +79,11 @@ class Polished:
     step: np.ndarray
     leg_passes: np.ndarray
 
+    @property
+    def w(self) -> np.ndarray:
+        """Similarity coordinates and event times, shape (m + phases, n)."""
+        return np.vstack([np.log(self.y[:1] * self.scale), self.y[1:] / self.y[0], self.times])
+
     def assign(self, lanes: np.ndarray, other: Polished) -> None:
         """Replace some lanes by those of other gaits.
 
@@ -181,12 +186,8 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         wide = extended_precision.refine(
             problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
         )
-        y[:, lane], times[:, lane], stride.impact[..., lane], state[:, lane] = (
-            wide.y,
-            wide.times,
-            wide.impact,
-            wide.state,
-        )
+        y[:, lane], times[:, lane], state[:, lane] = wide.y, wide.times, wide.state
+        stride.one.impact[..., lane] = wide.impact
         bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     if len(unsure):
@@ -194,7 +195,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         some, samples = problem.some(unsure), SAMPLES if sampled else 0
         parameters = some.parameters(slope[unsure], scale[unsure])
         better = some.map(y[:, unsure], times[:, unsure], parameters, samples=samples)
-        better.impact = stride.impact[..., unsure]
+        better.one.impact = stride.one.impact[..., unsure]
         stride.assign(unsure, better)
         last[:, unsure] = 0.0
     step = strikes_fall_in_order(stride.closing, times)
@@ -229,9 +230,8 @@ def _curvature_at_points(
     known = np.isfinite(gradient).all(axis=(0, 1)) & ~grazing
     lanes = np.nonzero(~((2 * lipschitz * eta <= _MAX_CONTRACTION) & known))[0]
     if len(lanes):
-        X = np.vstack([w[: problem.m, lanes], np.log(guesses.slope[lanes])])
-        lipschitz, gradient = lipschitz.copy(), gradient.copy()
-        lipschitz[lanes], gradient[..., lanes] = curvature(problem.some(lanes), X, w[problem.m :, lanes])
+        lipschitz, gradient, q = lipschitz.copy(), gradient.copy(), np.log(guesses.slope[lanes])
+        lipschitz[lanes], gradient[..., lanes] = curvature(problem.some(lanes), w[:, lanes], q)
     return lipschitz, gradient
 
 
@@ -257,7 +257,7 @@ def _polish(
     stride, scale = problem.stride(w, q)
     if samples:
         # Few guesses are gaits already; the motion of those is in doubt, and they are integrated again.
-        stride.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.motion]
+        stride.one.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.one.motion]
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)

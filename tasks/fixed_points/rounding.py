@@ -178,9 +178,9 @@ def rounding(stride: AnyStride) -> np.ndarray:
     size = sizes(stride.y)
     # Off balance, a short step has rates that far exceed its section's; their rounding accumulates on the way.
     # Where a strike is tangential to the last digit neither the image nor the rates are corrected.
-    impact = np.where(np.isfinite(stride.impact), np.abs(stride.impact), 0.0)
-    n = size.shape[1]
-    fastest = np.maximum(impact.reshape(-1, n).max(axis=0), np.abs(stride.start).reshape(-1, n).max(axis=0))
+    one, n = stride.one, size.shape[1]
+    impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
+    fastest = np.maximum(impact.reshape(-1, n).max(axis=0), np.abs(one.start).reshape(-1, n).max(axis=0))
     beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
     # Angles and rates mix on the way, so the rounding of all is that of the largest. A point foot's motion has few
     # constants; that of others many, each of them rounded, and several times the operations.

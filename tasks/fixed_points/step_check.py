@@ -64,7 +64,7 @@ def gait_ratio(stride: AnyStride) -> np.ndarray:
     ndarray, shape (n,)
         Below 1/2 a gait is long.
     """
-    stance, swing = stride.impact
+    stance, swing = stride.one.impact
     ratio = (swing - stance) / np.abs(stance)
     return np.take_along_axis(ratio, _largest_step(stride)[None], axis=0)[0] if isinstance(stride, Strides) else ratio
 

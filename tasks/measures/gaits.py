@@ -364,7 +364,7 @@ class Steps:
         list of ndarray, shape (samples + 1, 2 angles, n) [rad, sqrt(g/leg)]
             Of each phase: angles of the links, then their rates, at times at equal distances.
         """
-        return [part * self.scale for part in self._fine.motion]
+        return [part * self.scale for part in self._fine.one.motion]
 
     @cached_property
     def _fine(self) -> Stride | Strides:
@@ -373,7 +373,7 @@ class Steps:
         return self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
 
     def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
-        before = self._fine.impact * self.scale
+        before = self._fine.one.impact * self.scale
         if self.after is not None:  # a step begins with the heelstrike that ends the one before it
             before = before[:, np.argsort(self.after)]
         return violations.measure(self.walker, self.motion(), before, self.times, self.slope, limits)

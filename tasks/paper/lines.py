@@ -102,8 +102,7 @@ class Line:
         ----------
         Z : ndarray, shape (m + 1 + phases,)
         """
-        m = self.problem.m
-        stride, _ = self.problem.stride(np.delete(Z, m)[:, None], Z[m : m + 1])
+        stride, _ = self.problem.stride(Z[:-1, None], Z[-1:])
         return not gait_ratio(stride)[0] < 0.5
 
     def ends(self) -> tuple[float, float]:
@@ -159,12 +158,11 @@ class Line:
         return [self._nodes(branch) for branch in self.branches]
 
     def _nodes(self, branch: Branch) -> Arrays:
-        walker, m = self.walker, self.problem.m
-        X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-        nodes = correct(self.problem, X, times, branch.direction.T)
-        period, angle = times[-1] * np.sqrt(walker.leg / walker.g), np.exp(X[0])
+        walker, m, nodes = self.walker, branch.m, correct(self.problem, branch.Z, branch.direction)
+        times = branch.Z[m:-1]
+        period, angle = times[-1] * np.sqrt(walker.leg / walker.g), np.exp(branch.Z[0])
         return {
-            "slope": np.exp(X[m]),
+            "slope": np.exp(branch.q),
             "stance_angle": angle,
             "period": period,
             "knee_share": times[0] / times[-1],

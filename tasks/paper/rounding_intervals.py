@@ -101,44 +101,45 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (m + 1 + k,)
-        The gait's similarity coordinates, ln slope and event times.
+    ndarray, shape (c,)
+        The gait's similarity coordinates, event times and ln slope.
 
     Raises
     ------
     ValueError
         If the walker has no such point.
     """
-    guesses = np.vstack([_guesses(gaits.problem, branch, mark) for branch in gaits.branches])
-    found = solve(Lanes([gaits.walker] * len(guesses)), mark.kind, guesses.T, mark.target) if len(guesses) else None
+    guesses = np.hstack([_guesses(gaits.problem, branch, mark) for branch in gaits.branches])
+    n = guesses.shape[1]
+    found = solve(Lanes([gaits.walker] * n), mark.kind, guesses, mark.target) if n else None
     rows = list(found.Z.T[found.ok]) if found else []
     if mark.label:
         rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
-    rows.sort(key=lambda Z: Z[gaits.problem.m])
+    rows.sort(key=lambda Z: float(Z[-1]))
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
     return rows[mark.which]
 
 
 def _guesses(problem: Problem, branch: Branch, mark: Landmark) -> np.ndarray:
-    """Points (n, c) of a branch at which a landmark's scalar vanishes: nodes, or between two by interpolation."""
+    """Points (c, n) of a branch at which a landmark's scalar vanishes: nodes, or between two by interpolation."""
     if mark.kind == "fold":
-        return branch.Z[[first for first, _ in branch.pieces()[1:]]]
+        return branch.Z[:, [first for first, _ in branch.pieces()[1:]]]
     if mark.kind.startswith("end_"):
-        return branch.Z[[i for i, why in zip((0, -1), branch.why, strict=True) if why == mark.kind]]
-    values = scalar(mark.kind, evaluate(problem, branch.Z.T), mark.target)
+        return branch.Z[:, [i for i, why in zip((0, -1), branch.why, strict=True) if why == mark.kind]]
+    values = scalar(mark.kind, evaluate(problem, branch.Z), mark.target)
     # A jump across a pole is no root: values on both sides must be small.
     segment = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
     return branch.at(segment + values[segment] / (values[segment] - values[segment + 1]))
 
 
 def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], step: float = STEP) -> np.ndarray:
-    """Compute the sensitivities dX/dp of a landmark.
+    """Compute the sensitivities dZ/dp of a landmark.
 
     Parameters
     ----------
     mark : Landmark
-    Z : ndarray, shape (m + 1 + k,)
+    Z : ndarray, shape (c,)
         The landmark, as from `place`.
     base : Walker
     keys : list of str
@@ -148,15 +149,14 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
 
     Returns
     -------
-    ndarray, shape (m + 1, keys)
+    ndarray, shape (c, keys)
         Per unit of each key.
     """
     steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
     moved = [changed(mark.walker, base, k, h) for each in (steps, -steps) for k, h in zip(keys, each, strict=True)]
     lanes = Lanes([base, *moved])
-    _, derivative, _ = joint_derivative(lanes, mark.kind, Z, steps, mark.target)
-    by_key = -np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :])
-    return by_key[: lanes.m + 1]
+    _, derivative = joint_derivative(lanes, mark.kind, Z, steps, mark.target)
+    return np.asarray(-np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :]))
 
 
 def _size(walker: Walker, key: str) -> float:
@@ -170,8 +170,8 @@ def interval(paper: Paper, name: str) -> Interval:
     """Compute the interval of a landmark, by its name."""
     mark = LANDMARKS[name]
     gaits = paper.line(mark.walker)
-    m, Z, half = gaits.problem.m, place(gaits, mark), dict(HALF_UNITS[mark.walker])
-    keys, slope, angle = list(half), float(np.exp(Z[m])), float(np.exp(Z[0]))
+    Z, half = place(gaits, mark), dict(HALF_UNITS[mark.walker])
+    keys, slope, angle = list(half), float(np.exp(Z[-1])), float(np.exp(Z[0]))
     by_key = sensitivities(mark, Z, gaits.walker, keys)
     sensitivity = {k: slope * float(d) for k, d in zip(keys, by_key[-1], strict=True)}
     total = sum(abs(sensitivity[k]) * half[k] for k in keys)

@@ -90,8 +90,8 @@ def _half_knee_loss(paper: Paper) -> float:
 def mass_limit(paper: Paper, slope: float = 1e-9) -> float:
     """Find the largest foot mass ratio whose long step is stable at a vanishing slope [rad]."""
     gaits, q = paper.line("E"), np.array([np.log(slope)])
-    long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[0]))
-    w = np.delete(long, gaits.problem.m, axis=1).T
+    long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[:, 0]))
+    w = long[:-1]
 
     def solve(ratio: float, guess: np.ndarray) -> tuple[np.ndarray, float]:
         problem = Problem(resolve("E", {"foot_mass_ratio": ratio}))

@@ -250,15 +250,14 @@ def solved(
     return ExtendedGait(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
 
 
-def residual(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
     """Residual of the joint equations in 128 bits, at points in doubles.
 
     Parameters
     ----------
     problem : Problem
-    X : ndarray, shape (m + 1, n)
-        Similarity coordinates and ln slope.
-    times : ndarray, shape (k, n) [sqrt(leg/g)]
+    Z : ndarray, shape (m + k + 1, n)
+        Similarity coordinates, event times and ln slope.
 
     Returns
     -------
@@ -266,8 +265,8 @@ def residual(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
         Over the stance angle.
     """
     exact, columns = _extended_step_map(problem.structure, 1), []
-    y, scale = problem.section(X[:-1])
-    for lane, slope in enumerate(np.exp(X[-1]).tolist()):
+    (y, scale), times = problem.section(Z), Z[problem.m : -1]
+    for lane, slope in enumerate(np.exp(Z[-1]).tolist()):
         parameters = exact.parameters(problem.walker_of(lane), slope, scale[lane])
         values, _ = exact(exact.array(y[:, lane]), exact.array(times[:, lane]), parameters)
         columns.append([float(value) for value in values] / y[0, lane])

@@ -46,34 +46,6 @@ class Strides:
         return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
 
     @property
-    def impact(self) -> np.ndarray:
-        """Rates just before the heelstrikes, shape (2, s, n)."""
-        return self.one.impact
-
-    @impact.setter
-    def impact(self, values: np.ndarray) -> None:
-        self.one.impact = values
-
-    @property
-    def motion(self) -> list[np.ndarray]:
-        """Samples of each phase of every step, shape (samples + 1, angles, s, n)."""
-        return self.one.motion
-
-    @motion.setter
-    def motion(self, values: list[np.ndarray]) -> None:
-        self.one.motion = values
-
-    @property
-    def start(self) -> np.ndarray:
-        """States just after heelstrike, shape (angles, s, n)."""
-        return self.one.start
-
-    @property
-    def knee(self) -> np.ndarray:
-        """States at kneestrike, shape (6, s, n)."""
-        return self.one.knee
-
-    @property
     def closing(self) -> np.ndarray:
         """Rates of the guards at the strikes, shape (k, n)."""
         return _in_a_row(self.one.closing)
@@ -106,7 +78,7 @@ class Strides:
 
     @functools.cached_property
     def derivative(self) -> np.ndarray:
-        """Of the residual by y, the durations and the slope, shape (m + k, m + k + 1, n)."""
+        """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1, n)."""
         by = self.one.derivative.copy()
         m = len(self.one.y)
         # A step's equation has its own section; in a gait of several that after it takes its place.
@@ -116,31 +88,24 @@ class Strides:
         out[np.arange(len(self.y)), np.arange(len(self.y))] -= 1.0
         return out
 
-    @functools.cached_property
-    def times_by(self) -> np.ndarray:
-        """Derivatives of the event times by the same, shape (k, m + k + 1, n)."""
-        by = self._in_places(self.one.times_by, 0)
-        begins = np.cumsum(by[:, -1:], axis=0) - by[:, -1:]
-        return np.concatenate([*(by + begins)])
-
     def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
         """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1, n).
 
-        They are given (i, j, s, n) by the section, durations and slope of the same step, or of one step `before`.
+        They are given (i, j, s, n) by the section, event times and slope of the same step, or of one step `before`.
         """
         i, s, n, m = len(by), self.steps, by.shape[-1], len(self.one.y)
         own, by = np.arange(s), by.transpose(2, 0, 1, 3)
-        sections, durations = np.zeros((s, i, s, m, n)), np.zeros((s, i, s, by.shape[2] - 1 - m, n))
-        sections[own, :, own - before], durations[own, :, own - before] = by[:, :, :m], by[:, :, m:-1]
-        each = sections.reshape(s, i, s * m, n), durations.reshape(s, i, s * durations.shape[3], n), by[:, :, -1:]
+        sections, times = np.zeros((s, i, s, m, n)), np.zeros((s, i, s, by.shape[2] - 1 - m, n))
+        sections[own, :, own - before], times[own, :, own - before] = by[:, :, :m], by[:, :, m:-1]
+        # A step begins with the last strike of the one before.
+        times[:, :, :-1, -1] -= times[:, :, 1:].sum(axis=3)
+        each = sections.reshape(s, i, s * m, n), times.reshape(s, i, s * times.shape[3], n), by[:, :, -1:]
         return np.concatenate(each, axis=2)
 
     @functools.cached_property
     def inverse(self) -> np.ndarray:
         """How far a residual moves the fixed point's y and its event times, shape (m + k, m + k, n)."""
-        moves = -_inverse(self.derivative[:, :-1])
-        m, size = len(self.y), len(moves)
-        return np.concatenate([moves[:m], np.einsum("ijn,jkn->ikn", self.times_by[:, :size], moves)])
+        return -_inverse(self.derivative[:, :-1])
 
     @functools.cached_property
     def _moved(self) -> np.ndarray:
@@ -171,7 +136,7 @@ class Strides:
         """Replace some lanes, ndarray of int of shape (j,), by those of other strides."""
         self.one.assign(lanes, other.one)
         self.y[:, lanes], self.guessed[:, lanes] = other.y, other.guessed
-        for name in ("times", "residual", "derivative", "times_by", "inverse", "_moved"):
+        for name in ("times", "residual", "derivative", "inverse", "_moved"):
             vars(self).pop(name, None)
 
 

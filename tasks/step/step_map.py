@@ -5,9 +5,9 @@ A gait is a zero of P(y) - y. The section's coordinates y are, just after heelst
 (stance angle, stance rate, swing rate) for straight legs, and, just before heelstrike,
 (stance angle, old stance rate, old swing rate) for kneed ones, whose locked legs need no fourth coordinate.
 Each phase is a flow over a given time; the value of its guard at the end is corrected to first order, which gives the
-saltation terms exactly and makes the event times converge quadratically. Newton's method has the durations of the
-phases among its unknowns: where a strike turns tangential its time is no smooth function of the state, but state and
-times together are regular. In shapes, n counts lanes, m section coordinates and k phases.
+saltation terms exactly and makes the event times converge quadratically. Newton's method has the event times
+among its unknowns: where a strike turns tangential its time is no smooth function of the state, but state and times
+together are regular. In shapes, n counts lanes, m section coordinates and k phases.
 """
 
 from __future__ import annotations
@@ -44,15 +44,12 @@ class Stride:
         dP/dy.
     times : ndarray, shape (k, n)
         Kneestrike, for knees, and heelstrike, corrected.
-    times_by_y : ndarray, shape (k, m, n)
-    by_slope, times_by_slope : ndarray, shape (m, n) and (k, n)
-        Derivatives of P(y) and of the times by the slope; zero where not asked for.
+    by_slope : ndarray, shape (m, n)
+        Derivative of P(y) by the slope; zero where not asked for.
     residual : ndarray, shape (m + k, n)
         Of the joint equations: the image less y, at the given durations of the phases, and the guards of the strikes.
     derivative : ndarray, shape (m + k, m + k + 1, n)
-        Of the residual by y, the durations and the slope.
-    times_by : ndarray, shape (k, m + k + 1, n)
-        Derivatives of the event times by the same.
+        Of the residual by y, the event times and the slope.
     inverse : ndarray, shape (m + k, m + k, n)
         How far a residual moves the fixed point's y and its event times.
     newton, newton_times : ndarray, shape (m, n) and (k, n)
@@ -73,12 +70,9 @@ class Stride:
     image: np.ndarray
     jacobian: np.ndarray
     times: np.ndarray
-    times_by_y: np.ndarray
     by_slope: np.ndarray
-    times_by_slope: np.ndarray
     residual: np.ndarray
     derivative: np.ndarray
-    times_by: np.ndarray
     inverse: np.ndarray
     newton: np.ndarray
     newton_times: np.ndarray
@@ -119,9 +113,11 @@ class Stride:
     steps = 1
 
     @property
-    def singles(self) -> Stride:
-        """The single steps in lanes."""
+    def one(self) -> Stride:
+        """The single steps."""
         return self
+
+    singles = one
 
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
@@ -356,21 +352,19 @@ class StrideMap:
             out, *finish_sizes(m, k)
         )
         derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
-        shifts = shifts.reshape(k, m + 2, n)
         new_times = times + matvec(times_by[:, : m + k], newton)
         moves = np.stack([*moves[:m], *(matvec(moves.transpose(1, 0, 2), row[: m + k]) for row in times_by)])
-        by_durations = [matvec(times_by[:, m : m + k], shifts[:, d]) for d in range(m + 2)]
+        if self.kneed:  # a later kneestrike with the same heelstrike shortens the last phase, and so does all else
+            others = [*range(m + 1), m + 2]
+            derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
         return Stride(
             y,
             image,
             jacobian.reshape(m, m, n),
-            times + by_durations[0],
-            times_by[:, :m] + np.stack(by_durations[1:-1], axis=1),
+            times + matvec(times_by[:, m : m + k], shifts[:: m + 2]),
             by_slope,
-            times_by[:, -1] + by_durations[-1],
             residual,
             derivative,
-            times_by,
             moves,
             newton[:m],
             new_times,

@@ -78,11 +78,10 @@ def family(name: str, slope: float) -> Family:
     arrays = atlases.to_arrays(atlases.survey(problem))
     slopes = slope * np.concatenate([[1.0], np.linspace(0.9, 1.1, LANES - 1)])
     q = np.log(slopes)
-    m = problem.m
     for branch in atlases.from_arrays(arrays):
         for index, Z, _ in branch.guesses(q):
             if len(index) == LANES:
-                solution = newton(problem, np.delete(Z.T, m, axis=0), q)
+                solution = newton(problem, Z[:-1], q)
                 if solution.converged.all():
                     return _with_reference(name, slope, problem, arrays, solution.w, slopes)
     raise ValueError(f"`slope` must have a gait of {name} all around it; got {slope}.")
@@ -331,7 +330,7 @@ def branches(f: Family) -> list[Case]:
     """All branches of the walker with their folds and ends: the cost of one line of a study before its points."""
 
     def run() -> np.ndarray:
-        return np.array([len(b.Z) for b in atlases.survey(f.problem)], float)
+        return np.array([len(b.q) for b in atlases.survey(f.problem)], float)
 
     nodes = int(f.atlas["lengths"].sum())
     # A node of the peers is a fixed point, without folds, ends or tangents.

@@ -76,7 +76,7 @@ def missed(count: int, seed: int = 1, say: Callable[[str], None] | None = None) 
             outcome.lines[name] += 1
             for gait in w[:, line == lane].T:
                 outcome.gaits[name] += 1
-                if not atlases.is_known(branches, problem.m, gait, float(np.log(slope))):
+                if not atlases.is_known(branches, np.append(gait, np.log(slope))):
                     outcome.lacking[name] += 1
                     outcome.each.append((name, changes, slope, float(np.exp(gait[0])), float(gait[-1])))
         if say:

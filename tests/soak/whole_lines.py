@@ -159,7 +159,7 @@ def _check_in_other_units(
             outcome.special += 1
             guess = _nearest(branch, np.log([special["stance_angle"], at]))
             solved = defining.solve(other, kind, guess[:, None])
-            off = abs(float(np.expm1(solved.Z[branch.m, 0] - np.log(at))))
+            off = abs(float(np.expm1(solved.Z[-1, 0] - np.log(at))))
             if not solved.ok[0] or off > _ANOTHER:
                 continue
             outcome.confirmed += 1
@@ -184,6 +184,6 @@ def _check_in_other_units(
 
 
 def _nearest(branch: Branch, place: np.ndarray) -> np.ndarray:
-    """Point of a branch's polynomials, or node of it, (m + 1 + k,), next to a place (ln angle, ln slope)."""
-    rows = np.vstack([branch.Z, *(Z for _, Z, _ in branch.guesses(place[1:]))])
-    return np.asarray(rows[np.abs(rows[:, [0, branch.m]] - place).max(axis=1).argmin()])
+    """Point of a branch's polynomials, or node of it, (c,), next to a place (ln angle, ln slope)."""
+    Z = np.hstack([branch.Z, *(Z for _, Z, _ in branch.guesses(place[1:]))])
+    return np.asarray(Z[:, np.abs(Z[[0, -1]].T - place).max(axis=1).argmin()])

@@ -23,24 +23,23 @@ def figure_error(truth, points):
     return worst
 
 
-def drawn(problem, rows):
-    """What is drawn of rows: ln slope, ln angle, ln period and the spectral radius, its logarithm where it is large."""
-    m = problem.m
-    stride, _ = problem.stride(np.delete(rows, m, axis=1).T, rows[:, m])
-    radius = np.nan_to_num(np.abs(multipliers(stride.jacobian, m)).max(axis=1), nan=1e9)
+def drawn(problem, Z):
+    """What is drawn: ln slope, ln angle, ln period and the spectral radius, its logarithm where it is large."""
+    stride, _ = problem.stride(Z[:-1], Z[-1])
+    radius = np.nan_to_num(np.abs(multipliers(stride.jacobian, problem.m)).max(axis=1), nan=1e9)
     shown = np.where(radius < 1, radius, 1 + np.log(np.maximum(radius, 1)))
-    return np.column_stack([plane(rows, m), shown])
+    return np.column_stack([plane(Z), shown])
 
 
 def uniform(found, low, high, n):
     """Points of a branch at equally spaced slopes, in its order, as a grid's figure joins them."""
-    rows, places = [], []
+    points, places = [], []
     for _, Z, segment in found.guesses(np.log(np.linspace(low, high, n))):
-        at = Z[np.arange(len(Z)), found.axis[segment]]
-        a, b = (found.Z[segment + i, found.axis[segment]] for i in (0, 1))
-        rows.append(Z)
+        at = Z[found.axis[segment], np.arange(len(segment))]
+        a, b = found.ends_of(segment)
+        points.append(Z)
         places.append(segment + (at - a) / (b - a))
-    return np.vstack(rows)[np.argsort(np.concatenate(places))]
+    return np.hstack(points)[:, np.argsort(np.concatenate(places))]
 
 
 @pytest.mark.parametrize(
@@ -50,15 +49,15 @@ def uniform(found, low, high, n):
 def test_the_same_figure_from_a_fifth_of_a_uniform_grid_s_points(walker, low, high, tolerance):
     problem, found = branches(walker)
     for one in found:
-        rows = chosen(problem, one, low, high, tolerance)
-        if not len(rows):
+        Z = chosen(problem, one, low, high, tolerance)
+        if not Z.shape[1]:
             continue
         truth = drawn(problem, _dense(problem, one, low, high, 3000))
-        adaptive = figure_error(truth, drawn(problem, rows))
+        adaptive = figure_error(truth, drawn(problem, Z))
         # At a corner of the radius, the tolerance along the branch and that across.
         assert adaptive < 2 * tolerance
-        grid = uniform(one, low, high, 5 * len(rows))
-        if len(grid) < 4:
+        grid = uniform(one, low, high, 5 * Z.shape[1])
+        if grid.shape[1] < 4:
             continue
         # A grid of five times the points has the greater error still; its folds and ends it misses altogether.
         assert figure_error(truth, drawn(problem, grid)) > adaptive
@@ -67,11 +66,11 @@ def test_the_same_figure_from_a_fifth_of_a_uniform_grid_s_points(walker, low, hi
 def test_a_change_of_stability_lies_between_near_points():
     problem, found = branches("D")
     (long,) = [b for b in found if b.ratio[np.abs(b.q - np.log(0.01)).argmin()] < 0.5]
-    rows = chosen(problem, long, 1e-3, 0.1, 1e-3)
-    stride, _ = problem.stride(np.delete(rows, 2, axis=1).T, rows[:, 2])
+    Z = chosen(problem, long, 1e-3, 0.1, 1e-3)
+    stride, _ = problem.stride(Z[:-1], Z[-1])
     stable = np.abs(multipliers(stride.jacobian, 2)).max(axis=1) < 1
     (turn,) = np.nonzero(np.diff(stable))[0]
-    slopes = np.sort(np.exp(rows[turn : turn + 2, 2]))
+    slopes = np.sort(np.exp(Z[-1, turn : turn + 2]))
     assert slopes[0] <= 0.015088437941119464 <= slopes[1]
     assert np.log(slopes[1] / slopes[0]) <= 1e-3
 
@@ -119,5 +118,5 @@ def test_nonsense_is_refused_in_one_line(slope, more, said, tmp_path):
 @pytest.mark.parametrize("least", [2, 50, 1000])
 def test_a_branch_has_as_many_points_as_asked_for_and_no_more_than_that_takes(least):
     problem, (one, *_) = branches("E")
-    rows, nodes = (len(_dense(problem, one, 1e-3, 0.1, n)) for n in (least, 0))
-    assert least <= rows <= max(nodes, 2 * least + 2)
+    points, nodes = (_dense(problem, one, 1e-3, 0.1, n).shape[1] for n in (least, 0))
+    assert least <= points <= max(nodes, 2 * least + 2)

@@ -212,8 +212,8 @@ def test_starts_fill_the_section():
 
 def test_rates_of_a_census_are_those_after_heelstrike(monkeypatch):
     """With knees they were those before it."""
-    (problem, found), slope = branches("C"), np.array([0.03])
-    w = np.column_stack([np.delete(Z, problem.m, axis=1).T for b in found for _, Z, _ in b.guesses(np.log(slope))])
+    (_, found), slope = branches("C"), np.array([0.03])
+    w = np.column_stack([Z[:-1] for b in found for _, Z, _ in b.guesses(np.log(slope))])
     ones = np.ones(w.shape[1], int)
     monkeypatch.setattr(count_gaits, "_solve", lambda *_: (w, ones, len(ones)))
     monkeypatch.setattr(count_gaits, "_deflate", lambda *_: (w, ones, 0, 0))

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks import columns, locate_cascade
-from gaitsweep.tasks.continuation import tracking
+from gaitsweep.tasks.continuation import defining
 from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.special_points import flips as flips_of
-from gaitsweep.tasks.continuation.tracking import Path
 from gaitsweep.tasks.dynamics import crisis
 from gaitsweep.tasks.dynamics.crisis import surviving_slopes
 from gaitsweep.tasks.dynamics.initial_states import gaits_at
@@ -80,7 +78,7 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
     flips = 0.1 + sign * 0.04 * (1 - DELTA ** -np.arange(4.0))
     problem, searched = Problem(resolve("D")), []
     (gait,) = (flip for branch in from_arrays(_atlas("D", ())) for flip in flips_of(problem, branch))
-    gaits = [replace(gait, X=np.vstack([gait.X[:-1], [[q]]])) for q in np.log(flips)]
+    gaits = [replace(gait, Z=np.vstack([gait.w, [[q]]])) for q in np.log(flips)]
 
     def lost(problem, starts, low, high, strides):
         searched.append((low, high))
@@ -139,22 +137,21 @@ def test_of_a_fold_one_side_is_followed(monkeypatch):
     assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [3]
 
 
-def test_roots_are_located_in_few_evaluations(monkeypatch):
+def test_events_are_located_in_few_evaluations(monkeypatch):
     """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
-    evaluated, joint = [], tracking.joint
-    monkeypatch.setattr(tracking, "joint", lambda *a: evaluated.append(1) or joint(*a))
     problem = Problem(resolve("D"))
     (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    path = Path(problem, start, np.array([0.0, 0.0, 1.0, 0.0]), 0.02)
+    begun, evaluated, newton_step = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.newton_step
+    monkeypatch.setattr(defining, "newton_step", lambda *a, **k: evaluated.append(1) or newton_step(*a, **k))
+    event, _ = locate_cascade._first_event(problem, begun, "flip", *np.log([0.0145, 0.016]))
+    assert event.slope == pytest.approx(0.015088437941119463562, rel=1e-13)
+    assert 0 < len(evaluated) < 8
 
-    def test(gait):
-        return float(scalar("flip", gait)[0])
 
-    while path.advance() and test(path.points[-2]) * test(path.points[-1]) > 0:
-        pass
-    evaluated.clear()
-    assert np.exp(path.locate_root(test).q[0]) == pytest.approx(0.015088437941119463562, rel=1e-13)
-    assert 0 < len(evaluated) < 25
+def test_an_event_that_is_not_located_is_told(monkeypatch):
+    monkeypatch.setattr(defining, "_MAX_STEPS", 0)
+    (stopped,) = doublings("D", 0.0145, 0.0195, periods=2, steps=0)["accumulation/stopped"]
+    assert stopped.startswith("No flip of period 1: the next one could not be located, near a slope of 0.01")
 
 
 def test_a_walkers_cascade_begins_at_a_neighbours_gait():

@@ -16,7 +16,7 @@ LOOP = {"R": 0.273, "detuning": 0.2}
 def test_a_loop_is_one_branch_from_a_fold_to_itself():
     problem, found = branches("C", **LOOP)
     (loop,) = [branch for branch in found if branch.why == ("fold", "fold")]
-    assert np.abs(loop.Z[0] - loop.Z[-1]).max() < 1e-9
+    assert np.abs(loop.Z[:, 0] - loop.Z[:, -1]).max() < 1e-9
     assert [tuple(np.sign(np.diff(loop.q[[a, b]]))) for a, b in loop.pieces()] in ([(1,), (-1,)], [(-1,), (1,)])
     turns = [p["slope"] for p in special_points(problem, loop) if p["kind"] == "fold"]
     assert sorted(turns) == pytest.approx([np.exp(loop.q.min()), np.exp(loop.q.max())], rel=1e-12)

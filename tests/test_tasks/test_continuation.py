@@ -12,12 +12,11 @@ from gaitsweep.tasks.continuation import atlas
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import evaluate, scalar
-from gaitsweep.tasks.continuation.locate import row_tangent
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.continuation.tracking import correct, follow
+from gaitsweep.tasks.continuation.tracking import Point, correct, follow
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
 from gaitsweep.tasks.fixed_points.search import search
@@ -78,11 +77,10 @@ def test_a_branch_followed_the_other_way_has_the_same_ends():
     """One end lies on a segment that must be split first, now the first of the branch and now the last."""
     problem, found = branches("C", detuning=0.112)
     (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
-    middle = len(branch.Z) // 2
-    (tracks,) = follow(problem, np.delete(branch.Z[middle], problem.m)[:, None], branch.q[[middle]])
+    (tracks,) = follow(problem, branch.Z[:, [len(branch.q) // 2]])
     (up,), (down,) = (run(problem, atlas.branches_along(problem, *pair, FINE)) for pair in (tracks, tracks[::-1]))
     assert up.why == down.why[::-1] == ("end_earlier_strike", "end_kneestrike_at_heelstrike")
-    np.testing.assert_allclose(up.Z[[0, -1]], down.Z[[-1, 0]], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(up.Z[:, [0, -1]], down.Z[:, [-1, 0]], rtol=1e-12, atol=1e-13)
 
 
 def test_a_branch_ends_where_a_search_no_longer_finds_its_gait():
@@ -100,9 +98,9 @@ def test_a_fold_is_found_however_few_nodes_there_are():
     (branch,) = [b for b in found if len(b.pieces()) == 2]
     fold = branch.pieces()[0][1]
     for every in (16, 64):
-        kept = np.union1d(np.arange(0, len(branch.Z), every), len(branch.Z) - 1)
+        kept = np.union1d(np.arange(0, len(branch.q), every), len(branch.q) - 1)
         assert fold not in kept
-        few = Branch(branch.m, branch.Z[kept], branch.tangent[kept], branch.lipschitz[kept], branch.why)
+        few = Branch(branch.m, branch.Z[:, kept], branch.tangent[:, kept], branch.lipschitz[kept], branch.why)
         located = run(problem, atlas._with_folds(few))
         assert located.q[located.pieces()[0][1]] == pytest.approx(branch.q[fold], abs=1e-14)
 
@@ -112,40 +110,40 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
     q = np.linspace(0, 3, 7)
 
     def gaits(q):
-        X = np.stack([q / 3 + q**2 / 10, q**7 / 3**7, q, -8 * np.log(3.1 - q)], axis=1)
-        rate = np.stack([1 / 3 + q / 5, 7 * q**6 / 3**7, np.ones_like(q), 8 / (3.1 - q)], axis=1)
-        return X, rate
+        Z = np.stack([q / 3 + q**2 / 10, q**7 / 3**7, -8 * np.log(3.1 - q), q])
+        rate = np.stack([1 / 3 + q / 5, 7 * q**6 / 3**7, 8 / (3.1 - q), np.ones_like(q)])
+        return Z, rate
 
-    X, rate = gaits(q)
-    branch = Branch(2, X, rate, np.zeros(7), ("end of the window", "a fall"))
+    Z, rate = gaits(q)
+    branch = Branch(2, Z, rate, np.zeros(7), ("end of the window", "a fall"))
     between = np.linspace(0.05, 2.95, 20)
     ((index, found, _),) = branch.guesses(between)
-    np.testing.assert_allclose(found[:, :3], gaits(between[index])[0][:, :3], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(found[[0, 1, 3]], gaits(between[index])[0][[0, 1, 3]], rtol=1e-13, atol=1e-13)
 
 
 def test_tangents_point_along_the_branch():
-    point = SimpleNamespace(direction=np.array([[0.6], [-0.8]]))
+    point = Point(np.zeros((2, 1)), SimpleNamespace(y=np.ones((1, 1))), np.array([[0.6], [-0.8]]), np.ones(1, bool))
     for along in ([1.0, 0.0], [-1.0, 0.0], [0.0, 2.0]):
-        tangent = row_tangent(point, np.array(along))
+        tangent = point.oriented(np.array(along)[:, None]).direction[:, 0]
         assert tangent @ along > 0 and np.abs(tangent).tolist() == [0.6, 0.8]
 
 
 def test_where_one_component_turns_a_branch_runs_in_another():
     """The angle turns between two nodes; everywhere else, and there too, the slope is the better coordinate."""
     q = np.linspace(-6.0, -3.0, 7)
-    Z = np.column_stack([0.1 * (q + 4.6) ** 2, q, 3 + 0.01 * q])
-    tangent = np.column_stack([0.2 * (q + 4.6), np.ones(7), np.full(7, 0.01)])
+    Z = np.array([0.1 * (q + 4.6) ** 2, 3 + 0.01 * q, q])
+    tangent = np.array([0.2 * (q + 4.6), np.full(7, 0.01), np.ones(7)])
     branch = Branch(1, Z, tangent, np.ones(7), ("window", "window"))
-    assert branch.axis.tolist() == [1] * 6
+    assert branch.axis.tolist() == [2] * 6
     place = np.linspace(0, 6, 50)
-    assert branch.at(place)[:, 0] == pytest.approx(0.1 * (place / 2 - 1.4) ** 2)
+    assert branch.at(place)[0] == pytest.approx(0.1 * (place / 2 - 1.4) ** 2)
 
 
 def test_a_located_flip_has_the_multiplier():
     problem, found = branches("E", foot_mass_ratio=0.05)
     for branch, p in some((b, p) for b in found for p in pick(special_points(problem, b), "flip")):
         ((_, Z, _),) = [g for g in branch.guesses(np.array([np.log(p["slope"])])) if len(g[0])]
-        stride, _ = problem.stride(np.delete(Z, problem.m, axis=1).T, np.log([p["slope"]]))
+        stride, _ = problem.stride(Z[:-1], np.log([p["slope"]]))
         assert np.abs(np.linalg.eigvals(stride.jacobian[:, :, 0]) + 1).min() < 1e-9
 
 
@@ -166,9 +164,8 @@ def test_a_pole_of_the_derivative_is_no_flip():
 
 def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
     problem, found = branches("physical")
-    Z = found[0].Z[::20].T
-    m, at = problem.m, evaluate(problem, Z)
-    point = correct(problem, Z[: m + 1], Z[m + 1 :], np.eye(len(Z))[:, [m] * Z.shape[1]], max_iterations=1)
+    Z = found[0].Z[:, ::20]
+    at, point = evaluate(problem, Z), correct(problem, Z, None, max_iterations=1)
     for kind in ("flip", "neimark_sacker", "release_hyperextension", "end_kneestrike_at_heelstrike"):
         np.testing.assert_allclose(scalar(kind, point), scalar(kind, at), rtol=1e-6, atol=1e-10)
 
@@ -177,19 +174,16 @@ def test_forward_and_back_to_the_start():
     problem, found = branches("B")
     branch = found[0]
     k = int(np.argmin(np.abs(branch.q - np.log(0.02))))
-    start = np.delete(branch.Z[k], problem.m)[:, None]
-    ((_, up),) = follow(problem, start, branch.q[k : k + 1])
-    n = problem.m + 1
-    there = correct(problem, up.Z[-3, :n, None], up.Z[-3, n:, None], None)
-    ((down, _),) = follow(problem, np.vstack([there.X[: problem.m], there.times]), there.X[problem.m])
+    start = branch.Z[:, [k]]
+    ((_, up),) = follow(problem, start)
+    there = correct(problem, up.Z[:, [-3]], None)
+    ((down, _),) = follow(problem, there.Z)
     # Come back to the start's slope exactly and compare.
-    nearest = int(np.argmin(np.abs(down.Z[:, problem.m] - branch.q[k])))
-    X = down.Z[nearest, :n].copy()
-    along = down.tangent[nearest, :n] / down.tangent[nearest, problem.m]
-    X[: problem.m] += along[: problem.m] * (branch.q[k] - X[problem.m])
-    X[problem.m] = branch.q[k]
-    back = correct(problem, X[:, None], down.Z[nearest, n:, None], None)
-    np.testing.assert_allclose(back.X[: problem.m, 0], start[: problem.m, 0], rtol=2e-14)
+    nearest = int(np.argmin(np.abs(down.Z[-1] - branch.q[k])))
+    Z, along = down.Z[:, nearest], down.tangent[:, nearest] / down.tangent[-1, nearest]
+    guess = np.append((Z + along * (branch.q[k] - Z[-1]))[:-1], branch.q[k])
+    back = correct(problem, guess[:, None], None)
+    np.testing.assert_allclose(back.Z[: problem.m, 0], start[: problem.m, 0], rtol=2e-14)
 
 
 def test_the_polynomials_lead_newton_to_rounding():
@@ -198,7 +192,7 @@ def test_the_polynomials_lead_newton_to_rounding():
     for branch in found:
         q = rng.uniform(np.log(1e-3), np.log(0.2), 50)
         ((index, Z, _),) = branch.guesses(q)
-        w = np.delete(Z, problem.m, axis=1).T
+        w = Z[:-1]
         before, _ = problem.stride(w, q[index])
         assert np.abs(before.newton / before.y).max() < 2e-12
 
@@ -243,8 +237,7 @@ def test_a_tangential_end_agrees_with_long_double_within_its_bound(name, overrid
     problem, found = branches(name, **overrides)
     branch = next(b for b in found if "end_tangential_heelstrike" in b.why)
     end = next(p for p in special_points(problem, branch) if p["kind"] == "end_tangential_heelstrike")
-    node = branch.Z[branch.why.index("end_tangential_heelstrike") * -1]
-    w = np.delete(node, problem.m)
+    w = branch.Z[:-1, branch.why.index("end_tangential_heelstrike") * -1]
     angle = np.exp(w[0])
     exact = tangential(problem, [angle, *angle * w[1:-1]], w[-1], end["slope"])
     assert abs(float(end["slope"] / exact - 1)) < end["error_bound"] < 1e-12
@@ -268,8 +261,8 @@ def test_a_branch_ends_where_the_stance_leg_comes_to_stand_still():
     first = survey(Problem(replace(CATALOGUE["B"], R=0.3533, m_s=1.0)))[0]
     assert first.why[1] == "a fall"
     # There the period diverges with the logarithm of the slope's distance; rounding must not split segments for ever.
-    assert first.Z[-1, -1] == pytest.approx(LONGEST_PERIOD, abs=1e-11)
-    assert len(first.Z) < 800
+    assert first.Z[-2, -1] == pytest.approx(LONGEST_PERIOD, abs=1e-11)
+    assert len(first.q) < 800
 
 
 def unknown(index):
@@ -300,10 +293,10 @@ def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overri
     slope = np.exp(q) * (1 + inwards * np.geomspace(1e-12, 1e-2, 21))
     rows = []
     for index, Z, segment in branch.guesses(np.log(slope)):
-        near = np.abs(segment - side * len(branch.Z)) < 40
+        near = np.abs(segment - side * len(branch.q)) < 40
         if not near.any():
             continue
-        guesses = branch.known_guesses(Z[near], segment[near], slope[index][near])
+        guesses = branch.known_guesses(Z[:, near], segment[near], slope[index][near])
         rows += compared(problem, replace(guesses, leg_passes=unknown(guesses.slope)))
     assert len(rows) == 21
     assert all(error < bound < 1e-11 for _, bound, error, _, _ in rows)
@@ -316,7 +309,7 @@ def test_points_converge_up_to_a_fall():
     side = branch.why.index("a fall")
     inwards = np.sign(branch.q[1 - 3 * side] - branch.q[-side])
     slope = np.exp(branch.q[-side]) * (1 + inwards * np.geomspace(1e-12, 1e-3, 7))
-    lone = [(Z, segment, i) for i, Z, segment in branch.guesses(np.log(slope)) if segment.max() > len(branch.Z) - 9]
+    lone = [(Z, segment, i) for i, Z, segment in branch.guesses(np.log(slope)) if segment.max() > len(branch.q) - 9]
     ((Z, segment, index),) = lone if side else lone[:1]
     at = settle(problem, branch.known_guesses(Z, segment, slope[index]))
     assert at.converged.all() and at.step.all() and (at.bound < 1e-9).all() and len(index) == 7
@@ -374,48 +367,49 @@ def test_a_folds_bound_holds_in_other_units():
 def test_nodes_that_do_not_lie_along_a_branch_are_removed():
     _, found = branches("C")
     branch = found[0]
-    assert branch.in_order(branch.Z[0]) is branch
+    assert branch.in_order(branch.Z[:, 0]) is branch
     Z = branch.Z.copy()
-    k = len(Z) // 3
-    Z[k] += 2 * (Z[k - 1] - Z[k])  # beyond its neighbour
-    for start in (Z[0], Z[-1], Z[0] + 1e-12):
+    k = len(branch.q) // 3
+    Z[:, k] += 2 * (Z[:, k - 1] - Z[:, k])  # beyond its neighbour
+    for start in (Z[:, 0], Z[:, -1], Z[:, 0] + 1e-12):
         mended = replace(branch, Z=Z).in_order(start)
-        assert len(mended.Z) == len(Z) - 1 and mended.in_order(start) is mended
+        assert len(mended.q) == len(branch.q) - 1 and mended.in_order(start) is mended
     # Seen from one end this node does not lie along the branch, from the other and from itself its neighbour does not.
     for start, without in ((0, k), (-1, k - 1), (k, k - 1)):
-        np.testing.assert_array_equal(replace(branch, Z=Z).in_order(Z[start]).Z, np.delete(Z, without, axis=0))
+        np.testing.assert_array_equal(replace(branch, Z=Z).in_order(Z[:, start]).Z, np.delete(Z, without, axis=1))
 
 
 def test_a_gait_without_neighbours_does_not_decide_what_remains_of_its_branch():
     branch = branches("D")[1][0]
-    n, k = len(branch.Z), len(branch.Z) // 3
+    n, k = len(branch.q), len(branch.q) // 3
     for start, cuts, nodes in (
         (k, [k - 2, k], range(k - 1)),
         (1, [1], range(2, n)),
         (k, [k - 3, k], range(k - 2, k + 1)),
     ):
-        np.testing.assert_array_equal(branch.part_of(branch.Z[start], np.array(cuts)).Z, branch.Z[list(nodes)])
+        np.testing.assert_array_equal(branch.part_of(branch.Z[:, start], np.array(cuts)).Z, branch.Z[:, list(nodes)])
     # A tangent at right angles to the branch.
     tangent = branch.tangent.copy()
-    tangent[k] = np.eye(tangent.shape[1])[0] - branch.direction[k, 0] * branch.direction[k]
-    assert len(replace(branch, tangent=tangent).in_order(branch.Z[k]).Z) == n - 1
+    tangent[:, k] = np.eye(len(tangent))[0] - branch.direction[0, k] * branch.direction[:, k]
+    assert len(replace(branch, tangent=tangent).in_order(branch.Z[:, k]).q) == n - 1
 
 
 def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
     """The long gait and the short one, whose orientation determinants differ in sign."""
     problem, found = branches("D")
-    up = [b if b.q[0] < b.q[-1] else replace(b, Z=b.Z[::-1], tangent=-b.tangent[::-1], why=b.why[::-1]) for b in found]
-    long, short = (b.Z[(b.q > np.log(1e-4)) & (b.q < np.log(0.01))] for b in up)
-    T_long, T_short = (b.tangent[(b.q > np.log(1e-4)) & (b.q < np.log(0.01))] for b in up)
-    k = len(long) // 3
-    after = short[:, problem.m] > long[k, problem.m]
-    Z, tangent = np.vstack([long[: k + 1], short[after]]), np.vstack([T_long[: k + 1], T_short[after]])
-    joined = Branch(problem.m, Z, tangent, np.zeros(len(Z)), ("", ""))
-    for start, part in ((long[k], long[: k + 1]), (short[after][0], short[after])):
+    turned = [{"Z": b.Z[:, ::-1], "tangent": -b.tangent[:, ::-1], "why": b.why[::-1]} for b in found]
+    up = [b if b.q[0] < b.q[-1] else replace(b, **other) for b, other in zip(found, turned, strict=True)]
+    long, short = (b.part(np.flatnonzero((b.q > np.log(1e-4)) & (b.q < np.log(0.01)))) for b in up)
+    k = len(long.q) // 3
+    before, after = np.arange(k + 1), np.flatnonzero(short.q > long.q[k])
+    Z = np.hstack([long.Z[:, before], short.Z[:, after]])
+    tangent = np.hstack([long.tangent[:, before], short.tangent[:, after]])
+    joined = Branch(problem.m, Z, tangent, np.zeros(len(Z.T)), ("", ""))
+    for start, part in ((long.Z[:, k], long.Z[:, before]), (short.Z[:, after[0]], short.Z[:, after])):
         kept = run(problem, without_jumps(joined, start))
         np.testing.assert_array_equal(kept.Z, part)
         assert "no further point" in kept.why
-    whole = run(problem, without_jumps(up[0], up[0].Z[0]))
+    whole = run(problem, without_jumps(up[0], up[0].Z[:, 0]))
     assert whole is up[0]
 
 

@@ -17,9 +17,9 @@ from lines import _atlas, branches
 
 LINE = {"walker": "C", "set": {}}
 WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}
-#: A fold of C on the way to the machine: similarity coordinates, ln slope, detuning, event times.
-FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, -2.05756334, 0.76301856, 1.69557706, 2.31306058])
-DETUNING = 4
+#: A fold of C on the way to the machine: similarity coordinates, event times, ln slope, detuning.
+FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, 1.69557706, 2.31306058, -2.05756334, 0.76301856])
+SLOPE, DETUNING = 5, 6
 
 
 def folds_of_c():
@@ -33,29 +33,26 @@ def pairs(points, tangents):
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     folds = folds_of_c()
     track = follow(folds, folds.correct(FOLD, np.eye(7)[DETUNING]), -1.0, WINDOW)
-    both = [(a, b) for a, b in pairs(track.Z, track.tangent) if turning(folds, a, b, DETUNING) is not None]
+    both = [(a, b) for a, b in pairs(track.Z.T, track.tangent.T) if turning(folds, a, b, DETUNING) is not None]
     assert len(both) == 1
     found, error = turning(folds, *both[0], DETUNING)
     # Branches followed at 0.72 and 0.73 show the two pairings, and a fold at 0.0902 on the far side.
     assert found[DETUNING] == pytest.approx(0.72386360373, abs=1e-9)
-    assert np.exp(found[3]) == pytest.approx(0.1001868636, abs=1e-9)
+    assert np.exp(found[SLOPE]) == pytest.approx(0.1001868636, abs=1e-9)
     # A bound that is measured, on the slope; differences over other steps move the turning by less.
     assert 1e-15 < error < 1e-8
     monkeypatch.setattr(codimension_one, "DIFFERENCE", 3e-5)
     monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
     other, other_error = turning(folds, *both[0], DETUNING)
-    assert 0 < abs(other[3] - found[3]) < other_error + error
+    assert 0 < abs(other[SLOPE] - found[SLOPE]) < other_error + error
     assert folds.walks(found)
 
 
 def test_the_equations_of_a_curve_have_the_derivatives_that_differences_have():
-    """By X and the key; those by the durations follow from the event times."""
     folds, h = folds_of_c(), 1e-6
-    _, derivative, times_by = folds.system(FOLD)
-    for i in range(5):
-        # What the event times change by in this direction is added to it.
-        change = np.append(np.eye(5)[i], times_by[:, i])
-        up, down = (folds.system(FOLD + sign * h * change)[0] for sign in (1, -1))
+    _, derivative = folds.system(FOLD)
+    for i in range(7):
+        up, down = (folds.system(FOLD + sign * h * np.eye(7)[i])[0] for sign in (1, -1))
         np.testing.assert_allclose(derivative[:, i], (up - down) / (2 * h), rtol=1e-5, atol=1e-7)
 
 
@@ -212,10 +209,13 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
     m, n, size = 3, 4, 6
     matrix = dice.normal(size=(n, size, size))
     y, derivative = dice.uniform(0.1, 1.0, (m, n)), dice.normal(size=(size - 1, size - 1, n))
-    found = rounding_step(matrix, SimpleNamespace(y=y, derivative=derivative)) / np.finfo(float).eps
+    found = (
+        rounding_step(matrix, SimpleNamespace(m=m, stride=SimpleNamespace(y=y, derivative=derivative)))
+        / np.finfo(float).eps
+    )
     for lane in range(n):
         share = y[:, lane] / y[0, lane]
-        inverse = np.linalg.inv(matrix[lane])[: m + 1]
+        inverse = np.linalg.inv(matrix[lane])[[*range(m), -1]]
         error = np.abs(inverse) @ np.r_[share, np.ones(size - m)]
         for k in range(m):
             error += np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k])) * share[k]
@@ -229,12 +229,12 @@ class Plane(Curve):
         self.equation, self.scale, self.m = equation, 1.0, 0
 
     def system(self, Z, h=codimension_one.DIFFERENCE):
-        value, by_Z = self.equation(*Z[:2])
+        value, by_Z = self.equation(*Z[1:])
         # The event time is zero.
-        return np.array([value, Z[2]]), np.array([[*by_Z, 0.0], [0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])
+        return np.array([Z[0], value]), np.array([[1.0, 0.0, 0.0], [0.0, *by_Z]])
 
     def through(self, q, key):
-        return self.correct(np.array([q, key, 0.0]), np.array([0.0, 1.0, 0.0]))
+        return self.correct(np.array([0.0, q, key]), np.array([0.0, 0.0, 1.0]))
 
 
 def circle(q, key):
@@ -255,22 +255,22 @@ def test_a_closed_curve_is_gone_round_once(begin):
     Z, tangent, stopped = follow_both_directions(curve, curve.through(*begin), window)
     assert stopped == ("closed", "closed")
     assert Z[0] == pytest.approx(Z[-1], abs=1e-14)
-    angles = np.unwrap(np.arctan2(Z[:, 1], Z[:, 0]))
+    angles = np.unwrap(np.arctan2(Z[:, 2], Z[:, 1]))
     assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi) and len(set(np.sign(np.diff(angles)))) == 1
     # Each turning point once.
-    turns = [turning(curve, a, b, 1) for a, b in pairs(Z, tangent)]
-    assert sorted(turn[0][1] for turn in turns if turn is not None) == pytest.approx([-1.0, 1.0])
+    turns = [turning(curve, a, b, 2) for a, b in pairs(Z, tangent)]
+    assert sorted(turn[0][2] for turn in turns if turn is not None) == pytest.approx([-1.0, 1.0])
     # One that leaves the window ends there, though it would close.
     arc, _, stopped = follow_both_directions(curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)})
     assert stopped == ("border", "border")
-    assert arc[[0, -1], 0] == pytest.approx([0.9, 0.9])
+    assert arc[[0, -1], 1] == pytest.approx([0.9, 0.9])
 
 
 def test_a_long_curve_is_followed_to_the_border():
     """It ended after 300 points, without a word."""
     curve = Plane(lambda q, key: (key - np.sin(q) / 4, [-np.cos(q) / 4, 1.0]))
     Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)})
-    assert Z[[0, -1], 0] == pytest.approx([-40.0, 40.0])
+    assert Z[[0, -1], 1] == pytest.approx([-40.0, 40.0])
     assert stopped == ("border", "border")
 
 
@@ -278,10 +278,10 @@ def test_a_curve_that_is_lost_says_so():
     curve = Plane(lambda q, key: (ended(key) - q, [-1.0, 1.0]))
     Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)})
     assert stopped == ("border", "no further point")
-    assert Z[-1, 1] == pytest.approx(1.5, abs=1e-3)
+    assert Z[-1, 2] == pytest.approx(1.5, abs=1e-3)
     # One that begins on the border has its first point there.
     Z, _, stopped = follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
-    assert stopped == ("border", "border") and Z[0, 1] == 0.0
+    assert stopped == ("border", "border") and Z[0, 2] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ def test_a_gait_that_repeats_sooner_is_none_of_n_steps():
     problem, known = atlas_of("D")
     slope = np.array([0.0142])
     ((_, Z, _),) = known[0].guesses(np.log(slope))
-    several, w = problem.of_steps(2), twice(problem, np.delete(Z, problem.m, axis=1).T)
+    several, w = problem.of_steps(2), twice(problem, Z[:-1])
     gait = settle(several, unmeasured(several, w, slope))
     assert gait.converged.all() and not _is_near(several, gait, w).any()
     assert not distances_of_steps(w, several.m, 2).any()
@@ -183,7 +183,7 @@ def test_the_same_gait_begins_at_any_of_its_steps():
     w = np.array([np.log(walk.stance_angle.values[:4]), walk.stance_rate.values[:4] / walk.stance_angle.values[:4]])
     branch = cycle_branches(problem, known, 4)[-1]
     ((_, Z, _),) = branch.guesses(np.log([0.018]))
-    own = from_largest(np.delete(Z, several.m, axis=1).T, several.m, 4)
+    own = from_largest(Z[:-1], several.m, 4)
     for k in range(4):
         begun = begun_at(own, several.m, 4, k)
         assert begun[:2, 0] == pytest.approx(w[:, k], rel=1e-5)
@@ -199,12 +199,12 @@ def test_a_branch_between_two_flips_is_followed_from_one_of_them():
     assert len(spans) == 2 and spans[0] == pytest.approx([0.0191312, 0.0202299], abs=2e-7)
     branch = followed[0]
     assert branch.why == ("branch_point", "branch_point") and branch.folds()[[0, -1]].tolist() == [0, len(branch.q) - 1]
-    apart = distances_of_steps(np.delete(branch.Z, several.m, axis=1).T, several.m, 2)[0]
+    apart = distances_of_steps(branch.Z[:-1], several.m, 2)[0]
     assert apart[[0, -1]] == pytest.approx(0, abs=1e-15) and apart[1:-1].min() > 1e-6
     # The slope falls to the flip at which the branch ends, too.
     assert branch.q[1] > branch.q[0] and branch.q[-1] < branch.q[-2]
     for end in (0, -1):
-        slope, angle = np.exp(branch.q[end]), np.exp(branch.Z[end, 0])
+        slope, angle = np.exp(branch.q[end]), np.exp(branch.Z[0, end])
         near = gaitsweep.gaits("physical", slope * (1 + 1e-7), steps=2)
         merged = np.abs(near.stance_angle / angle - 1) < 3e-3
         assert near.status.values[merged].tolist() == [0]
@@ -215,17 +215,18 @@ def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip():
     (branch,), several = cycle_branches(problem, known, 2), problem.of_steps(2)
     (flip,) = [flip for each in known for flip in flips(problem, each)]
     for side, order in enumerate((slice(1, None), slice(None, 0, -1))):  # the flip as its first end, and as its last
-        Z, why = branch.Z[order], (HALVED, "") if side == 0 else ("", HALVED)
-        cut = type(branch)(several.m, Z, branch.tangent[order], np.zeros(len(Z)), why, steps=2)
-        other = correct(problem, flip.X + 0.04, flip.times, None)
+        Z, why = branch.Z[:, order], (HALVED, "") if side == 0 else ("", HALVED)
+        cut = type(branch)(several.m, Z, branch.tangent[:, order], np.zeros(len(Z.T)), why, steps=2)
+        other = correct(problem, flip.Z + 0.04 * np.append(np.arange(len(flip.w)) < problem.m, 1)[:, None], None)
         ended = begun_at_flips(several, cut, [other, flip])
         assert ended.why[side] == "branch_point" and 0 < ended.end_errors[side] < 1e-12
         end, beside = ((0, 1), (-1, -2))[side]
-        assert ended.q[end] == flip.q[0] and ended.tangent[end, several.m] == 0
+        assert ended.q[end] == flip.q[0] and ended.tangent[-1, end] == 0
         # The neighbour lies along the tangent that leaves the flip, against the one that arrives there.
-        along = (ended.Z[beside] - ended.Z[end]) @ ended.tangent[end]
+        chord = ended.Z[:, beside] - ended.Z[:, end]
+        along = chord @ ended.tangent[:, end]
         assert np.sign(along) == 1 - 2 * side
-        assert abs(along) == pytest.approx(np.linalg.norm(ended.Z[beside] - ended.Z[end]), rel=1e-3)
+        assert abs(along) == pytest.approx(np.linalg.norm(chord), rel=1e-3)
         assert begun_at_flips(several, cut, [other]).why[side] == "no further point"
 
 
@@ -262,7 +263,7 @@ def test_at_the_least_slopes_more_digits_resolve_gaits_of_several_steps(slope):
     assert gait.status == 0 and gait.error_bound < 1e-9
     problem, known = atlas_of("E")
     guesses = [Z for branch in cycle_branches(problem, known, 2) for _, Z, _ in branch.guesses(np.log([slope]))]
-    Z = min(guesses, key=lambda Z: abs(np.exp(Z[0, 0]) - gait.stance_angle.item()))[0]
+    Z = min(guesses, key=lambda Z: abs(np.exp(Z[0, 0]) - gait.stance_angle.item()))[:, 0]
     Y, times = steps_of(problem.of_steps(2), Z)
     states = problem.start(Y, np.full(2, slope))[:3]
     angle, period = extended_cycle(CATALOGUE["E"].table(), slope, np.vstack([states, times]).T)

@@ -79,7 +79,7 @@ def place(log_slope):
     return Points(
         line=np.zeros(1, int),
         kind=np.array(["window"], "U32"),
-        Z=np.zeros((4, 1)),
+        Z=np.array([[0.0], [0.0], [0.0], [log_slope]]),
         rows=np.zeros((4, 1)),
         error=np.zeros(1),
         log_froude=none,
@@ -87,7 +87,6 @@ def place(log_slope):
         walks=~no,
         long=~no,
         stable=no,
-        log_slope=np.array([log_slope]),
         faster=no,
     )
 
@@ -106,7 +105,7 @@ def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
     problem, found = branches("D")
     below = [branch.part(np.flatnonzero(branch.q < np.log(0.05))) for branch in found]
     for branch in below:
-        branch.ratio, branch.leg_passes = np.zeros(len(branch.Z)), np.ones(len(branch.Z), int)
+        branch.ratio, branch.leg_passes = np.zeros(len(branch.q)), np.ones(len(branch.q), int)
     for low, number in ((0.01, True), (0.1, False)):
         window = (np.log(low), np.log(0.2))
         points = find(Lanes(_walkers("D", {}, 1), problem.structure), [below], window)

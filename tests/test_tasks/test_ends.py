@@ -44,7 +44,7 @@ def between_nodes():
     q = branch.q[segment : segment + 2] @ [0.3, 0.7]
     ((_, Z, at),) = [each for each in branch.guesses(np.array([q])) if segment in each[2]]
     ((_, other, _),) = beside.guesses(np.array([q]))
-    return problem, branch, at, branch.known_guesses(Z, at, np.exp([q])), other.T
+    return problem, branch, at, branch.known_guesses(Z, at, np.exp([q])), other
 
 
 def test_a_guess_that_newton_loses_is_located_on_its_branch():
@@ -59,7 +59,7 @@ def test_a_guess_that_newton_loses_is_located_on_its_branch():
     both = [join([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
     assert np.array_equal(settle_on_branches(problem, *both).y, np.hstack([settled.y, wanted.y, settled.y]))
     # Newton's method leads to the other gait.
-    stray = replace(good, w=np.delete(other, problem.m, axis=0) + 1e-3)
+    stray = replace(good, w=other[:-1] + 1e-3)
     astray = settle(problem, stray)
     assert astray.converged.all() and abs(np.log(astray.y[0] / wanted.y[0])) > 1e-2
     np.testing.assert_array_equal(settle_on_branches(problem, stray, [(problem, branch, at)]).y, settled.y)
@@ -89,13 +89,11 @@ def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypa
         stray = other + off
 
         def elsewhere(part, segment, test, stray=stray):
-            point, direction = yield from locate_root(part, segment, test)
-            k = problem.m + 1
-            return replace(point, X=stray[:k], times=stray[k:]), direction
+            return replace((yield from locate_root(part, segment, test)), Z=stray)
 
         monkeypatch.setattr(locate, "locate_root", elsewhere)
         monkeypatch.setattr(Branch, "lies_between", lies_between)
-        guess = replace(good, w=np.delete(stray, problem.m, axis=0) + 1e-3)
+        guess = replace(good, w=stray[:-1] + 1e-3)
         assert settle(problem, guess).converged.all()
         assert not settle_on_branches(problem, guess, [(problem, branch, at)]).converged.any()
 
@@ -153,8 +151,8 @@ def test_a_gait_before_a_fall_does_not_depend_on_where_newton_begins(name):
 def test_derivatives_by_differences_are_those_of_the_step_map():
     problem, found = branches("physical")
     branch = found[0]
-    k = len(branch.Z) // 2
-    w, q = np.delete(branch.Z[k], problem.m)[:, None], branch.q[k : k + 1]
+    k = len(branch.q) // 2
+    w, q = branch.Z[:-1, [k]], branch.q[[k]]
     stride, scale = problem.stride(w, q)
     exact = extended_precision._extended_step_map(problem.structure, 1)
     number = exact.number
@@ -209,8 +207,8 @@ def test_of_two_ends_on_one_segment_the_first_ends_the_branch():
     problem, found = branches(walker, **overrides)
     (branch,) = [b for b in found if "end_tangential_kneestrike" in b.why]
     side = -branch.why.index("end_tangential_kneestrike")
-    stride, _ = problem.stride(np.delete(branch.Z[side], problem.m)[:, None], branch.q[[side]])
-    assert abs(stride.closing[0, 0]) < 1e-6 and np.diff(branch.Z[side, -2:]) > 5e-3
+    stride, _ = problem.stride(branch.Z[:-1, [side]], branch.q[[side]])
+    assert abs(stride.closing[0, 0]) < 1e-6 and np.diff(branch.Z[-3:-1, side]) > 5e-3
 
 
 def shorter_steps(problem, y, time, slope, ratio):
@@ -244,7 +242,7 @@ def test_the_slope_of_vanishing_steps_is_that_of_ever_shorter_ones(name, overrid
     problem, found = branches(name, **overrides)
     (branch,) = [b for b in found if "zero step length" in b.why]
     (end,) = [p for p in special_points(problem, branch) if p["kind"] == "end_zero_step"]
-    node = np.delete(branch.Z[-branch.why.index("zero step length")], problem.m)
+    node = branch.Z[:-1, -branch.why.index("zero step length")]
     angle = np.exp(node[0])
     slopes = shorter_steps(problem, np.array([angle, *angle * node[1:-1]]), node[-1], end["slope"], 4.0)
     while len(slopes) > 1:

@@ -477,7 +477,7 @@ def test_what_is_measured_of_groups_is_their_largest_or_mean():
     problem, q = Problem(resolve("A")), np.log(np.geomspace(0.02, 0.03, 6))
     w = similarity(settle(problem, branch_guesses(problem, q)))
     lipschitz, gradient, std = measured(problem, w, q, 3)
-    each = curvature(problem, np.vstack([w[:3], q]), w[3:])
+    each = curvature(problem, w, q)
     np.testing.assert_array_equal(lipschitz, [each[0][:3].max(), each[0][3:].max()])
     np.testing.assert_allclose(gradient[..., 1], each[1][..., 3:].mean(axis=-1))
     np.testing.assert_allclose(std[:, 0] ** 2, (rounding_std(problem, w, q)[:, :3] ** 2).mean(axis=1))

@@ -49,7 +49,7 @@ def special(problem, branch):
             yield "birth", q[end], side, (piece(0 if end == 0 else len(branch.q) - 2),), abs(q[neighbour] - q[end])
     for flip in flips(problem, branch):
         at = float(flip.q[0])
-        segment = min(branch.guesses(flip.q), key=lambda guess: np.abs(guess[1] - flip.Z.T).max())[2][0]
+        segment = min(branch.guesses(flip.q), key=lambda guess: np.abs(guess[1] - flip.Z).max())[2][0]
         room = min(abs(at - each) for each in q)
         for side in (-1, 1):
             yield "flip", at, side, (piece(segment),), room

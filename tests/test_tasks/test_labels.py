@@ -83,7 +83,7 @@ def test_branches_are_ranked_by_their_lowest_slope_then_their_angle(walker, keys
     rank = [
         (
             max(b.q.min(), least),
-            np.interp(max(b.q.min(), least), *b.Z[:3, [b.m, 0]].T) if b.q.min() < least else b.Z[b.q.argmin(), 0],
+            np.interp(max(b.q.min(), least), *b.Z[[-1, 0], :3]) if b.q.min() < least else b.Z[0, b.q.argmin()],
         )
         for b in found
     ]
@@ -103,7 +103,7 @@ def test_a_gait_names_the_branch_and_piece_it_lies_on():
             # One gait of each piece at every slope it covers, whatever its label there.
             np.testing.assert_array_equal(mine.sum(axis=1), inside)
             nodes = np.arange(first, last + 1)[np.argsort(branch.q[first : last + 1])]
-            near = np.interp(np.log(SLOPES[inside]), branch.q[nodes], branch.Z[nodes, 0])
+            near = np.interp(np.log(SLOPES[inside]), branch.q[nodes], branch.Z[0, nodes])
             np.testing.assert_allclose(np.log(grid["stance_angle"][mine]), near, atol=0.02)
             if inside.any():
                 seen.add((number, piece))
@@ -168,6 +168,12 @@ def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
         assert (np.diff(drawn["trace/time"][mine]) >= 0).all()
 
 
+def test_solve_counts_the_points_over_which_branches_were_continued():
+    nodes = atlas({"line": {"walker": "D", "set": {}}, "coarse": True}, [])["lengths"]
+    said = solve_at_slope.solve_one({"walker": "D", "slope": 0.009})["search"]
+    assert f"{len(nodes)} branches continued over {nodes.sum()} points" in said
+
+
 def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch):
     long, other = solve_at_slope.solve_one({"walker": "physical", "slope": 0.0195})["gaits"]
     assert (long["gait"], long["branch"], long["piece"]) == ("long", 0, 1)
@@ -187,9 +193,9 @@ def test_pieces_are_numbered_from_the_lower_end_whichever_way_a_branch_runs(sign
     """And whichever way the angle goes."""
     _, found = branches("physical")
     branch = copy.copy(max(found, key=lambda b: len(b.pieces())))
-    branch.Z = branch.Z * np.append(sign, np.ones(branch.Z.shape[1] - 1))
-    turned = Branch(branch.m, branch.Z[::-1], -branch.tangent[::-1], branch.lipschitz[::-1], branch.why[::-1])
-    segments = np.arange(len(branch.Z) - 1)
+    branch.Z = branch.Z * np.append(sign, np.ones(len(branch.Z) - 1))[:, None]
+    turned = Branch(branch.m, branch.Z[:, ::-1], -branch.tangent[:, ::-1], branch.lipschitz[::-1], branch.why[::-1])
+    segments = np.arange(len(branch.q) - 1)
     assert len(branch.pieces()) > 1
     np.testing.assert_array_equal(branch.piece(segments), turned.piece(segments[::-1]))
     assert set(branch.piece(segments)) == set(range(len(branch.pieces())))

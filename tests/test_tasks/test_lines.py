@@ -66,7 +66,7 @@ def test_lines_that_a_process_has_surveyed_are_not_surveyed_again(monkeypatch):
     (alone,) = block([b], SLOPES[:5])
     assert_same(alone, later[0])
     fine = atlas({"line": b}, [])
-    assert surveyed == [2, 1, 1] and len(fine["Z"]) != len(alone[0]["Z"])
+    assert surveyed == [2, 1, 1] and fine["Z"].shape[1] != alone[0]["Z"].shape[1]
     block([d])  # of four lines the earliest is forgotten
     assert len(solve_points._surveyed) == 3
     solve_points._surveyed.clear()
@@ -121,8 +121,8 @@ def test_a_lost_neighbour_changes_no_bit(name, trouble):
     """A register's sines are computed in another way where one of its arguments is not finite, or large."""
     problem = Problem(CATALOGUE[name])
     (branches, _) = block([{"walker": name, "set": {}}], np.array([0.01]))[0]
-    Z = branches["Z"][:: max(1, len(branches["Z"]) // (2 * LANES))][: 2 * LANES]
-    w, q = np.delete(Z, problem.m, axis=1).T, Z[:, problem.m]
+    Z = branches["Z"][:, :: max(1, branches["Z"].shape[1] // (2 * LANES))][:, : 2 * LANES]
+    w, q = Z[:-1], Z[-1]
     alone, _ = problem.stride(w, q, slope=True, samples=4)
     lost = w.copy()
     lost[1, ::3] = trouble

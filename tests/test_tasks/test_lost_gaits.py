@@ -99,14 +99,14 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
     problem, found = branches(walker, **overrides)
     folds = ((b, p) for b in found for p in special_points(problem, b) if p["kind"] == "fold")
     for branch, fold in some(folds):
-        off = branch.Z[:, [branch.m, 0]] - np.log([fold["slope"], fold["stance_angle"]])
+        off = branch.Z[[-1, 0]].T - np.log([fold["slope"], fold["stance_angle"]])
         at = int(np.argmin(np.abs(off).sum(axis=1)))
         side = np.sign(branch.q[at + 1] - branch.q[at])
         slope = fold["slope"] * (1 + side * np.geomspace(1e-2, 1e-13, 12))
         rows = []
         for index, Z, segment in branch.guesses(np.log(slope)):
             near = np.abs(segment - at) < 40
-            index, Z, segment = index[near], Z[near], segment[near]
+            index, Z, segment = index[near], Z[:, near], segment[near]
             guesses = branch.known_guesses(Z, segment, slope[index])
             rows += compared(problem, replace(guesses, leg_passes=np.full(len(index), UNKNOWN)))
         # Both gaits at every distance.
@@ -176,7 +176,7 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
     # The same fixed point inside the gap: in the second derivation the foot strikes before the knee.
     low, high = beside_the_gap(found)
     q = np.log([0.0042])
-    w = np.delete(0.5 * (low.Z[-1] + high.Z[0]), problem.m)[:, None]
+    w = 0.5 * (low.Z[:-1, [-1]] + high.Z[:-1, [0]])
     solution = newton(problem, w, q)
     assert solution.converged.all()
     stride, scale = problem.stride(solution.w, q)
@@ -203,7 +203,7 @@ def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_fo
     found = atlas.survey(Problem(resolve("physical", keys)), COARSE)
     (branch,) = (b for b in found if "no further point" in b.why)
     assert np.exp(branch.q.min()) < 0.236 and np.exp(branch.q.max()) > 0.436
-    assert 10 < branch.Z[:, -1].max() < 11  # rounding decides whether it ends before 10.6
+    assert 10 < branch.Z[-2].max() < 11  # rounding decides whether it ends before 10.6
 
 
 def test_a_gap_between_two_nodes_is_found():
@@ -214,14 +214,14 @@ def test_a_gap_between_two_nodes_is_found():
     low, high = beside_the_gap(found)
     joined = atlas.Branch(
         low.m,
-        np.vstack([low.Z[:-1], high.Z[1:]]),
-        np.vstack([low.tangent[:-1], high.tangent[1:]]),
-        np.zeros(len(low.Z) + len(high.Z) - 2),
+        np.hstack([low.Z[:, :-1], high.Z[:, 1:]]),
+        np.hstack([low.tangent[:, :-1], high.tangent[:, 1:]]),
+        np.zeros(len(low.q) + len(high.q) - 2),
         (low.why[0], high.why[1]),
     )
     wide = np.exp(joined.q)
     assert not ((wide > 0.004174) & (wide < 0.004285)).any()
-    assert [b.why for b in run(problem, atlas._without_gaps(joined, low.Z[0], FINE))] == [low.why, high.why]
+    assert [b.why for b in run(problem, atlas._without_gaps(joined, low.Z[:, 0], FINE))] == [low.why, high.why]
 
 
 def test_a_gap_where_the_released_knee_turns_is_found():
@@ -259,8 +259,7 @@ def test_an_end_at_which_the_released_knee_turns_is_no_gap():
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
     problem, found = branches("C", **GAP)
     (branch,) = [b for b in found if b.why[1] == "end_earlier_strike"]
-    m = branch.m
-    w, q = np.delete(branch.Z[-5:], m, axis=1).T, branch.q[-5:]
+    w, q = branch.Z[:-1, -5:], branch.q[-5:]
     stride, _ = problem.stride(w, q, samples=256)
     away = strike_distance(stride.scaled_motion(), stride.times)
     assert (np.diff(away) < 0).all() and abs(away[-1]) < 1e-9 < away[-2]
@@ -272,11 +271,11 @@ def test_no_branch_is_split_where_newton_jumps():
     for detuning in (0.11, 0.1111111111111111, 0.112):
         _problem, found = branches("C", detuning=detuning)
         (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
-        chords = np.linalg.norm(np.diff(branch.Z[:, : branch.m + 1], axis=0), axis=1)
-        along = (np.diff(branch.Z[:, : branch.m + 1], axis=0) * branch.tangent[:-1, : branch.m + 1]).sum(axis=1)
-        size = np.linalg.norm(branch.tangent[:-1, : branch.m + 1], axis=1)
-        assert (along / size > 0.9 * chords).all()
-        assert branch.Z[-1, -1] == pytest.approx(branch.Z[-1, -2], rel=1e-12)
+        X, tangent = (np.delete(each, np.s_[branch.m : -1], axis=0) for each in (branch.Z, branch.tangent[:, :-1]))
+        chords = np.diff(X)
+        along = (chords * tangent).sum(axis=0) / np.linalg.norm(tangent, axis=0)
+        assert (along > 0.9 * np.linalg.norm(chords, axis=0)).all()
+        assert branch.Z[-2, -1] == pytest.approx(branch.Z[-3, -1], rel=1e-12)
         ends[detuning] = np.exp(branch.q[-1])
     values = list(ends.values())
     assert values[0] > values[1] > values[2] > 0.48
@@ -292,7 +291,7 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
     assert np.isinf(branch.lipschitz[fold]) and np.isfinite(np.delete(branch.lipschitz, fold)).all()
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
-    guesses = unmeasured(problem, np.delete(Z, problem.m, axis=1).T, np.exp([q]))
+    guesses = unmeasured(problem, Z[:-1], np.exp([q]))
     ((_, bound, error, _, _),) = compared(problem, replace(guesses, lipschitz=np.array([np.inf])))
     assert error <= bound < 1e-12
 
@@ -341,14 +340,14 @@ def test_a_fold_at_a_node_gets_no_node_beside_it():
     near_c |= {"l_t": 0.2975081638879152, "l_s": 0.5104774396091883}
     asked = {"lines": [{"walker": "C", "set": near_c}], "slope": np.geomspace(1e-3, 0.15, 9), "want": ("stance_angle",)}
     ((found, _),) = lines(asked, [])
-    apart = np.linalg.norm(np.diff(found["Z"][:, :4], axis=0), axis=1)
+    apart = np.linalg.norm(np.diff(found["Z"][[0, 1, 2, -1]]), axis=0)
     assert (apart > 1e-14).all()
 
 
 def test_a_kept_point_is_a_step_by_its_own_motion():
     problem, found = branches("C", **GAP)
     for branch in found:
-        inner = np.delete(branch.Z[1:-1], branch.m, axis=1).T
+        inner = branch.Z[:-1, 1:-1]
         assert verify_steps(problem, inner, branch.q[1:-1])[1].step.all()
 
 

@@ -248,10 +248,9 @@ def test_the_polynomial_of_several_steps_changes_with_every_unknown():
     """As its gradient says, of the sections and event times of every step."""
     problem, known = branches("D")
     (branch, *_) = cycle_branches(problem, known, 2)
-    several, Z = problem.of_steps(2), branch.Z[[len(branch.Z) // 2]].T
-    m = several.m
-    w, q = np.delete(Z, m, axis=0), Z[m]
-    _, gradient = curvature(several, Z[: m + 1], Z[m + 1 :])
+    several, Z = problem.of_steps(2), branch.Z[:, [len(branch.q) // 2]]
+    w, q = Z[:-1], Z[-1]
+    _, gradient = curvature(several, w, q)
     stride, _ = several.stride(w, q)
     unit = characteristic_scale(stride)
     for i in range(len(w)):

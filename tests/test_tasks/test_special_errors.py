@@ -74,7 +74,7 @@ def test_slopes_of_curves_lie_within_their_bounds(monkeypatch, walker, key, low,
 
     def compared(problem, kind, Z):
         bound, exact = slope_error(problem, kind, Z), exact_slope(problem, kind, Z)
-        shares.append((kind, abs(float((exact - hy.real128(np.exp(Z[problem.m]))) / exact)) / (bound + 8 * EPS)))
+        shares.append((kind, abs(float((exact - hy.real128(np.exp(Z[-1]))) / exact)) / (bound + 8 * EPS)))
         return bound
 
     slope_error = follow_curves.slope_error
@@ -97,19 +97,19 @@ def test_ends_by_an_earlier_strike_lie_within_their_bounds(compared, seed):
 
 def limit_of_shorter_steps(problem, branch, end):
     """Slope at which steps vanish, from a polynomial through points of steps shorter than those of the branch."""
-    m, Z = problem.m, branch.Z if end == 0 else branch.Z[::-1]
-    k = 1 + int(np.abs(Z[0, 1:m]).argmax())
-    share = 1 / np.abs(Z[:40, k])
-    points = [(x, np.exp(z[m])) for x, z in zip(share, Z, strict=False) if x < 0.05]
-    before, last = Z[1], Z[0]
+    Z = branch.Z if end == 0 else branch.Z[:, ::-1]
+    k = 1 + int(np.abs(Z[1 : problem.m, 0]).argmax())
+    share = 1 / np.abs(Z[k, :40])
+    points = [(x, np.exp(q)) for x, q in zip(share, Z[-1], strict=False) if x < 0.05]
+    before, last = Z[:, 1], Z[:, 0]
     for _ in range(60):
         # In the rate over the angle, whose inverse vanishes with the steps.
         guess = last + (last - before) * (last[k] / 0.97 - last[k]) / (last[k] - before[k])
-        point = correct(problem, guess[: m + 1, None], guess[m + 1 :, None], np.eye(m + 1)[:, [k]])
+        point = correct(problem, guess[:, None], np.eye(len(guess))[:, [k]])
         if not point.ok[0]:
             break
-        before, last = last, np.append(point.X[:, 0], point.times[:, 0])
-        points.append((1 / abs(last[k]), np.exp(last[m])))
+        before, last = last, point.Z[:, 0]
+        points.append((1 / abs(last[k]), np.exp(last[-1])))
     x, y = np.array(points).T
     first, other = (np.polynomial.Polynomial.fit(x, y, degree)(0.0) for degree in (7, 8))
     assert x.min() < 0.7 * share[0] and abs(other / first - 1) < 1e-11
@@ -122,7 +122,7 @@ def test_slopes_at_which_steps_vanish_lie_within_their_bounds(seed):
     problem, shares = Problem(drawn(seed)), []
     for branch in survey(problem):
         for end in (i for i in (0, -1) if branch.why[i] == "zero step length"):
-            place = 0 if end == 0 else len(branch.Z) - 1
+            place = 0 if end == 0 else len(branch.q) - 1
             (point,) = [p for p in module.special_points(problem, branch) if p["place"] == place]
             error = abs(limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1)
             shares.append(error / point["error_bound"])
