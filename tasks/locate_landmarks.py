@@ -51,7 +51,7 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             flip = paper.line(walker).special_of("flip")[0]
             place = (flip["slope"], flip["slope"], flip["slope"], flip["stance_angle"])
             rows.append((f"{walker} flip", walker, "", *_FLIPS[walker], *place))
-    return table("landmarks", rows, _COLUMNS)
+    return table("landmarks", rows, _COLUMNS) if rows else {}
 
 
 def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -80,7 +80,7 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 bounds = (least, most)
             place = (0.5 * (low + high), *bounds, np.nan)
             rows.append((f"{walker} loss of walking", walker, "", *_CRISES[walker], *place))
-    return table("crises", rows, _COLUMNS)
+    return table("crises", rows, _COLUMNS) if rows else {}
 
 
 def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:

@@ -16,8 +16,9 @@ from gaitsweep.tasks.families.family import Family
 _MAX_UNEVENNESS = 2
 #: Most halvings of a box, and fewest lines for which making its patches pays.
 _MAX_SPLITS, _MIN_LINES = 8, 12
-#: Share of the lines of a plane as many as which may be surveyed for its charts before others are left to themselves.
-_MAX_SHARE = 0.2
+#: Share of the time of a plane's lines that its charts may take in vain, the time of a surveyed line with all that is
+#: made of it, over that of a line, and the least share of their time that lines in described boxes save.
+_IN_VAIN, _A_SURVEY, _SAVED = 0.1, 1.5, 0.5
 Part = TypeVar("Part")
 
 
@@ -72,11 +73,16 @@ def make_cells(family: Family, box: Box, window: tuple[float, float], count: int
         About how many lines and slopes it is for.
     """
     lines = Lines(family)
+    described: list[float] = []  # lines in boxes that were
 
     def cell(part: Box, why: str) -> Cell:
-        return make_cell(family, part, window, lines, box.share(part) * count * slopes, why)
+        inside = box.share(part) * count
+        made = make_cell(family, part, window, lines, inside * slopes, why)
+        described.append(0.0 if why else inside)
+        return made
 
     def is_worth(part: Box) -> bool:
-        return box.share(part) * count >= _MIN_LINES and len(lines.pieces) <= _MAX_SHARE * count
+        is_paid = _A_SURVEY * len(lines.pieces) <= _IN_VAIN * count + _SAVED * sum(described)
+        return box.share(part) * count >= _MIN_LINES and is_paid
 
     return divide(box, cell, is_worth, _MAX_SPLITS)

@@ -497,9 +497,9 @@ def test_a_box_of_few_lines_is_left_to_lines():
     assert cell.why == "few walkers" and not cell.patches
 
 
-@pytest.mark.parametrize(("each", "tried"), [(20, 17), (30, 37)])
-def test_a_box_is_not_divided_when_a_fifth_as_many_lines_are_surveyed(each, tried, monkeypatch):
-    """A box and each of its parts take five lines here."""
+@pytest.mark.parametrize(("each", "tried", "described"), [(20, 6, 0), (30, 13, 0), (20, 19, 1)])
+def test_a_box_is_not_divided_when_lines_are_surveyed_in_vain(each, tried, described, monkeypatch):
+    """A box and each of its parts take five lines here; what is described pays for others."""
     made = []
 
     def refusing(family, box, window, lines, points, why=""):
@@ -507,14 +507,16 @@ def test_a_box_is_not_divided_when_a_fifth_as_many_lines_are_surveyed(each, trie
             lines.pieces += [[]] * 5
             made.append(box)
             assert points == pytest.approx(7 * each**2 * whole.share(box), rel=1e-12)
-            raise Refused("it is made to", len(made) % 2)
+            if not 1 < len(made) <= 1 + described:
+                raise Refused("it is made to", len(made) % 2)
         return Cell(box, None, [], why)
 
     monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
     family, whole = Family.of({"walker": "B", "set": {}}, ("m_s", "R")), Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09))
     found = make_cells(family, whole, (-4.5, -4.0), each**2, 7)
-    assert len(made) == tried and 5 * (tried - 1) <= each**2 / 5 < 5 * tried
-    assert {cell.why for cell in found} == {"few walkers"} and sum(
+    paid = each**2 * (0.1 + 0.5 * sum(whole.share(box) for box in made[1 : 1 + described]))
+    assert len(made) == tried and 7.5 * (tried - 1) <= paid < 7.5 * tried
+    assert [cell.why for cell in found].count("few walkers") == len(found) - described and sum(
         whole.share(cell.box) for cell in found
     ) == pytest.approx(1)
 
