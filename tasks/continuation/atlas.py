@@ -174,19 +174,16 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     if last - first + 1 + len(ends) < MIN_NODES:
         return None
     branch = raw.part(np.arange(first, last + 1))
-    why, errors = list(raw.why), list(raw.end_errors)
     for side, end in ends.items():
         branch = branch.insert(side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0])
-        why[side], errors[side] = end.kind, end.error
+        branch = branch.ending(side, end.kind, end.error)
     # The node before an end may be that end: between them there is no polynomial.
     twins = np.linalg.norm(np.diff(branch.Z), axis=0) < _TWIN
     kept = np.ones(len(branch.q), bool)
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
     branch = branch.part(np.flatnonzero(kept))
-    if len(branch.q) < MIN_NODES:
-        return None
-    return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
+    return branch if len(branch.q) >= MIN_NODES else None
 
 
 def _of_Z(test: Callable[[np.ndarray], np.ndarray], point: Point) -> float:
