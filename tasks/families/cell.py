@@ -301,10 +301,9 @@ class _Maker:
         # Two pieces meet at a fold.
         points = self.located.get(point.tobytes()) or self.special.ends(scalar, self.unit[0], point, self.total)
         self.located[point.tobytes()] = points
-        m = self.structure.dimension
 
         def at(unit: np.ndarray) -> np.ndarray:
-            return np.asarray(points(unit)[m])
+            return np.asarray(points(unit)[-1])
 
         if kind == "fold":
             return _End("fold", at, points.error, sizes=points.sizes)

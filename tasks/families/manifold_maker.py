@@ -59,7 +59,7 @@ class Maker:
 
     def __init__(self, family: Family, box: Box, structure: Structure):
         self.family, self.box, self.structure = family, box, structure
-        self.d, self.m = len(box.keys), structure.dimension
+        self.d = len(box.keys)
 
     def problem(self, unit: np.ndarray) -> Lanes:
         """Return the step map of walkers.
