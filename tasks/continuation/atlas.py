@@ -9,36 +9,35 @@ Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import MIN_NODES, Branch
 from gaitsweep.tasks.continuation.checks import checked
+from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
+from gaitsweep.tasks.continuation.joint import linearised
 from gaitsweep.tasks.continuation.locate import (
     correct_at,
     is_step,
     locate_root,
     narrow_segment,
     sharpened_fold,
+    test_function,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
 from gaitsweep.tasks.continuation.tracking import (
     CLOSED,
     MIN_SLOPE,
-    MOST_RATE,
     Point,
     Track,
     check_steps,
-    fall_margin,
     follow,
     joined,
-    rate_of_steps,
 )
 from gaitsweep.tasks.fixed_points.search import search_lines, starts
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -145,6 +144,10 @@ def _runs(true: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
 
 
+#: Scalars that are positive beyond ends which the last point of a track may have passed.
+_BEYOND = {"a fall": "a fall", "zero step length": "short_steps"}
+
+
 def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     """Branch of a run of nodes that are steps, with its located ends; None where fewer than three nodes remain."""
     whole = first == 0, last == len(raw.q) - 1
@@ -157,41 +160,29 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
         first, last = segment + 1, last + len(raw.q) - before
         ends[0] = yield from locate_end(raw, first, segment)
-    # What is positive beyond ends that the last point of a track has passed.
-    beyond: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "a fall": lambda Z: fall_margin(Z, raw.steps),
-        "zero step length": lambda Z: rate_of_steps(Z[1 : raw.m]) - MOST_RATE,
-    }
     for side, segment in ((0, 0), (1, len(raw.q) - 2)):
-        if not whole[side] or raw.why[side] not in beyond:
+        if not whole[side] or raw.why[side] not in _BEYOND:
             continue
-        test = beyond[raw.why[side]]
-        if float(test(raw.Z[:, [-side]])[0]) > 0:
-            passed = yield from locate_root(raw, segment, partial(_of_Z, test))
+        kind = _BEYOND[raw.why[side]]
+        last_point = yield Call(linearised, (raw.Z[:, [-side]],))
+        if float(scalar(kind, last_point)[0]) > 0:
+            passed = yield from locate_root(raw, segment, test_function(kind))
             ends[side] = BranchEnd(raw.why[side], passed, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
         return None
     branch = raw.part(np.arange(first, last + 1))
-    why, errors = list(raw.why), list(raw.end_errors)
     for side, end in ends.items():
         branch = branch.insert(side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0])
-        why[side], errors[side] = end.kind, end.error
+        branch = branch.ending(side, end.kind, end.error)
     # The node before an end may be that end: between them there is no polynomial.
     twins = np.linalg.norm(np.diff(branch.Z), axis=0) < _TWIN
     kept = np.ones(len(branch.q), bool)
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
     branch = branch.part(np.flatnonzero(kept))
-    if len(branch.q) < MIN_NODES:
-        return None
-    return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
-
-
-def _of_Z(test: Callable[[np.ndarray], np.ndarray], point: Point) -> float:
-    """Value of a test of Z at a point."""
-    return float(test(point.Z)[0])
+    return branch if len(branch.q) >= MIN_NODES else None
 
 
 def _is_no_step(point: Point) -> Procedure[bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -145,6 +145,12 @@ class Branch:
         ends = zip(self.why, self.end_errors, (nodes[0] == 0, nodes[-1] == len(self.q) - 1), strict=True)
         low, high = ((why, error) if whole else ("no further point", 0.0) for why, error, whole in ends)
         return self._of_nodes(self.Z[:, nodes], self.tangent[:, nodes], (low[0], high[0]), (low[1], high[1]))
+
+    def ending(self, side: int, kind: str, error: float = 0.0) -> Branch:
+        """Branch with another kind of end, and error of its ln slope, on one side: 0 or 1."""
+        why, errors = list(self.why), list(self.end_errors)
+        why[side], errors[side] = kind, error
+        return replace(self, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
 
     def lost(self) -> list[float]:
         """Return the slopes of ends at which the branch could be continued no further [rad]."""

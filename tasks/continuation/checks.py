@@ -99,10 +99,10 @@ def _too_long(branch: Branch) -> np.ndarray:
 
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     """The branch; ends whose own condition fails become `no further point`."""
-    why, Z = list(branch.why), branch.Z[:, [0, -1]]
+    Z = branch.Z[:, [0, -1]]
     point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
     at_ends = replace(point, Z=Z)
     for side, kind in enumerate(branch.why):
         if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
-            why[side] = "no further point"
-    return replace(branch, why=(why[0], why[1])) if tuple(why) != branch.why else branch
+            branch = branch.ending(side, "no further point", branch.end_errors[side])
+    return branch

@@ -7,7 +7,6 @@ slope by a multiple of a^2: the branch passes the flip and repeats itself, its h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -108,15 +107,13 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Linearisati
         return branch
     m, half = problem.m, problem.of_steps(problem.steps // 2)
     for side in (0, 1):
-        why, errors = list(branch.why), list(branch.end_errors)
-        if why[side] != HALVED:
+        if branch.why[side] != HALVED:
             continue
         w = branch.Z[:-1, -side]
         near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
         apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
         if flip is None or apart.min() > _NEAR:
-            why[side] = "no further point"
-            branch = replace(branch, why=(why[0], why[1]))
+            branch = branch.ending(side, "no further point")
             continue
         at = _twice(half, flip)[:, int(apart.argmin())]
         # The halves leave the flip to opposite sides; all else changes by the square of the distance.
@@ -128,7 +125,6 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Linearisati
         kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
         branch, node = branch.part(kept), branch.Z[:, kept[-side]]
         along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
-        why[side], errors[side] = "branch_point", slope_error(half, "flip", flip.Z[:, 0])
         branch = branch.insert(side * len(branch.q), Z, along)
-        branch = replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
+        branch = branch.ending(side, "branch_point", slope_error(half, "flip", flip.Z[:, 0]))
     return branch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.several_steps import AnyStride, Strides
+from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
@@ -64,11 +64,7 @@ def gait_ratio(stride: AnyStride) -> np.ndarray:
     ndarray, shape (n,)
         Below 1/2 a gait is long.
     """
-    stance, swing = stride.one.impact
-    ratio = (swing - stance) / np.abs(stance)
-    return np.take_along_axis(ratio, _largest_step(stride)[None], axis=0)[0] if isinstance(stride, Strides) else ratio
-
-
-def _largest_step(stride: Strides) -> np.ndarray:
-    """Which step of each gait begins with the largest stance angle, ndarray of int, shape (n,)."""
-    return np.asarray(stride.one.y[0].argmax(axis=0))
+    each = stride.singles
+    stance, swing = each.impact
+    ratio, angle = (values.reshape(stride.steps, -1) for values in ((swing - stance) / np.abs(stance), each.y[0]))
+    return np.take_along_axis(ratio, angle.argmax(axis=0)[None], axis=0)[0]

@@ -25,10 +25,12 @@ class Problem:
 
     map: StrideMap | StepSequence
     step: StrideMap
+    #: Columns of `constants` that the lanes have.
+    lanes: slice | np.ndarray = slice(None)
 
     def __init__(self, walker: Walker, steps: int = 1):
         structure = structure_of(walker)
-        self.walker, self.constants = walker, constants_of([walker], structure)[:, 0]
+        self.walker, self.constants = walker, constants_of([walker], structure)
         self._set(structure, steps)
 
     def _set(self, structure: Structure, steps: int) -> None:
@@ -58,7 +60,8 @@ class Problem:
         -------
         ndarray, shape (n_parameters, n)
         """
-        return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
+        constants = self.constants[:, self.lanes]
+        return np.vstack([slope, scale, np.broadcast_to(constants, (len(constants), len(slope)))])
 
     def some(self, lanes: np.ndarray) -> Problem:
         """Return the problem of some lanes: the same where all lanes share a walker.
@@ -172,26 +175,13 @@ class Lanes(Problem):
         By default the first walker's.
     """
 
+    lanes: np.ndarray
+
     def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
         self.walkers, self.walker = walkers, walkers[0]
         self._set(structure or structure_of(walkers[0]), 1)
         self.constants = constants_of(walkers, self.structure)
         self.lanes = np.arange(len(walkers))
-
-    def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Runtime parameters of every lane.
-
-        Parameters
-        ----------
-        slope : ndarray, shape (n,) [rad]
-        scale : ndarray, shape (n,)
-            Power of two by which angles and rates are divided.
-
-        Returns
-        -------
-        ndarray, shape (n_parameters, n)
-        """
-        return np.vstack([slope, scale, self.constants[:, self.lanes]])
 
     def some(self, lanes: np.ndarray) -> Lanes:
         """Return the problem of some lanes, each with its walker.
@@ -211,7 +201,7 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
-        alone.walker, alone.constants = self.walker_of(lane), self.constants[:, self.lanes[lane]]
+        alone.walker, alone.constants = self.walker_of(lane), self.constants[:, [self.lanes[lane]]]
         alone._set(self.structure, 1)
         return alone
 
