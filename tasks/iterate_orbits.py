@@ -110,13 +110,9 @@ def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Ar
 
 def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Arrays:
     """The table of exponents, averaged over each slope's orbits; NaN, with a reason, where steps are too few."""
-    too_few = strides < _BLOCKS
-    reason = (
-        f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
-        if too_few
-        else ""
-    )
-    if too_few:
+    reason = ""
+    if strides < _BLOCKS:
+        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
         means, strides = np.full_like(means, np.nan), 0
     rows: dict[str, list[float]] = {k: [] for k in ("slope", "index", "exponent", "standard_error", "strides")}
     for s in np.unique(lane_slope):

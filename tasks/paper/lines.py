@@ -35,6 +35,23 @@ _EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
 TUNED = ("A", "B", "C", "D", "E", "F")
 
 
+_Self = TypeVar("_Self", "Line", "Paper")
+_Rest = ParamSpec("_Rest")
+_Result = TypeVar("_Result")
+
+
+def memoize(function: Callable[Concatenate[_Self, _Rest], _Result]) -> Callable[Concatenate[_Self, _Rest], _Result]:
+    """Remember in its first argument, a paper or a line, what a function gives."""
+
+    def remembered(self: _Self, *rest: _Rest.args, **named: _Rest.kwargs) -> _Result:
+        key = function, rest, tuple(sorted(named.items()))
+        if key not in self.memory:
+            self.memory[key] = function(self, *rest, **named)
+        return cast(_Result, self.memory[key])
+
+    return remembered
+
+
 class Line:
     """The gaits of one walker over slope."""
 
@@ -44,7 +61,7 @@ class Line:
         self.problem = Problem(self.walker)
         self.arrays = atlas(self.params, []) if known is None else known
         self.branches: list[Branch] = atlases.from_arrays(self.arrays)
-        self._grids: dict[tuple[float, float, int], Arrays] = {}
+        self.memory: dict[Any, Any] = {}
 
     def at(self, slope: np.ndarray | list[float] | float, want: tuple[str, ...] = _USUAL) -> Arrays:
         """Variables of every gait at given slopes.
@@ -63,6 +80,7 @@ class Line:
         slope = np.atleast_1d(np.asarray(slope, float))
         return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
 
+    @memoize
     def grid(self, low: float = 1e-8, high: float = 0.2, n: int = 97) -> Arrays:
         """Variables of every gait over a logarithmic grid of slopes.
 
@@ -76,10 +94,26 @@ class Line:
         dict
             As from `at`; computed once.
         """
-        key = (low, high, n)
-        if key not in self._grids:
-            self._grids[key] = self.at(np.geomspace(low, high, n))
-        return self._grids[key]
+        return self.at(np.geomspace(low, high, n))
+
+    def crossing(self, function: Callable[[Arrays], np.ndarray], want: tuple[str, ...]) -> float:
+        """Slope at which a function of gaits first changes its sign [rad]; NaN where it does not.
+
+        Parameters
+        ----------
+        function : callable
+            Of variables of gaits, as from `at`; shape (n,).
+        want : tuple of str
+            Those that it reads.
+        """
+        grid = self.grid()
+        slope, values = grid["slope"], function(grid)
+        changes = np.nonzero(np.sign(values[1:]) * np.sign(values[:-1]) < 0)[0]
+        if not len(changes):
+            return float("nan")
+        low, high = (float(np.log(s)) for s in slope[changes[0] : changes[0] + 2])
+        root = bracketed_root(lambda q: float(function(self.at([float(np.exp(q))], want))[0]), low, high, 1e-11)
+        return float(np.exp(root))
 
     def exponent(self, gait: int, slope: float, ordinate: str = "stance_angle", abscissa: str = "slope") -> float:
         """Local exponent d ln ordinate/d ln abscissa, by a difference over slopes 5 % to either side.
@@ -175,8 +209,6 @@ class Line:
 
 #: A walker of the catalogue, and the keys that a line sets with their values.
 _Key = tuple[str, tuple[tuple[str, float], ...]]
-_Rest = ParamSpec("_Rest")
-_Result = TypeVar("_Result")
 
 
 class Paper:
@@ -199,12 +231,10 @@ class Paper:
         self._atlases = atlases
         self._made: dict[_Key, Arrays] = {}
 
+    @memoize
     def line(self, walker: str, **settings: float) -> Line:
         """Line of a catalogue walker with some keys set."""
-        key = _key(walker, settings)
-        if key not in self.memory:
-            self.memory[key] = Line(walker, settings, self._atlases.get(key))
-        return cast(Line, self.memory[key])
+        return Line(walker, settings, self._atlases.get(_key(walker, settings)))
 
     def exponents(self, walkers: Iterable[str], gait: int, slope: float) -> dict[str, float]:
         """Local exponents of the stance angle in slope, by walker."""
@@ -246,20 +276,6 @@ def _key(walker: str, settings: Mapping[str, float]) -> _Key:
     return walker, tuple(sorted(settings.items()))
 
 
-def memoize(
-    function: Callable[Concatenate[Paper, _Rest], _Result],
-) -> Callable[Concatenate[Paper, _Rest], _Result]:
-    """Remember in a paper what a function of its lines gives."""
-
-    def remembered(paper: Paper, *rest: _Rest.args, **named: _Rest.kwargs) -> _Result:
-        key = function, rest, tuple(named.items())
-        if key not in paper.memory:
-            paper.memory[key] = function(paper, *rest, **named)
-        return cast(_Result, paper.memory[key])
-
-    return remembered
-
-
 #: The atlases last used, and what was computed from them.
 _last: dict[tuple[Any, ...], Paper] = {}
 
@@ -295,31 +311,6 @@ def paper_of(lines: Sequence[Mapping[str, Any]], inputs: Sequence[Arrays]) -> Pa
 
 def _is_of_atlas(name: str) -> bool:
     return name not in VARIABLES and name not in ("slope", "reasons") and "/" not in name
-
-
-def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:
-    """Find the slope at which a function of slope changes sign.
-
-    Parameters
-    ----------
-    function : callable
-        Of one slope [rad].
-    slope, values : ndarray, shape (n,) [rad, any]
-        Slopes and the function's values there, between which its sign is followed.
-    last : bool
-        Take the last change of sign, not the first.
-
-    Returns
-    -------
-    float [rad]
-        NaN where the sign does not change.
-    """
-    changes = np.nonzero(np.sign(values[1:]) * np.sign(values[:-1]) < 0)[0]
-    if not len(changes):
-        return float("nan")
-    k = changes[-1 if last else 0]
-    low, high = (float(np.log(s)) for s in slope[k : k + 2])
-    return float(np.exp(bracketed_root(lambda q: function(float(np.exp(q))), low, high, 1e-11)))
 
 
 def foot_ratio(walker: Walker, data: Arrays) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from gaitsweep.tasks.fit_laws import transition
 from gaitsweep.tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, foot_ratio, memoize, numbers, root
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, foot_ratio, memoize, numbers
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
 
@@ -119,14 +119,11 @@ def similar_curves(paper: Paper) -> ClaimResult:
 
 def speed_crossing(paper: Paper, walker: str) -> float:
     """Slope at which a walker's short step becomes the faster one [rad]; NaN where the order never changes."""
-    gaits = paper.line(walker)
 
-    def log_ratio(slope: float) -> float:
-        speed = gaits.at([slope], ("speed",))["speed"][0]
-        return float(np.log(speed[SHORT] / speed[LONG]))
+    def log_ratio(gaits: Arrays) -> np.ndarray:
+        return np.asarray(np.log(gaits["speed"][:, SHORT] / gaits["speed"][:, LONG]))
 
-    grid = gaits.grid()
-    return root(log_ratio, grid["slope"], np.log(grid["speed"][:, SHORT] / grid["speed"][:, LONG]))
+    return paper.line(walker).crossing(log_ratio, ("speed",))
 
 
 @claim("E6")

@@ -23,7 +23,7 @@ def _power_factor(period: float) -> float:
 @claim("D1")
 def two_gaits(paper: Paper) -> ClaimResult:
     """Solve both gaits over a grid of slopes."""
-    gaits = paper.line("D").grid(1e-8, 0.2, 97)
+    gaits = paper.line("D").grid()
     both = np.isfinite(gaits["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
     upper = min(MAX_SLOPE, *(float(np.exp(b.q.max())) for b in paper.line("D").branches))
     return ClaimResult(
@@ -48,7 +48,7 @@ def long_stable(paper: Paper) -> ClaimResult:
 @claim("D3")
 def short_unstable(paper: Paper) -> ClaimResult:
     """Evaluate the multipliers of the short step over a grid of slopes."""
-    radius = paper.line("D").grid(1e-8, 0.2, 97)["spectral_radius"][:, SHORT]
+    radius = paper.line("D").grid()["spectral_radius"][:, SHORT]
     least = float(radius.min())
     return ClaimResult(
         f"spectral radius {least:.4f}-{radius.max():.4f} over slopes 1e-8 to 0.2", verdict(least > 1), least
@@ -126,7 +126,7 @@ def fourth_power(paper: Paper) -> ClaimResult:
 @claim("D7")
 def short_faster(paper: Paper) -> ClaimResult:
     """Compare the speeds of both gaits over a grid of slopes."""
-    speed = paper.line("D").grid(1e-8, 0.2, 97)["speed"]
+    speed = paper.line("D").grid()["speed"]
     ratio = speed[:, SHORT] / speed[:, LONG]
     return ClaimResult(
         f"ratio of speeds, short step to long step, {ratio.min():.4f}-{ratio.max():.4f} over slopes 1e-8 to 0.2",
@@ -139,7 +139,7 @@ def short_faster(paper: Paper) -> ClaimResult:
 def swing_at_heelstrike(paper: Paper) -> ClaimResult:
     """Evaluate the rate of the swing leg just before heelstrike."""
     # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive is forward.
-    rate = paper.line("D").grid(1e-8, 0.2, 97)["heelstrike_rate_ratio"] - 1
+    rate = paper.line("D").grid()["heelstrike_rate_ratio"] - 1
     long, short = rate[:, LONG], rate[:, SHORT]
     at = paper.line("D").at([0.009])["heelstrike_rate_ratio"][0] - 1
     return ClaimResult(

@@ -8,7 +8,7 @@ from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.paper.claim import PRINTED, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers, root
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers
 from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -77,13 +77,12 @@ def turns_linear(paper: Paper) -> ClaimResult:
 
 def _half_knee_loss(paper: Paper) -> float:
     """Slope at which kneestrike accounts for half of the energy that C's long step loses [rad]."""
-    gaits, losses = paper.line("C"), ("loss_normal", "loss_tangential", "loss_kneestrike")
+    losses = ("loss_normal", "loss_tangential", "loss_kneestrike")
 
-    def excess(amounts: Arrays) -> np.ndarray:
-        return 2 * amounts["loss_kneestrike"][:, LONG] / sum(amounts[k][:, LONG] for k in losses) - 1
+    def excess(gaits: Arrays) -> np.ndarray:
+        return 2 * gaits["loss_kneestrike"][:, LONG] / sum(gaits[k][:, LONG] for k in losses) - 1
 
-    grid = gaits.grid()
-    return root(lambda slope: float(excess(gaits.at([slope], losses))[0]), grid["slope"], excess(grid))
+    return paper.line("C").crossing(excess, losses)
 
 
 @memoize
@@ -106,14 +105,12 @@ def mass_limit(paper: Paper, slope: float = 1e-9) -> float:
 
 def _stability_limit(paper: Paper, walker: str) -> float:
     """Slope below which a walker's long step is stable, down to 1e-8; 0 where it is not stable there [rad]."""
+
+    def excess(gaits: Arrays) -> np.ndarray:
+        return np.asarray(gaits["spectral_radius"][:, LONG] - 1)
+
     gaits = paper.line(walker)
-
-    def excess(slope: float) -> float:
-        return float(gaits.at([slope], ("spectral_radius",))["spectral_radius"][0, LONG] - 1)
-
-    grid = gaits.grid()
-    values = grid["spectral_radius"][:, LONG] - 1
-    return root(excess, grid["slope"], values) if values[0] < 0 else 0.0
+    return gaits.crossing(excess, ("spectral_radius",)) if excess(gaits.grid())[0] < 0 else 0.0
 
 
 @claim("Z5")

@@ -10,7 +10,7 @@ from flint import arb
 
 from gaitsweep.tasks.proofs.enclosed_step import Step
 from gaitsweep.tasks.proofs.enclosure import NotProvedError
-from gaitsweep.tasks.proofs.signs import Zero, zeros
+from gaitsweep.tasks.proofs.signs import Stretch, zeros
 
 HEEL, KNEE, LEGS = (1, 1), (0, 1, -1), (1, -1)
 
@@ -87,7 +87,7 @@ def _legs(phases: Sequence) -> list[tuple[str, arb, arb]]:
     return [("legs_pass", crossings[0].low, crossings[0].high)]
 
 
-def _ends(crossings: Sequence[Zero], time: arb, name: str) -> None:
+def _ends(crossings: Sequence[Stretch], time: arb, name: str) -> None:
     """Require that the strike's bracket meets the last zero alone: the strike solved for is a zero inside it."""
     if any(not zero.high < time for zero in crossings[:-1]):
         raise NotProvedError(f"The bracket of the {name} meets another zero of its guard.")

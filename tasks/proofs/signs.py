@@ -17,22 +17,20 @@ SIGNS = ("+", "-")
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of time: the guard is `+` or `-` on it, or strictly rises or falls through it."""
+    """A stretch of time: the guard is `+` or `-` on it, or strictly `rises` or `falls` through it.
+
+    `stance` holds the stance angle meanwhile [rad]. A zero is simple and the only one of its stretch.
+    """
 
     kind: str
     low: arb
     high: arb
     stance: arb
 
-
-@dataclass(frozen=True)
-class Zero:
-    """A simple zero, its only one between low and high; `stance` holds the stance angle meanwhile [rad]."""
-
-    rises: bool
-    low: arb
-    high: arb
-    stance: arb
+    @property
+    def rises(self) -> bool:
+        """Whether the guard rises through it."""
+        return self.kind == "rises"
 
 
 #: A guard is a linear form of the angles.
@@ -41,8 +39,8 @@ Guard = tuple[int, ...]
 
 def zeros(
     phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
-) -> tuple[str, list[Zero]]:
-    """Sign just after the start, and every zero after it in order.
+) -> tuple[str, list[Stretch]]:
+    """Sign just after the start, and in order the stretches that hold the zeros after it, one each.
 
     Parameters
     ----------
@@ -58,7 +56,7 @@ def zeros(
 
     Returns
     -------
-    str, list of Zero
+    str, list of Stretch
 
     Raises
     ------
@@ -79,14 +77,14 @@ def zeros(
             continue
         if before is None or before.kind not in SIGNS or (after is not None and after.kind not in SIGNS):
             raise NotProvedError(f"Grazing: the {name} guard and its rate are not told from zero at the same time.")
-        rises = current.kind == "rises"
-        if after is None and not strike and before.kind == ("-" if rises else "+"):
+        from_sign = "-" if current.rises else "+"
+        if after is None and not strike and before.kind == from_sign:
             raise NotProvedError(f"Whether the {name} guard vanishes at the end of the step is not decided.")
-        changes = after.kind != before.kind if after else strike and before.kind == ("-" if rises else "+")
-        if changes and before.kind != ("-" if rises else "+"):
+        changes = after.kind != before.kind if after else strike and before.kind == from_sign
+        if changes and before.kind != from_sign:
             raise NotProvedError(f"Grazing: the {name} guard changes sign against its rate.")
         if changes:
-            crossings.append(Zero(rises, current.low, current.high, current.stance))
+            crossings.append(current)
     return stretches[0].kind, crossings
 
 
