@@ -145,7 +145,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
     study, is_si = plan.study, units.is_si(plan.study)
     kind, meaning = meaning_of(name, group)
-    if name in ("slope", "detuning"):
+    if name in ("slope", "detuning") and f"{group}/{name}" not in COLUMNS:
         kind = "angle" if name == "slope" else kind
         meaning = of_axis(name, is_si, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, is_si, units.is_mixed(study))
