@@ -40,13 +40,13 @@ def loglog(source: Source) -> Sketch | None:
         return None
     fitted = _draw_power_laws(source, axes, lines)
     crossings = _draw_fitted_lines(source, axes, lines, names)
-    is_measured = measured.draw(axes, source, "stance_angle")
+    measured.draw(sketch, axes, source, "stance_angle")
     printed = landmarks.rows(source)
     has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     if len(lines) > 1:
         end_labels(axes, labels)
     sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
-    return _finish(sketch, names, is_measured, fitted=fitted, crossings=crossings, printed=sentence)
+    return _finish(sketch, names, fitted=fitted, crossings=crossings, printed=sentence)
 
 
 def linear(source: Source) -> Sketch | None:
@@ -57,11 +57,11 @@ def linear(source: Source) -> Sketch | None:
     names = _line_titles(source, lines)
     if not _draw_families(sketch, source, lines, names):
         return None
-    is_measured = measured.draw(axes, source, "stance_angle")
+    measured.draw(sketch, axes, source, "stance_angle")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     label_lines(axes, sketch.pieces, [line.label for line in lines], names)
-    return _finish(sketch, names, is_measured)
+    return _finish(sketch, names)
 
 
 def _draw_families(
@@ -106,7 +106,7 @@ def label_lines(
         end_labels(axes, ends, "right")
 
 
-def _finish(sketch: Sketch, names: list[str], is_measured: bool, **sentences: Any) -> Sketch:
+def _finish(sketch: Sketch, names: list[str], **sentences: Any) -> Sketch:
     """Name the axes of the families, and say what is drawn."""
     (axes,) = sketch.panels
     data = pd.concat(sketch.pieces, ignore_index=True)
@@ -119,8 +119,6 @@ def _finish(sketch: Sketch, names: list[str], is_measured: bool, **sentences: An
         sketch.key("fitted on either side of the transition", INK, lw=0.6)
     if sentences.get("printed"):
         sketch.printed_key()
-    if is_measured:
-        sketch.dot_key(**measured.KEY)
     return sketch.finish(
         data,
         lines=names,
