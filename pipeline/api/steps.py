@@ -10,23 +10,15 @@ import xarray as xr
 
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.archive import attributes
+from gaitsweep.pipeline.archive.result_tables import meaning_of
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import changes, definition, number
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.registry import VARIABLES
 
 _MAX_STEPS = 100_000
-#: Variables of a simulation that archives do not have: kind of quantity and meaning.
-_LONG_NAMES = {
-    "thigh_angle": ("angle", "swing leg's angle just after heelstrike"),
-    "time": ("time", "time after the start of the step"),
-    "theta_st": ("angle", "angle of the stance leg"),
-    "theta_th": ("angle", "angle of the swing thigh"),
-    "theta_sh": ("angle", "angle of the swing shank"),
-    "foot_x": ("length", "centre of the stance foot from where it is at angle zero"),
-}
+#: What archives have under no name.
+_THIGH_ANGLE = "swing leg's angle just after heelstrike"
 
 
 class Times(NamedTuple):
@@ -217,9 +209,5 @@ def _padded(values: np.ndarray, n: int) -> np.ndarray:
 
 
 def _attributes(name: str, is_si: bool) -> dict[str, Any]:
-    if name in _LONG_NAMES:
-        kind, long_name = _LONG_NAMES[name]
-        return units.described(long_name, kind, is_si)
-    of_variable = attributes.of_variable(VARIABLES[name], is_si)
-    del of_variable["ancillary_variables"]
-    return of_variable
+    kind, meaning = ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
+    return units.described(meaning, kind, is_si)

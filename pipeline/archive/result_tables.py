@@ -129,19 +129,25 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         write_variable(netcdf_group, name, ("row",), values, attributes, **options)
 
 
+def meaning_of(name: str, group: str = "") -> tuple[str, str]:
+    """Kind of quantity and meaning of a column; one without a description is called by its name."""
+    keys = resolve("gaitsweep.tasks.walkers.walker:KEYS")
+    if name in registry.VARIABLES and f"{group}/{name}" not in COLUMNS:
+        return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
+    kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or (keys.get(name, "number"), "")
+    return kind, meaning or (f"walker's {name}" if name in keys else name.replace("_", " "))
+
+
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
-    """Attributes of a column; one without a description is called by its name."""
+    """Attributes of a column."""
     if group == "overlay" and name.endswith("_error"):
         measured = _attributes(plan, group, name.removesuffix("_error"))
         return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
     study, is_si = plan.study, units.is_si(plan.study)
-    kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
-    if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
-        kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    elif name not in COLUMNS and name in (keys := resolve("gaitsweep.tasks.walkers.walker:KEYS")):
-        kind, meaning = keys[name], f"walker's {name}"
-    elif name in ("slope", "detuning"):
-        kind, meaning = COLUMNS.get(name, ("angle", ""))[0], of_axis(name, is_si, study.checks)["long_name"]
+    kind, meaning = meaning_of(name, group)
+    if name in ("slope", "detuning") and f"{group}/{name}" not in COLUMNS:
+        kind = "angle" if name == "slope" else kind
+        meaning = of_axis(name, is_si, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, is_si, units.is_mixed(study))
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
         attributes["units"] = units.axis_units(str(registry.options("curve", study.options)["key"]), is_si)

@@ -39,12 +39,12 @@ def locus(source: Source) -> Sketch | None:
     across = min(count, 3)
     rows = -(-count // across)
     sketch = Sketch(350 if count == 1 else 200 * rows + 60, rows, across, sharex=True, sharey=True)
-    panels, is_measured = sketch.panels, False
+    panels = sketch.panels
     for k, (at, frame) in enumerate(chosen):
         axes = panels[0 if together else k]
         sketch.pieces += _draw_branches(axes, frame, k)
         _mark_branch(sketch, axes, source, frame, at)
-        is_measured = measured.draw(axes, source, "stance_angle", at) or is_measured
+        measured.draw(sketch, axes, source, "stance_angle", at)
         _draw_special(sketch, axes, rows_at(special, at), source.line_command(frame))
         if at and not together:
             letter = f"({'abcdef'[k]}) " if count > 1 else ""
@@ -73,8 +73,6 @@ def locus(source: Source) -> Sketch | None:
         sketch.dot_key(spaced(kind), **_mark(kind))
     if has_printed:
         sketch.printed_key()
-    if is_measured:
-        sketch.dot_key(**measured.KEY)
     return sketch.finish(
         data,
         numbered=numbered,

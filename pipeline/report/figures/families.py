@@ -35,18 +35,18 @@ def loglog(source: Source) -> Sketch | None:
     (axes,) = sketch.panels
     set_log(axes, "xy")
     lines = [line for line in source.lines if "stance_angle" in line.data]
-    names, labels = _line_titles(source, lines), _draw_families(sketch, source, lines)
-    if not labels:
+    names = _line_titles(source, lines)
+    if not (labels := _draw_families(sketch, source, lines, names)):
         return None
     fitted = _draw_power_laws(source, axes, lines)
     crossings = _draw_fitted_lines(source, axes, lines, names)
-    is_measured = measured.draw(axes, source, "stance_angle")
+    measured.draw(sketch, axes, source, "stance_angle")
     printed = landmarks.rows(source)
     has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     if len(lines) > 1:
         end_labels(axes, labels)
     sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
-    return _finish(sketch, source, names, is_measured, fitted=fitted, crossings=crossings, printed=sentence)
+    return _finish(sketch, names, fitted=fitted, crossings=crossings, printed=sentence)
 
 
 def linear(source: Source) -> Sketch | None:
@@ -54,18 +54,21 @@ def linear(source: Source) -> Sketch | None:
     sketch = Sketch(350)
     (axes,) = sketch.panels
     lines = [line for line in source.lines if "stance_angle" in line.data]
-    if not _draw_families(sketch, source, lines):
+    names = _line_titles(source, lines)
+    if not _draw_families(sketch, source, lines, names):
         return None
-    is_measured = measured.draw(axes, source, "stance_angle")
+    measured.draw(sketch, axes, source, "stance_angle")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
-    label_lines(axes, sketch.pieces, [line.label for line in lines], _line_titles(source, lines))
-    return _finish(sketch, source, _line_titles(source, lines), is_measured)
+    label_lines(axes, sketch.pieces, [line.label for line in lines], names)
+    return _finish(sketch, names)
 
 
-def _draw_families(sketch: Sketch, source: Source, lines: list[Line]) -> list[tuple[float, float, str, str]]:
+def _draw_families(
+    sketch: Sketch, source: Source, lines: list[Line], names: list[str]
+) -> list[tuple[float, float, str, str]]:
     """Draw every gait of every line; where each begins, with the name of its line and its colour."""
-    (axes,), labels, names = sketch.panels, [], _line_titles(source, lines)
+    (axes,), labels = sketch.panels, []
     for k, line in enumerate(lines):
         curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
         for gait in source.gaits:
@@ -103,7 +106,7 @@ def label_lines(
         end_labels(axes, ends, "right")
 
 
-def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool, **sentences: Any) -> Sketch:
+def _finish(sketch: Sketch, names: list[str], **sentences: Any) -> Sketch:
     """Name the axes of the families, and say what is drawn."""
     (axes,) = sketch.panels
     data = pd.concat(sketch.pieces, ignore_index=True)
@@ -116,8 +119,6 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
         sketch.key("fitted on either side of the transition", INK, lw=0.6)
     if sentences.get("printed"):
         sketch.printed_key()
-    if is_measured:
-        sketch.dot_key(**measured.KEY)
     return sketch.finish(
         data,
         lines=names,

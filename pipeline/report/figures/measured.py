@@ -14,7 +14,7 @@ from gaitsweep.pipeline.report.words import plain, print_units, spaced, titled, 
 
 #: How measurements are drawn, and their entry in a legend.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
-KEY: Any = {"label": "measured", "marker": "s", "mfc": PAPER, "ms": 5}
+_KEY: Any = {"label": "measured", "marker": "s", "mfc": PAPER, "ms": 5}
 
 #: Share by which a measurement's values may differ from those of a line's axes.
 _SAME = 1e-5
@@ -32,15 +32,15 @@ def variables(source: Source) -> list[str]:
     return [n for n in names if n not in ("walker", "gait", *source.axes, "slope") and not n.endswith("_error")]
 
 
-def draw(axes: Axes, source: Source, variable: str, at: dict[str, Any] | None = None) -> bool:
-    """Draw the measurements of a variable against slope; whether there are any."""
+def draw(sketch: Sketch, axes: Axes, source: Source, variable: str, at: dict[str, Any] | None = None) -> None:
+    """Draw the measurements of a variable against slope, if there are any."""
     rows = rows_at(table(source), at or {}, _SAME)
     if variable not in rows or "slope" not in rows or not rows[variable].notna().any():
-        return False
+        return
     errors = {"xerr": "slope_error", "yerr": f"{variable}_error"}
     bars = {key: rows[name].fillna(0.0) for key, name in errors.items() if name in rows}
     axes.errorbar(rows["slope"], rows[variable], **bars, **_MARK)
-    return True
+    sketch.last_key = _KEY
 
 
 def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.DataFrame]]]:
@@ -141,14 +141,13 @@ def measured(source: Source) -> Sketch | None:
                     part = curve[(curve["gait"] == gait) & curve[name].notna()]
                     draw_gait(axes, curve, gait, k, y=name)
                     sketch.pieces.append(part.assign(line=label, variable=name, value=part[name]))
-        draw(axes, source, name)
+        draw(sketch, axes, source, name)
         values = {"γ (rad)": rows["slope"], spaced(name): rows[name]}
         sketch.mark(axes, rows["slope"], rows[name], "measured", values)
         set_heading(axes, titled(name, source.units(name)))
     sketch.panels[-1].set_xlabel("slope γ (rad)")
     data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
     sketch.gait_keys(data[["gait"]])
-    sketch.dot_key(**KEY)
     sketch.line_keys([label for label, _, _ in lines])
     left = residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}

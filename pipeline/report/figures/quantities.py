@@ -74,9 +74,8 @@ def draw(name: str, source: Source) -> Sketch | None:
     for at, words in quantity.guides.items():
         draw_guide(axes, float(at), words)
     # Shares of several losses are drawn, which no measurement of one of them can be compared with.
-    is_read = quantity.abscissa == "slope" and len(quantity.reads) == 1
-    if is_read and measured.draw(axes, source, quantity.reads[0]):
-        sketch.dot_key(**measured.KEY)
+    if quantity.abscissa == "slope" and len(quantity.reads) == 1:
+        measured.draw(sketch, axes, source, quantity.reads[0])
     finite = data["value"][np.isfinite(data["value"])]
     ends = {"low": finite.min(), "high": finite.max()}
     data = data.rename(columns={"value": quantity.heading})

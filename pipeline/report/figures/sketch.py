@@ -67,6 +67,7 @@ class Sketch:
         self.marks: list[Marks] = []
         self.maps: list[Panel] = []
         self.keys: list[Any] = []
+        self.last_key: dict[str, Any] = {}  # points that stand last in the legend, if there are any
         self.columns = 3
         self.pieces: list[pd.DataFrame] = []
         self.data = pd.DataFrame()
@@ -119,6 +120,8 @@ class Sketch:
         Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
         not `every` line is `drawn`, some are `omitted`.
         """
+        if self.last_key:
+            self.dot_key(**self.last_key)
         self.columns = columns
         self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
         known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
