@@ -156,7 +156,7 @@ def _from_point_3() -> Arrays:
     """
     kneed = line("physical")
     third, first = (kneed.special_of(k)[0] for k in ("release_hyperextension", "end_kneestrike_at_heelstrike"))
-    angle, *_, q, knee, period = place(kneed, LANDMARKS["point 3"])
+    angle, *_, knee, period, q = place(kneed, LANDMARKS["point 3"])
     speed = step_length(kneed.walker, np.exp(angle)) / (period * np.sqrt(kneed.walker.leg / kneed.walker.g))
     at = {"slope": np.exp(q), "knee_share": knee / period, "speed": speed}
     nodes = kneed.curve(third["branch"])
