@@ -15,7 +15,7 @@ import numpy as np
 from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.defining import joint_derivative
 from gaitsweep.tasks.continuation.joint import but_times
-from gaitsweep.tasks.continuation.root import bracketed_root, hermite, passes
+from gaitsweep.tasks.continuation.root import bracketed_root, passes
 from gaitsweep.tasks.continuation.tracking import CLOSED, Track, joined
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -251,10 +251,18 @@ def turning(
     def along(point: engine.Corrected) -> np.ndarray:
         return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
 
-    def at(share: float) -> engine.Corrected:
-        return curve.correct(hermite(*a, *b, length, share), chord)
+    known = {share: curve.correct(Z, chord) for share, (Z, _) in ((0.0, a), (1.0, b))}
 
-    ends = [at(share) for share in (0.0, 1.0)]
+    def at(share: float) -> engine.Corrected:
+        if share not in known:
+            # Near the root the nearest point that is known is so near that a step of Newton's or two remain.
+            nearest = min(known, key=lambda other: abs(other - share))
+            tangent = along(known[nearest])
+            guess = known[nearest].Z[:, 0] + tangent * ((share - nearest) * length / (tangent @ chord))
+            known[share] = curve.correct(guess, chord)
+        return known[share]
+
+    ends = [at(0.0), at(1.0)]
     tangents = [along(point)[component] for point in ends]
     if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
         return None
