@@ -16,7 +16,7 @@ from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import PREDICTED_WITHIN, similarity
+from gaitsweep.tasks.families.patch import PREDICTED_WITHIN
 from gaitsweep.tasks.fixed_points.polish import Polished, join, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.interpolate import Sheet, interpolate, sheets
@@ -270,7 +270,7 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
         angle = np.where(solved["anthropomorphic"], guesses.w[0, part], np.nan)
         parts.append(Part(own, angle, solved["heelstrike_rate_ratio"], solved).some(is_step))
     store(out, parts, wanted.labels)
-    w = similarity(at)
+    w = at.w
     for i, j in combinations(range(len(parts)), 2):
         both, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
         alike = np.abs(w[:, of_part[i]][:, a] - w[:, of_part[j]][:, b]).max(axis=0, initial=0.0) < _APART

@@ -179,21 +179,6 @@ def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple
     return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)
 
 
-def similarity(at: Polished) -> np.ndarray:
-    """Similarity coordinates of gaits.
-
-    Parameters
-    ----------
-    at : Polished
-        Of n lanes.
-
-    Returns
-    -------
-    ndarray, shape (m + k, n)
-    """
-    return np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
-
-
 def near_predictions(at: Polished, w: np.ndarray, error: np.ndarray | float, side: float) -> np.ndarray:
     """Whether gaits converged as near their predictions as they should, on the right side of a fold.
 
@@ -213,5 +198,5 @@ def near_predictions(at: Polished, w: np.ndarray, error: np.ndarray | float, sid
     ndarray of bool, shape (n,)
     """
     with np.errstate(invalid="ignore"):
-        moved = np.abs(similarity(at) - w).max(axis=0)
+        moved = np.abs(at.w - w).max(axis=0)
     return np.asarray(at.converged & (moved < PREDICTED_WITHIN * error) & (side_of_fold(at.stride) == side))

@@ -17,7 +17,7 @@ from gaitsweep.tasks.families.cell import Cell, Lines, _Maker
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import measured, near_predictions, similarity
+from gaitsweep.tasks.families.patch import measured, near_predictions
 from gaitsweep.tasks.families.pieces import Piece
 from gaitsweep.tasks.families.span import along, coordinate
 from gaitsweep.tasks.fixed_points.newton import curvature
@@ -408,7 +408,7 @@ def test_gaits_other_than_those_predicted_are_not_accepted(cell):
     assert not near_predictions(at, guesses.w, error, -side).any()
     third = np.arange(5) == 2
     assert near_predictions(replace(at, converged=~third), guesses.w, error, side).tolist() == (~third).tolist()
-    moved = np.abs(similarity(at) - guesses.w).max()
+    moved = np.abs(at.w - guesses.w).max()
     assert not near_predictions(at, guesses.w, 0.9 * moved / 8, side).all()
     assert near_predictions(at, guesses.w, 1.1 * moved / 8, side).all()
     # A gait that is no step is one only where walking may end.
@@ -475,7 +475,7 @@ def test_pieces_with_the_same_gaits_are_not_accepted(cell):
 
 def test_what_is_measured_of_groups_is_their_largest_or_mean():
     problem, q = Problem(resolve("A")), np.log(np.geomspace(0.02, 0.03, 6))
-    w = similarity(settle(problem, branch_guesses(problem, q)))
+    w = settle(problem, branch_guesses(problem, q)).w
     lipschitz, gradient, std = measured(problem, w, q, 3)
     each = curvature(problem, w, q)
     np.testing.assert_array_equal(lipschitz, [each[0][:3].max(), each[0][3:].max()])

@@ -9,7 +9,6 @@ import pytest
 
 from gaitsweep.tasks.continuation.atlas import to_arrays
 from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.families.patch import similarity
 from gaitsweep.tasks.fixed_points import polish
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.rounding import rounding
@@ -89,7 +88,7 @@ def test_guesses_that_are_gaits_already_are_verified_as_others_are(walker):
     w, _, _ = search(problem, 0.03)
     far = np.stack([w[:, 0], w[:, 0] * (1 + 1e-7)], axis=1)
     first = polish.settle(problem, polish.unmeasured(problem, far, slopes), sampled=True)
-    exact = similarity(first)
+    exact = first.w
     polished = polish._polish(problem, exact, slopes, np.zeros(2), 16)[0]
     assert np.isnan(polished.motion[-1]).all()
     again = polish.settle(problem, polish.unmeasured(problem, exact, slopes), sampled=True)
