@@ -18,6 +18,7 @@ from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, Cla
 from gaitsweep.tasks.paper.lines import Arrays, Paper, memoize, numbers
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.paper.rounding_intervals import changed, interval
+from gaitsweep.tasks.registry import LOSS_WINDOWS
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Where each walker's period doublings are sought: window of slopes [rad], number of slopes searched, first periods.
@@ -26,9 +27,9 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
     "B": (3e-4, 0.03, 2, (1,)),
     "E": (5e-3, 0.01, 2, (2,)),
     "F": (5e-3, 0.05, 2, (1,)),
-    "C": (0.07, 0.1, 2, (1,)),
-    "C-printed": (0.07, 0.1, 2, (1,)),
-    "D": (0.01, 0.0195, 20, (1, 3, 4)),
+    "C": (*LOSS_WINDOWS["C"], 2, (1,)),
+    "C-printed": (*LOSS_WINDOWS["C-printed"], 2, (1,)),
+    "D": (*LOSS_WINDOWS["D"], 20, (1, 3, 4)),
 }
 #: What curve of folds the branches of C touch on.
 FOLDS_OF_C = {"slope": np.array([1e-3, 0.3]), "key": "detuning", "from": 0.0, "to": 1.2, "kinds": ["fold"]}
