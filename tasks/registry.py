@@ -70,7 +70,7 @@ TASKS = {
         Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 6, needs=("atlas",)),
         Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)),
         Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 7, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 19, needs=("points", "atlas")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 20, needs=("points", "atlas")),
     )
 }
 

@@ -31,6 +31,8 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
     "C-printed": (*LOSS_WINDOWS["C-printed"], 2, (1,)),
     "D": (*LOSS_WINDOWS["D"], 20, (1, 3, 4)),
 }
+#: How near a slope folds are beside it, in ln slope.
+_BESIDE = 0.3
 #: What curve of folds the branches of C touch on.
 FOLDS_OF_C = {"slope": np.array([1e-3, 0.3]), "key": "detuning", "from": 0.0, "to": 1.2, "kinds": ["fold"]}
 WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
@@ -233,12 +235,6 @@ def unstable_beyond(paper: Paper) -> ClaimResult:
     )
 
 
-def _crossings(x: np.ndarray, y: np.ndarray, at: float) -> list[float]:
-    """Values of y wherever the polygon through points (x, y) crosses x = at."""
-    k = np.nonzero((x[1:] - at) * (x[:-1] - at) < 0)[0]
-    return [float(v) for v in y[k] + (y[k + 1] - y[k]) * (at - x[k]) / (x[k + 1] - x[k])]
-
-
 @claim("T6")
 def re_pairing(paper: Paper) -> ClaimResult:
     """Locate the detuning at which the branches of C touch, a turning point of its curve of folds."""
@@ -254,16 +250,17 @@ def re_pairing(paper: Paper) -> ClaimResult:
     value, slope, angle, bound = (
         float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
     )
-    folds = paper.table("curves", "C", compute_curve, detuning=1.0)
-    turning = folds["curve"] == turns["curve"][touch[0]]
-    near = {d: _crossings(folds["value"][turning], folds["slope"][turning], d) for d in (value - 0.004, value + 0.004)}
-    beside = "; ".join(
+    near = {}
+    for detuning in (value - 0.004, value + 0.004):
+        folds = (float(fold["slope"]) for fold in paper.line("C", detuning=detuning).special_of("fold"))
+        near[detuning] = sorted((fold for fold in folds if abs(np.log(fold / slope)) < _BESIDE), reverse=True)
+    neighbours = "; ".join(
         f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in f) or 'no slope'}"
         for d, f in near.items()
     )
     return ClaimResult(
         f"branches touch at detuning {value:.9f} and slope {slope:.9f} (stance angle {angle:.6f}, relative error of "
-        f"the slope {bound:.0e}); {beside}",
+        f"the slope {bound:.0e}); {neighbours}",
         verdict(sorted(map(len, near.values())) == [0, 2]),
         value,
     )
