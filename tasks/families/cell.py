@@ -440,17 +440,19 @@ class _Way:
         return np.asarray(every[:, place, np.arange(len(points))])
 
     def carried(self, points: np.ndarray) -> np.ndarray:
-        """Gaits carried to points along straight lines."""
+        """Gaits carried to points along straight lines, as what they are off the guesses between the lines."""
         start = np.tile(self.maker.unit[0], (len(points), 1))
         start = np.column_stack([np.clip(points[:, 0], self.low, self.high), start])
-        w = self.piece.gaits(self.span.log_slope(start))
-        gaits = Carried(w, _STRIDE)
+        gaits = Carried(self.piece.gaits(self.span.log_slope(start)) - self.between(start), _STRIDE)
 
-        def correct(active: np.ndarray, share: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return self.newton(start[active] + share[:, None] * (points - start)[active], guess)
+        def correct(active: np.ndarray, share: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            at = start[active] + share[:, None] * (points - start)[active]
+            guess = self.between(at)
+            w, fair = self.newton(at, guess + off)
+            return w - guess, fair
 
         there = gaits.carry(correct)
         if not there.all():
             lost = (points - start)[~there, 1:]
             raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
-        return gaits.Z
+        return gaits.Z + self.between(points)
