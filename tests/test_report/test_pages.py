@@ -266,8 +266,8 @@ def test_a_report_without_the_memory_for_it_says_so_in_a_line(archives, tmp_path
     code, said = _command(archives, tmp_path, ["-c", _LITTLE_MEMORY])
     assert code
     if code != -signal.SIGABRT:  # by which the netCDF library ends where it gets no memory
-        # Python may complain before of objects that it could not free.
-        assert said.splitlines()[-1].startswith("gaitsweep: ") and "Internal error" not in said
+        # Python may complain before of objects that it could not free, and lack the memory to end its line.
+        assert "gaitsweep: " in said.splitlines()[-1] and "Internal error" not in said
 
 
 @pytest.mark.parametrize("step", ["opened", "read"])
