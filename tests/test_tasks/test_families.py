@@ -326,6 +326,18 @@ def test_nodes_begin_between_the_lines(name, monkeypatch):
     assert sum(carried) < 0.1 * sum(np.prod(patch.gaits.sizes) for patch in patches)
 
 
+def test_a_gait_may_lie_farther_from_its_guess_where_steps_nearly_vanish(monkeypatch):
+    """There rates over the angle are large: 0.5 of 12 is as near as 0.125 of 3."""
+    way = object.__new__(cells._Way)
+    way.maker = SimpleNamespace(problem=lambda unit: SimpleNamespace(stride=lambda w, q: (w, None)))
+    way.span, way.side = SimpleNamespace(log_slope=lambda points: points[:, 0]), 1.0
+    guess = np.array([[0.1] * 4, [-3.0, -3.0, -12.0, -12.0], [3.0] * 4])
+    moved = guess + np.array([[0.0, 0.0, 0.0, 0.5], [0.2, 0.5, 0.5, 0.0], [0.0] * 4])
+    monkeypatch.setattr(cells, "side_of_fold", lambda stride: np.ones(stride.shape[1]))
+    monkeypatch.setattr(cells, "newton", lambda *_, **__: SimpleNamespace(w=moved, converged=np.ones(4, bool)))
+    assert way.newton(np.zeros((4, 2)), guess)[1].tolist() == [True, False, True, False]
+
+
 def test_an_invented_branch_is_found():
     maker, right = maker_of("B")
     maker.checked(right.patches)
@@ -764,7 +776,7 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert pieces.match([[one], [other]], -5.0, -3.0) == [[one, None], [None, other]]
     # Both of the first line are nearest to the same piece of the second: it continues the nearer one.
     near, far = piece(1.1, -4.5, -3.5), piece(3.0, -4.5, -3.5)
-    assert pieces.match([[piece(1.3, -4.5, -3.5), one], [far, near]], -5.0, -3.0)[1] == [one, near]
+    assert pieces.match([[piece(1.3, -4.5, -3.5), one], [near, far]], -5.0, -3.0)[1] == [one, near]
 
 
 @pytest.mark.parametrize(("beyond", "off"), [(0.035, 0.0175), (1.0, 0.06)])
