@@ -267,8 +267,9 @@ def test_cells_are_what_their_arrays_say(name):
         ):
             np.testing.assert_array_equal(a, b)
         assert (one.kinds, one.side, one.numbers.tolist()) == (other.kinds, other.side, other.numbers.tolist())
-    empty = Cell(right.box, right.structure, [], "few walkers")
-    assert [each.why for each in cells.from_arrays(family, cells.to_arrays([empty, right]))] == ["few walkers", ""]
+    empty = Cell(replace(right.box, origin=(-1.0,) * len(family.keys)), right.structure, [], "few walkers")
+    both = cells.from_arrays(family, cells.to_arrays([empty, right]))
+    assert [(each.why, each.box) for each in both] == [("few walkers", empty.box), ("", right.box)]
 
 
 def test_pieces_end_where_their_folds_and_steps_do():
