@@ -301,7 +301,6 @@ def test_branches_touch_where_folds_are_on_one_side_only(value, verdict):
         turnings__kind=["fold"],
         turnings__stance_angle=[0.426],
         turnings__error_bound=[1e-9],
-        turnings__curve=[1],
     )
     assert (found["verdict"], found["value"]) == (verdict, value)
 
