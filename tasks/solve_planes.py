@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -30,37 +31,56 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 _MIN_END_ERROR = 1e-9
 #: Gaits of two pieces closer than this could be identical.
 _APART = 1e-7
+#: Lines of a plane from which on its halves are jobs of their own: some seconds of work where charts are hard to make.
+_MANY_LINES = 256
 #: Points solved at a time, and where most are given by polynomials.
 _BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
 
 
 def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Make the charts of gaits over a plane of keys and a window of slopes.
+    """Make the charts of gaits over a plane of keys and a window of slopes, or halve it.
 
     Parameters
     ----------
     params : mapping
-        `line`, one of the plane; `plane`, with its `keys`, `low`, `high` and about how many `lines` it is for;
-        `slope_from`, `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as
-        `tasks.solve_points:points` has them.
+        `line`, one of the plane; `plane`, with its `keys`, `low`, `high`, for each whether lines are spread by its
+        logarithm, `log`, and about how many `lines` it is for, or a half of it as this task returns it; `slope_from`,
+        `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as `tasks.solve_points:points` has them.
     inputs : list
         Empty.
 
     Returns
     -------
     dict
-        The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows.
+        The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows. A plane of
+        many lines that they do not describe whole has two `halves` instead, by name what differs from `plane` in each.
     """
-    family, box = _family(params["line"], params["plane"])
+    return charted(params, _MANY_LINES)
+
+
+def charted(params: Mapping[str, Any], many: float = math.inf) -> Arrays:
+    """Return what `charts` does; planes of as `many` lines may be halved."""
+    plane, slopes = params["plane"], params["slopes"]
+    family, box = _family(params["line"], plane)
     window = float(np.log(params["slope_from"])), float(np.log(params["slope_to"]))
-    lines, slopes = params["plane"]["lines"], params["slopes"]
-    cells = make_cells(family, box, window, lines, slopes)
-    accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells)
+    box = replace(box, **{name: tuple(plane[name]) for name in ("origin", "halved") if name in plane})
+    spread = replace(box, log=tuple(plane["log"]), origin=())
+
+    def lines_in(part: Box) -> float:
+        return spread.share(part) * plane["lines"]
+
+    cells = make_cells(family, box, window, lines_in, slopes, plane.get("surveyed", 0.0), many)
+    accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells.made)
     want = _names(params)
     if is_interpolated(want, accuracy):
-        for i, cell in enumerate(cells):
-            for j, sheet in enumerate(sheets(family, cell, want, accuracy, box.share(cell.box) * lines * slopes)):
+        for i, cell in enumerate(cells.made):
+            for j, sheet in enumerate(sheets(family, cell, want, accuracy, lines_in(cell.box) * slopes)):
                 arrays |= {f"{i}/{j}/sheet_{name}": value for name, value in sheet.to_arrays().items()}
+    if cells.halves:
+        for name in ("low", "high", "origin", "halved"):
+            arrays[f"halves/{name}"] = np.array([getattr(half, name) for half in cells.halves])
+        lines = np.array([lines_in(half) for half in cells.halves])
+        arrays |= {"halves/lines": lines, "halves/surveyed": cells.surveyed * lines / plane["lines"]}
     return arrays
 
 
@@ -83,7 +103,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     params : mapping
         `lines`, the line of each; `plane` as `charts` has it; the others as `tasks.solve_points:points` has them.
     inputs : list
-        What `charts` returns; without it all lines are followed by themselves.
+        What `charts` returns, for boxes of the plane; lines that lie in none are followed by themselves.
 
     Returns
     -------
@@ -93,7 +113,6 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
     family, box = _family(all_lines[0], params["plane"])
-    arrays = inputs[0] if inputs else {}
     accuracy, want = params.get("accuracy", 0.0), _names(params)
     wanted = Wanted(want, set(params.get("gaits") or GAITS), params.get("violation_limits"), accuracy)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
@@ -106,7 +125,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
         name: value.reshape(n, s, *value.shape[1:])
         for name, value in nothing_solved(want, n * s, 4 if walkers.knees else 3).items()
     }
-    for cell, own in zip(from_arrays(family, arrays), parts(arrays), strict=True):
+    cells = (pair for each in inputs for pair in zip(from_arrays(family, each), parts(each), strict=True))
+    for cell, own in cells:
         inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
         if cell.why or not len(inside):
             continue

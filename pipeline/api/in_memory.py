@@ -14,7 +14,7 @@ from gaitsweep.pipeline.archive import attributes
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
-from gaitsweep.pipeline.graph.graph import Graph, Node
+from gaitsweep.pipeline.graph.graph import Graph, Node, halves
 from gaitsweep.pipeline.graph.results import points_of
 from gaitsweep.pipeline.grid.method import Method, method_of
 from gaitsweep.pipeline.statuses import of_atlas
@@ -229,15 +229,17 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
     if method_of(study) is not Method.PLANE:
         return lines
     graph, left = Graph(study, in_memory=True), []
-    charts: dict[str, Any] = {}
+    charts: dict[str, Arrays] = {}
     for k in range(graph.grid.chunks):
         node = graph.chunk_node(chunk := graph.grid.chunk(k))
         own = [lines[number] for number in by_number[chunk.lines].tolist()]
         try:
-            if node.needs[0] not in charts:
-                made = graph.line_node(int(chunk.lines[0]), "charts")
-                charts = {node.needs[0]: dispatch.resolve(graph.function(made))(graph.params(made), [])}
-            points = _computed(graph, node, [charts[node.needs[0]]])
+            inputs = []
+            for made in graph.charts_of(chunk, lambda made: halves(charts[made.key.key])):
+                if made.key.key not in charts:
+                    charts[made.key.key] = dispatch.resolve(graph.function(made))(graph.params(made), [])
+                inputs.append(charts[made.key.key])
+            points = _computed(graph, node, inputs)
         except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue

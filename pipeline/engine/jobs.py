@@ -2,14 +2,16 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.engine.account import Account
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.request import Request
-from gaitsweep.pipeline.graph.graph import Copies, Node
+from gaitsweep.pipeline.graph.graph import Copies, Node, halves
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
 from gaitsweep.pipeline.grid import costs
@@ -56,6 +58,7 @@ class Jobs:
         self._ready: deque[Node] = deque()
         self._pending: set[str] = set()  # keys of results that are to come
         self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
+        self._halves: dict[str, list[dict[str, Any]]] = {}  # of the boxes of charts, by key
         self._failed: set[str] = set()  # keys of tasks that failed, and of nodes that need them
 
     @property
@@ -100,6 +103,8 @@ class Jobs:
         """Make a node the next one, unless it waits for others or its result has come meanwhile."""
         if node.key.key not in self._pending:
             return
+        if node.lines:
+            node = replace(node, needs=tuple(self._charts_of(node)))
         pending = next((need for need in node.needs if need in self._pending), None)
         if node.todo is None and (failed := next((need for need in node.needs if need in self._failed), None)):
             lost, outcome = self._arrived(node.key.key, False) + node.points, self.store.outcome(failed)
@@ -112,6 +117,25 @@ class Jobs:
             self._record_chunk(node, node.chunk, None)
         else:
             self._next = node
+
+    def _charts_of(self, node: Node) -> Iterator[str]:
+        """Keys of the charts that a chunk needs; those after one that is still to come are not known."""
+        assert node.chunk
+        for made in self.graph.charts_of(node.chunk, self._halves_of):
+            key = made.key.key
+            yield key
+            if key not in self._failed and self.store.outcome(key) is None:
+                if key not in self._pending:
+                    self._pending.add(key)
+                    self._ready.appendleft(made)
+                return
+
+    def _halves_of(self, charts: Node) -> list[dict[str, Any]]:
+        key = charts.key.key
+        if key not in self._halves:
+            data = self.store.result(key)
+            self._halves[key] = halves(serialize.load(data)) if data else []
+        return self._halves[key]
 
     def take(self) -> tuple[Node, Request] | None:
         """Take the next job and its request; None if the study has ended, or this fails, which ends it."""
@@ -190,7 +214,11 @@ class Jobs:
         outcome = Outcome(result["outcome"], result["reason"])
         self.store.put_result(node.key, outcome, result["data"])
         lost = self._arrived(node.key.key, outcome.status == "ok")
-        self.listen("task", {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost})
+        event = {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost}
+        if node.task == "charts" and self.study.plane:
+            box = node.box or self.study.plane.region
+            event["charted"] = 0 if self._halves_of(node) else box["lines"]
+        self.listen("task", event)
 
     def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any] | None) -> None:
         """Store a chunk: what a job has computed of it, and lines that were in the store before."""

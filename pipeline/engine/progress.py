@@ -44,6 +44,13 @@ class Progress:
         self.plan, self.log, self.quiet, self.verbose, self.engine = plan, log, quiet, verbose, engine or Engine()
         self.start = time.monotonic()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
+        self.expected: Counter[str] = Counter()  # how many count as measured at their planned costs
+        self.costs = {name: costs.seconds(plan.study, name) for name, n in self.todo.items() if n}
+        if "charts" in self.costs and plan.study.plane:  # by their lines: the boxes that these need are not known
+            lines = plan.study.plane.region["lines"]
+            self.todo["charts"] *= lines
+            self.costs["charts"] /= lines
+            self.expected["charts"] = lines // 2  # the first ones may be unlike the others
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
         self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
@@ -77,7 +84,7 @@ class Progress:
         if worker and self.engine.address:
             self.remote_workers[worker["host"], worker["pid"]] = time.monotonic(), worker
         if event in ("chunk", "task") and "seconds" in details:
-            n = details.get("points", 1)
+            n = details.get("points", details.get("charted", 1))
             self.done[details["task"]] += n
             self.seconds[details["task"]] += details["seconds"]
             self.done["atlas"] += details.get("lines", 0)
@@ -128,15 +135,15 @@ class Progress:
     def _stages(self) -> dict[str, dict[str, float]]:
         """Progress of each task, and its remaining time on all workers [s]."""
         stages = {}
-        for name, count in self.todo.items():
-            done = self.done[name]
+        for name, cost in self.costs.items():
+            done, todo = self.done[name], self.todo[name]
             if name == "points" and self.measured:
                 mean_seconds = self._seconds_of_a_point()
             else:
-                mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
-            seconds_left = mean_seconds * max(0, count - done)
-            if count:
-                stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / self.engine.jobs, 1)}
+                expected = self.expected[name] or int(not done)
+                mean_seconds = (self.seconds[name] + expected * cost) / (done + expected)
+            seconds_left = mean_seconds * max(0, todo - done)
+            stages[name] = {"done": round(done), "todo": todo, "eta": round(seconds_left / self.engine.jobs, 1)}
         return stages
 
     def _seconds_of_a_point(self) -> float:

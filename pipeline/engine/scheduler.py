@@ -153,8 +153,10 @@ class Scheduler:
             study.record(node, result)
             for other, held in self._held.pop(node.key.key, ()):
                 other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
+            # Who wants the charts of a plane wants those of its boxes.
+            wanting = study.graph.line_keys(node.line)["charts"] if node.line is not None and node.box else node.key
             for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
-                if node.key.key in wanted and other is not study:
+                if wanting.key in wanted and other is not study:
                     other.copy(node.key, result["data"])
             self._recorded.notify_all()
         self._finish()

@@ -5,6 +5,7 @@ Nodes are made when they are asked for: a grid of a million points needs no obje
 
 import functools
 import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,19 +28,27 @@ class Copies:
     rows: np.ndarray
 
 
+def halves(charts: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
+    """What tells the halves of a box from it, as the task `charts` returns them; none if it was not halved."""
+    own = {name.removeprefix("halves/"): value.tolist() for name, value in charts.items() if "halves/" in name}
+    return [dict(zip(own, values, strict=True)) for values in zip(*own.values(), strict=True)]
+
+
 @dataclass(frozen=True)
 class Node:
     """A task over a line (`line` is its number, or that of a batch of designs), a chunk, or, without both, the study.
 
-    `needs` are keys of results that it reads, `why` it would run. A chunk of lines side by side can do without those
-    that failed: the charts of its plane. Of a chunk of lines side by side, `todo` are the
-    places of those to compute, and `copies` the others, if there are any.
+    Charts are those of the plane of a line, or of a `box` that is part of it. `needs` are keys of results that it
+    reads, `why` it would run. A chunk over a plane learns from `Graph.charts_of` which it needs, and can do without
+    those that failed. Of a chunk of lines side by side, `todo` are the places of those to compute, and `copies` the
+    others, if there are any.
     """
 
     task: str
     key: Key
     needs: tuple[str, ...] = ()
     line: int | None = None
+    box: Mapping[str, Any] | None = None
     chunk: Chunk | None = None
     why: str = ""
     todo: np.ndarray | None = None
@@ -140,6 +149,27 @@ class Graph:
         needs = tuple(keys[need].key for need in self.layers[name].needs)
         return Node(name, keys[name], needs, number)
 
+    def charts_of(self, chunk: Chunk, halves: Callable[[Node], Sequence[Mapping[str, Any]]]) -> Iterator[Node]:
+        """Nodes of the charts that predict the gaits of a chunk, those of its plane first.
+
+        A plane may have been halved, and so its halves: those of each node are asked for when the next is taken.
+        """
+        if self.method is not Method.PLANE or not self.study.plane:
+            return
+        number, axes = int(chunk.lines[0]), self.study.plane.axes
+        spans = dict(zip(self.grid.sizes, chunk.box, strict=True))
+        values = [axis.values[spans[axis.name]] for axis in axes]
+        left = [self.line_node(number, "charts")]
+        for node in left:  # which grows
+            yield node
+            for half in halves(node):
+                box = {**(node.box or self.study.plane.region), **half}
+                sides = zip(values, box["low"], box["high"], strict=True)
+                if all(v.min() <= high and v.max() >= low for v, low, high in sides):
+                    params = layers.line_params(self.study, self.method, "charts", self.study.line(number), box)
+                    key = layers.key(self.layers["charts"].task, params)
+                    left.append(Node("charts", key, line=number, box=box))
+
     def study_node(self, name: str) -> Node:
         """Node of a task over the study."""
         keys = self.study_keys
@@ -150,9 +180,8 @@ class Graph:
         key = self.chunk_key(chunk)
         line = int(chunk.lines[0])
         if self.method.is_of_lines:
-            needs = (self.line_keys(line)["charts"].key,) if self.method is Method.PLANE else ()
-            return Node("points", key, needs, chunk=chunk, todo=np.arange(len(chunk.lines)))
-        return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk)
+            return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.lines)))
+        return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk=chunk)
 
     def function(self, node: Node) -> str:
         """Function of the task of a node; of lines side by side, that of their atlases and points."""
@@ -167,7 +196,7 @@ class Graph:
         if chunk is None:
             if node.line is None:
                 return layers.study_params(study, node.task)
-            return layers.line_params(study, self.method, node.task, study.batch_line(node.line))
+            return layers.line_params(study, self.method, node.task, study.batch_line(node.line), node.box)
         shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
         if node.line is not None:
             return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}

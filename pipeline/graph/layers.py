@@ -69,8 +69,10 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
     return {**study.options, **given}
 
 
-def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a task over one line, except the slopes of a chunk of points."""
+def line_params(
+    study: Study, method: Method, name: str, line: Mapping[str, Any], box: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Parameters of a task over one line, or of charts over its plane or a box, except the slopes of a chunk."""
     if name == "atlas":
         return {"line": line, "coarse": method.is_coarse, **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
@@ -82,7 +84,7 @@ def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]
         fixed = {key: value for key, value in line["set"].items() if key not in study.plane.region["keys"]}
         window = {**_window(study), "slopes": about(len(study.slope))}
         wanted = {"want": variables(study), "accuracy": study.accuracy} if study.accuracy else {"want": ()}
-        return {"line": {**line, "set": fixed}, "plane": study.plane.region, **window, **wanted}
+        return {"line": {**line, "set": fixed}, "plane": box or study.plane.region, **window, **wanted}
     if name == "cascade" != study.kind:  # for the fit `crises`
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)

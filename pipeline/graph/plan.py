@@ -10,6 +10,7 @@ import numpy as np
 from gaitsweep.pipeline.graph.graph import Copies, Graph, Node
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
+from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import ANSWERS
 from gaitsweep.pipeline.store.record import Head, unpacked
 from gaitsweep.pipeline.store.store import Key, Outcome, Store
@@ -39,13 +40,15 @@ class Plan:
             for number in golden_ratio_order(self.study.batches):
                 yield from self._of_line(number)
             return
-        charted: set[str] = set()  # keys of charts
+        charted: set[str] = set()  # keys of charts of planes
         for number in golden_ratio_order(grid.chunks):
             chunk = grid.chunk(number)
             node = self._of_chunk(chunk)
-            if node and node.lines and not charted.issuperset(node.needs):
-                charted.update(node.needs)
-                yield from filter(None, [self._why(graph.line_node(int(chunk.lines[0]), "charts"))])
+            if node and node.lines and graph.method is Method.PLANE:
+                made = graph.line_node(int(chunk.lines[0]), "charts")
+                if made.key.key not in charted:
+                    charted.add(made.key.key)
+                    yield from filter(None, [self._why(made)])
             if node:
                 yield node
             if graph.line_tasks:

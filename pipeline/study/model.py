@@ -34,6 +34,12 @@ class Axis:
     def __len__(self) -> int:
         return len(self.values)
 
+    @property
+    def is_log(self) -> bool:
+        """Whether the middle one of its values is nearer to the geometric than to the arithmetic mean of the ends."""
+        low, high = float(self.values.min()), float(self.values.max())
+        return low > 0 and 2 * float(np.median(self.values)) < math.sqrt(low * high) + 0.5 * (low + high)
+
 
 @dataclass(frozen=True)
 class Plane:
@@ -48,14 +54,18 @@ class Plane:
 
     @property
     def region(self) -> dict[str, Any]:
-        """Its keys, their least and largest values `low` and `high`, and about how many `lines`."""
+        """Its keys, their least and largest values `low` and `high`, and about how many `lines`.
+
+        `log` is whether the values of a key are spread by their logarithms.
+        """
         low, high = ([float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max))
-        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "lines": about(self.lines)}
+        keys, log = [axis.name for axis in self.axes], [axis.is_log for axis in self.axes]
+        return {"keys": keys, "low": low, "high": high, "log": log, "lines": about(self.lines)}
 
 
 def about(n: int) -> int:
-    """The largest power of two up to a number: grids that are refined a little share their charts."""
-    return 1 << n.bit_length() - 1
+    """The power of two nearest to a number, by its logarithm: grids that are refined a little share their charts."""
+    return 1 << round(math.log2(n))
 
 
 @dataclass(frozen=True)

@@ -37,18 +37,19 @@ def tensor_nodes(sizes: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Box:
-    """Values of keys from `low` to `high`, in the walker's units.
+    """Values of keys from `low` to `high`, in the walker's units, and how often these were `halved` along each key.
 
-    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere. With `log` the coordinates
-    of keys whose distance from their origin, 0 unless it is given, grows by more than a factor of eight are those of
-    its logarithm.
+    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere. With `log`, one for all
+    keys or one for each, the coordinates of keys whose distance from their origin, 0 unless it is given, grows by more
+    than a factor of eight are those of its logarithm.
     """
 
     keys: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
-    log: bool = False
+    log: bool | tuple[bool, ...] = False
     origin: tuple[float, ...] = ()
+    halved: tuple[int, ...] = ()
 
     @cached_property
     def _distances(self) -> tuple[np.ndarray, ...]:
@@ -141,10 +142,14 @@ class Box:
         return at * np.array(list(itertools.product((-1.0, 1.0), repeat=len(self.keys))))
 
     def parts(self, axis: int, at: float | None = None, origin: float | None = None) -> tuple[Box, Box]:
-        """Return both parts along one key, divided at a value of it, or in the middle; its origin may be another."""
+        """Return both parts along one key, divided at a value of it, or halved; its origin may be another."""
+        halved = list(self.halved or (0,) * len(self.keys))
+        halved[axis] += at is None
         middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
         origins = self.origin or (0.0,) * len(self.keys)
-        own = self if origin is None else replace(self, origin=(*origins[:axis], origin, *origins[axis + 1 :]))
+        own = replace(self, halved=tuple(halved))
+        if origin is not None:
+            own = replace(own, origin=(*origins[:axis], origin, *origins[axis + 1 :]))
         return (
             replace(own, high=(*self.high[:axis], middle, *self.high[axis + 1 :])),
             replace(own, low=(*self.low[:axis], middle, *self.low[axis + 1 :])),

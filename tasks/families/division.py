@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
-import numpy as np
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 from gaitsweep.tasks.families.box import Box, Refused
 from gaitsweep.tasks.families.cell import Cell, Lines, make_cell
 from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.tuning import Tuning
 
 #: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
 #: along one key never leaves.
@@ -20,6 +21,14 @@ _MAX_SPLITS, _MIN_LINES = 8, 12
 #: made of it, over that of a line, and the least share of their time that lines in described boxes save.
 _IN_VAIN, _A_SURVEY, _SAVED = 0.1, 1.5, 0.5
 Part = TypeVar("Part")
+
+
+class Cells(NamedTuple):
+    """The cells of a box, or its halves, and how many lines were surveyed for it in vain."""
+
+    made: list[Cell]
+    halves: Sequence[Box] = ()
+    surveyed: float = 0.0
 
 
 def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
@@ -40,9 +49,9 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
     list
         Lower halves before upper ones.
     """
-    # The place of a part: for each time that it was halved the half, 0 or 1, and the key.
-    parts: dict[tuple[tuple[int, int], ...], Part] = {}
-    left: list[tuple[tuple[tuple[int, int], ...], Box]] = [((), box)]
+    # The place of a part is for each division the half, 0 or 1.
+    parts: dict[tuple[int, ...], Part] = {}
+    left: list[tuple[tuple[int, ...], Box]] = [((), box)]
     for place, part in left:  # which grows
         if not is_worth(part):
             parts[place] = make(part, "few walkers")
@@ -53,14 +62,27 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
             if len(place) == splits:
                 parts[place] = make(part, str(refused))
                 continue
-            halved = np.bincount([key for _, key in place], minlength=len(box.keys))
-            is_even = halved[refused.axis] < halved.min() + _MAX_UNEVENNESS
-            axis = refused.axis if is_even or refused.at is not None else int(halved.argmin())
-            left += [((*place, (i, axis)), half) for i, half in enumerate(part.parts(axis, refused.at, refused.origin))]
+            left += [((*place, i), half) for i, half in enumerate(halves(part, refused))]
     return [parts[place] for place in sorted(parts)]
 
 
-def make_cells(family: Family, box: Box, window: tuple[float, float], count: int, slopes: int) -> list[Cell]:
+def halves(box: Box, refused: Refused) -> tuple[Box, Box]:
+    """Divide a box that was refused: along the key that it tells, or along another that was halved too rarely."""
+    axis, halved = refused.axis, box.halved or (0,) * len(box.keys)
+    if refused.at is None and halved[axis] >= min(halved) + _MAX_UNEVENNESS:
+        axis = halved.index(min(halved))
+    return box.parts(axis, refused.at, refused.origin)
+
+
+def make_cells(
+    family: Family,
+    box: Box,
+    window: tuple[float, float],
+    lines_in: Callable[[Box], float],
+    slopes: int,
+    surveyed: float = 0.0,
+    many: float = math.inf,
+) -> Cells:
     """Make the cells of a box for a window of slopes, as long as that takes less than its lines one by one.
 
     Parameters
@@ -69,20 +91,34 @@ def make_cells(family: Family, box: Box, window: tuple[float, float], count: int
     box : Box
     window : (float, float)
         Least and largest ln slope.
-    count, slopes : int
-        About how many lines and slopes it is for.
+    lines_in : callable
+        About how many lines of those that it is for lie in a part of the box.
+    slopes : int
+        About how many slopes it is for.
+    surveyed : float
+        Lines that were surveyed in vain before.
+    many : float
+        Lines from which on a box that cannot be described whole is halved and its halves are left to others.
     """
-    lines = Lines(family)
+    if not box.origin:
+        tuned = [Tuning(family, box, axis).outside() for axis in range(len(box.keys))]
+        box = replace(box, origin=tuple(value or 0.0 for value in tuned))
+    lines, count = Lines(family), lines_in(box)
     described: list[float] = []  # lines in boxes that were
 
     def cell(part: Box, why: str) -> Cell:
-        inside = box.share(part) * count
+        inside = lines_in(part)
         made = make_cell(family, part, window, lines, inside * slopes, why)
         described.append(0.0 if why else inside)
         return made
 
     def is_worth(part: Box) -> bool:
-        is_paid = _A_SURVEY * len(lines.pieces) <= _IN_VAIN * count + _SAVED * sum(described)
-        return box.share(part) * count >= _MIN_LINES and is_paid
+        in_vain = _A_SURVEY * (surveyed + len(lines.pieces))
+        return lines_in(part) >= _MIN_LINES and in_vain <= _IN_VAIN * count + _SAVED * sum(described)
 
-    return divide(box, cell, is_worth, _MAX_SPLITS)
+    if count < many or not is_worth(box):
+        return Cells(divide(box, cell, is_worth, _MAX_SPLITS))
+    try:
+        return Cells([cell(box, "")])
+    except Refused as refused:
+        return Cells([], halves(box, refused), surveyed + len(lines.pieces))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,9 +12,11 @@ from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.walkers.statics import leg_moment
+from gaitsweep.tasks.walkers.walker import WalkerError
 
-#: Places along a key beside which walkers may be tuned, and the slope at which those are balanced, over others'.
-_PLACES, _TUNED = np.linspace(-1, 1, 9), 1e-9
+#: Places along a key beside which walkers may be tuned, how far outside they count, and the slope at which they are
+#: balanced, over others'.
+_PLACES, _NEAR, _TUNED = np.linspace(-1, 1, 9), 1.25, 1e-9
 
 
 @dataclass(frozen=True)
@@ -60,11 +63,24 @@ class Tuning:
 
     def inside(self) -> float | None:
         """Return the first value of the key between the faces at which walkers are tuned [the walker's units]."""
-        signs = np.sign(self.slopes)
-        crossing = np.flatnonzero(signs[1:] != signs[:-1])
-        if not len(crossing) or any(self.at_faces()):
+        return None if any(self.at_faces()) else self._between(_PLACES, self.slopes)
+
+    def outside(self) -> float | None:
+        """Return a value of the key near outside the faces at which walkers are tuned [the walker's units]."""
+        for side in (-1, 1):
+            places = side * np.array([1.0, _NEAR])
+            # Some walkers outside cannot be.
+            with contextlib.suppress(WalkerError):
+                if (value := self._between(places, self.balanced(places))) is not None:
+                    return value
+        return None
+
+    def _between(self, places: np.ndarray, slopes: np.ndarray) -> float | None:
+        """The first value of the key at which walkers are tuned, between places with these slopes."""
+        crossing = np.flatnonzero(np.sign(slopes[1:]) != np.sign(slopes[:-1]))
+        if not len(crossing):
             return None
-        low, high = _PLACES[crossing[0] : crossing[0] + 2].tolist()
+        low, high = sorted(places[crossing[0] : crossing[0] + 2].tolist())
         at = bracketed_root(lambda x: float(self.balanced(np.array([x]))[0]), low, high)
         unit = np.full((1, len(self.box.keys)), self.others)
         unit[0, self.axis] = at

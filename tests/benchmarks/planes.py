@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.harness import what_more_take
-from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.graph import Graph, halves
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.parse import parse
 from gaitsweep.tasks import solve_planes
@@ -69,12 +69,16 @@ def made(table: dict[str, Any]) -> Made:
     graph = Graph(parse(table, "", Path("plane.toml")), in_memory=True)
     if graph.method is not Method.PLANE:
         return Made()
-    node = graph.line_node(0, "charts")
-    params = graph.params(node)
+    first, arrays = graph.line_node(0, "charts"), {}
+    params = graph.params(first)
     solve_planes.charts(params, [])  # loads code
+    own = [k for k in range(graph.study.lines) if graph.line_keys(k)["charts"] == first.key]
     with mock.patch.object(cell, "survey_lines", side_effect=cell.survey_lines) as survey:
         begin = time.process_time()
-        arrays = solve_planes.charts(params, [])
+        for chunk in (graph.grid.chunk(k) for k in range(graph.grid.chunks)):
+            for node in graph.charts_of(chunk, lambda node: halves(arrays[node.key])) if chunk.lines[0] in own else ():
+                if node.key not in arrays:
+                    arrays[node.key] = solve_planes.charts(graph.params(node), [])
         seconds = time.process_time() - begin
     accepted = 0
 
@@ -85,10 +89,9 @@ def made(table: dict[str, Any]) -> Made:
         return solved, which
 
     solved_by_charts, study = solve_planes.solve, graph.study
-    own = [k for k in range(study.lines) if graph.line_keys(k)["charts"] == node.key]
     with mock.patch.object(solve_planes, "solve", solve):
-        solve_planes.lines({**params, "lines": [study.line(k) for k in own], "slope": study.slope}, [arrays])
-    boxes = cell.parts(arrays)
+        solve_planes.lines({**params, "lines": [study.line(k) for k in own], "slope": study.slope}, [*arrays.values()])
+    boxes = [box for made_there in arrays.values() for box in cell.parts(made_there)]
     return Made(
         seconds,
         len(boxes),

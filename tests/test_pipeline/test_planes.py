@@ -1,7 +1,9 @@
 """Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
 
 import contextlib
+import json
 import math
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +11,10 @@ import pytest
 import xarray as xr
 
 import gaitsweep
-from gaitsweep.pipeline import paths
+from gaitsweep.pipeline import paths, serialize
 from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
-from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.graph import Graph, halves
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import Method, seconds_over_plane
 from gaitsweep.pipeline.statuses import ALL_STATUSES
@@ -63,14 +65,15 @@ def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     for chunk in chunks:
         node = graph.chunk_node(chunk)
         params, (line, *_) = graph.params(node), graph.params(node)["lines"]
-        made = graph.params(graph.line_node(int(chunk.lines[0]), "charts"))
+        (charted,) = graph.charts_of(chunk, lambda _: [])
+        made = graph.params(charted)
         assert made["plane"]["keys"] == params["plane"]["keys"] == ["R", "m_s"] and params["plane"]["high"] == [
             0.2,
             0.12,
         ]
         assert made["line"] == {"walker": line["walker"], "set": {"g": line["set"]["g"]}}
         assert {(one["walker"], one["set"]["g"]) for one in params["lines"]} == {(line["walker"], line["set"]["g"])}
-        charts[node.needs] = line["walker"], line["set"]["g"]
+        charts[charted.key.key] = line["walker"], line["set"]["g"]
     assert sorted(charts.values()) == [("B", 1.0), ("B", 2.0), ("E", 1.0), ("E", 2.0)]
 
 
@@ -141,6 +144,54 @@ def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
 @pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 11 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
+
+
+HALVED = """
+name = "plane"
+walker = "A"
+[axes]
+slope = [0.03, 0.04, 0.05]
+detuning = { from = -0.05, to = 0.5, n = 200 }
+[want]
+variables = ["stance_angle", "period"]
+"""
+
+
+def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
+    """A is tuned within: its plane is halved there without a survey, and a chunk waits for the boxes that it meets."""
+    archives, made = [], []
+    for folder, jobs in (("one", 1), ("two", 2)):
+        archives.append(run(tmp_path / folder, HALVED, jobs=jobs))
+        log = paths.sidecar_path(archives[-1], ".events.jsonl").read_text().splitlines()
+        events = [json.loads(line) for line in log]
+        charts = [event["charted"] for event in events if event.get("task") == "charts"]
+        assert charts[0] == 0 and len(charts) == 2 * charts.count(0) + 1
+        state = next(event for event in reversed(events) if event["event"] == "state")
+        stage = state["stages"]["charts"]
+        assert stage["done"] == stage["todo"] == pytest.approx(sum(charts)) == 256 and stage["eta"] == 0
+        made.append(len(charts))
+    assert made[0] == made[1] and archives[0].read_bytes() == archives[1].read_bytes()
+    # All charts are kept: another slope between the same ends reads them, and so does a chunk that was lost.
+    journal = paths.sidecar_path(archives[0], ".journal")
+    study = read(tmp_path / "one" / "plane.toml")
+    with contextlib.closing(Store(journal)) as store:
+        graph, before = Graph(study), set(store.numbers)
+        needed = [
+            [node.key.key for node in graph.charts_of(graph.grid.chunk(k), partial(halves_in, store))]
+            for k in range(graph.grid.chunks)
+        ]
+    assert set().union(*needed) == {key for key in before if key.startswith("charts-")}
+    assert min(map(len, needed)) < made[0] and len({keys[0] for keys in needed}) == 1
+    # In memory they are made the same way.
+    with xr.open_dataset(archives[0]) as stored:
+        found = gaitsweep.gaits("A", slope=stored.slope, detuning=stored.detuning, variables=["stance_angle", "period"])
+        for name in ("stance_angle", "period", "status"):
+            own = found[name].sel(gait=stored.gait).transpose(*stored[name].dims)
+            np.testing.assert_array_equal(own, stored[name])
+
+
+def halves_in(store, node):
+    return halves(serialize.load(store.result(node.key.key)))
 
 
 def test_gaits_of_several_steps_have_no_charts(tmp_path):

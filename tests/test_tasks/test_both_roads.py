@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import extended
+from gaitsweep.tasks import solve_planes
 from gaitsweep.tasks.continuation.atlas import from_arrays
 from gaitsweep.tasks.families.box import Box, Refused
 from gaitsweep.tasks.families.cell import Lines, _Maker
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.registry import ALWAYS, GAITS
-from gaitsweep.tasks.solve_planes import Wanted, charts, lines, solve
+from gaitsweep.tasks.solve_planes import Wanted, lines, solve
 from gaitsweep.tasks.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -89,6 +90,7 @@ def plane_of(keys, each=30):
         "keys": list(keys),
         "low": low,
         "high": high,
+        "log": [False] * len(keys),
         "lines": each ** len(keys),
     }
 
@@ -96,9 +98,8 @@ def plane_of(keys, each=30):
 def charted(line, keys, window, each=30, **params):
     """Parameters of lines over a plane, and its charts for a window of slopes."""
     asked = {"plane": plane_of(keys, each), "want": WANT, **params}
-    return asked, charts(
-        {**asked, "line": line, **dict(zip(("slope_from", "slope_to"), window, strict=True)), "slopes": EACH}, []
-    )
+    ends = dict(zip(("slope_from", "slope_to"), window, strict=True))
+    return asked, solve_planes.charted({**asked, "line": line, **ends, "slopes": EACH})
 
 
 def off(one, other, bounded_by):
@@ -268,7 +269,7 @@ def test_wrong_patches_change_no_accepted_value(name):
     walker, keys, window = FAMILIES[name]
     family = Family.of({"walker": walker, "set": FIXED.get(name, {})}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-    cells = make_cells(family, box, tuple(np.log(window)), 60 ** len(keys), EACH)
+    cells = make_cells(family, box, tuple(np.log(window)), lambda part: 60 ** len(keys) * box.share(part), EACH).made
     right = max(cells, key=lambda cell: len(cell.patches) * box.share(cell.box))
     at = right.box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
     slope = np.exp(np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7]))

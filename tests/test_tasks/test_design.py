@@ -41,7 +41,7 @@ def test_a_walker_that_cannot_be_fails_no_other():
     alone = design({"line": {**line, "set": {"l_s": np.array([0.3])}}, "slope": np.array([1e-3, 0.1])}, [])
     assert found["design/smallest_at"][0] == alone["design/smallest_at"][0] != "no walker"
     # Gaits at a slope are those of the others, in a plane too.
-    cell = {"keys": ["l_s"], "low": [0.3], "high": [0.5], "lines": 3}
+    cell = {"keys": ["l_s"], "low": [0.3], "high": [0.5], "log": [False], "lines": 3}
     found = design({"line": line, "slope": np.array([1e-3, 0.1]), "at_slope": 0.06, "cell": cell}, [])
     alone = design({"line": {**line, "set": {"l_s": 0.3}}, "slope": np.array([1e-3, 0.1]), "at_slope": 0.06}, [])
     assert found["design/attractor"].tolist() == [alone["design/attractor"][0], "no gait", "no gait"]

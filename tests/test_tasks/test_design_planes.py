@@ -49,7 +49,7 @@ def designs(name, n, seed=0):
     values = {key: draw.uniform(low, high, n) for key, (low, high) in keys.items()}
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     lines = {"line": {"walker": walker, "set": values}, "slope": SLOPE}
-    cell = {"keys": list(keys), "low": low, "high": high, "lines": 900}
+    cell = {"keys": list(keys), "low": low, "high": high, "log": [False] * len(keys), "lines": 900}
     return lines, {**lines, "plane": cell}
 
 

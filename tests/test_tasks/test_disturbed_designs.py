@@ -107,7 +107,7 @@ def test_options_over_a_plane_give_what_lines_give():
     at = {"R": draw.uniform(0.05, 0.1, 10), "m_s": draw.uniform(0.03, 0.06, 10)}
     params = {"line": {"walker": "B", "set": at}, "slope": np.array([1e-6, 0.45])}
     params |= {"at_slope": 0.0102, "at_speed": 0.3, "ground": 0.005}
-    cell = {"keys": list(at), "low": [0.05, 0.03], "high": [0.1, 0.06], "lines": 900}
+    cell = {"keys": list(at), "low": [0.05, 0.03], "high": [0.1, 0.06], "log": [False, False], "lines": 900}
     one, other = design({**params, "plane": cell}, []), design(params, [])
     assert one["design/surveyed"].mean() < 0.2 and (other["design/surveyed"] == 1).all()
     assert {"period 1", "period 2"} <= set(other["design/attractor"])

@@ -7,15 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.pipeline.graph.graph import halves
 from gaitsweep.tasks import interpolate, solve_planes
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families import cell as cells
-from gaitsweep.tasks.families import pieces
+from gaitsweep.tasks.families import division, pieces
 from gaitsweep.tasks.families.box import Box, Refused, roots
 from gaitsweep.tasks.families.cell import Cell, Lines, _Maker
 from gaitsweep.tasks.families.chart import Chart
-from gaitsweep.tasks.families.division import make_cells
+from gaitsweep.tasks.families.division import Cells, make_cells
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import measured, near_predictions
 from gaitsweep.tasks.families.pieces import Piece
@@ -28,7 +29,7 @@ from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.mechanics.lumped import common_structure, constants_of
 from gaitsweep.tasks.registry import ALWAYS
-from gaitsweep.tasks.solve_planes import charts, lines
+from gaitsweep.tasks.solve_planes import lines
 from gaitsweep.tasks.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
@@ -49,7 +50,7 @@ def cell_of(name):
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
     window = float(np.log(min(slope))), float(np.log(max(slope)))
-    (cell,) = make_cells(family, box, window, 30 ** len(keys), len(slope))
+    (cell,) = make_cells(family, box, window, lambda part: 30 ** len(keys) * box.share(part), len(slope)).made
     return family, cell
 
 
@@ -71,14 +72,14 @@ def block(name, numbers):
         "lines": [{"walker": walker, "set": {k: float(v[i]) for k, v in values.items()}} for i in range(numbers)],
         "slope": np.array(slope),
         "want": WANT,
-        "plane": {"keys": list(keys), "low": low, "high": high, "lines": 30 ** len(keys)},
+        "plane": {"keys": list(keys), "low": low, "high": high, "log": [False] * len(keys), "lines": 30 ** len(keys)},
     }
 
 
 def charted(params):
     slope = params["slope"]
     window = {"slope_from": slope.min(), "slope_to": slope.max(), "slopes": len(slope)}
-    return charts({**params, **window, "line": params["lines"][0]}, [])
+    return solve_planes.charted({**params, **window, "line": params["lines"][0]})
 
 
 def by_line(params, made=None):
@@ -164,7 +165,7 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
 
     monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
     R = np.linspace(0.1, 0.2, n)
-    plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "lines": n}
+    plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "log": [False], "lines": n}
     lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
     ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "plane": plane}, [])
     assert [str(s) for s in out["reasons"][out["reason"][-1]]] == [f"{n - 1} {k}" for k in (1, 5, 2, 2)]
@@ -195,7 +196,7 @@ def test_beside_an_end_at_zero_step_length_the_coordinate_is_a_logarithm(ends):
 def test_planes_may_touch_a_change_of_structure_or_hold_no_gait(walker, keys, slope, at):
     """At no offset the section has a dimension less, without mass at the foot the leg no inertia."""
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    plane = {"keys": list(keys), "low": low, "high": high, "lines": 30 ** len(keys)}
+    plane = {"keys": list(keys), "low": low, "high": high, "log": [False] * len(keys), "lines": 30 ** len(keys)}
     params = {"slope": np.array([slope]), "want": (*WANT, "loss_normal")}
     both = [{"walker": walker, "set": keys} for keys in (at, dict(zip(keys, high, strict=True)))]
     one, _ = by_line({**params, "lines": both, "plane": plane})
@@ -506,7 +507,7 @@ def test_a_box_of_few_lines_is_left_to_lines():
     walker, keys, _ = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.1, 0.1), (0.11, 0.11), log=True)
-    (cell,) = make_cells(family, box, (-4.7, -4.6), 11, 2)
+    (cell,) = make_cells(family, box, (-4.7, -4.6), lambda part: 11, 2).made
     assert cell.why == "few walkers" and not cell.patches
 
 
@@ -526,12 +527,69 @@ def test_a_box_is_not_divided_when_lines_are_surveyed_in_vain(each, tried, descr
 
     monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
     family, whole = Family.of({"walker": "B", "set": {}}, ("m_s", "R")), Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09))
-    found = make_cells(family, whole, (-4.5, -4.0), each**2, 7)
+    found = make_cells(family, whole, (-4.5, -4.0), lambda part: each**2 * whole.share(part), 7).made
     paid = each**2 * (0.1 + 0.5 * sum(whole.share(box) for box in made[1 : 1 + described]))
     assert len(made) == tried and 7.5 * (tried - 1) <= paid < 7.5 * tried
     assert [cell.why for cell in found].count("few walkers") == len(found) - described and sum(
         whole.share(cell.box) for cell in found
     ) == pytest.approx(1)
+
+
+def test_cuts_beside_tuned_walkers_are_no_halvings():
+    """A box that was cut along a key may be halved along it as often as others."""
+    cuts = [Refused("cut", 0, 0.5), Refused("cut", 0, 0.25), Refused("halve", 0), Refused("halve", 0)]
+    box = Box(("a", "b"), (0.0, 0.0), (1.0, 1.0))
+    for refused in cuts:
+        box, _ = division.halves(box, refused)
+    assert (box.high, box.halved) == ((0.0625, 1.0), (2, 0))
+    low, high = division.halves(box, Refused("halve", 0))
+    assert low.high == (0.0625, 0.5) and low.halved == high.halved == (2, 1)
+
+
+def test_a_box_of_many_lines_is_halved_for_others(monkeypatch):
+    """They are told how many lines were surveyed in vain, each by its share of the lines."""
+    asked = []
+
+    def refusing(family, box, window, lines, points, why=""):
+        asked.append(why)
+        if not why:
+            lines.pieces += [[]] * 6
+            raise Refused("it is made to", at=0.02)
+        return Cell(box, None, [], why)
+
+    monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
+    monkeypatch.setattr(solve_planes, "is_interpolated", lambda *_: False)
+    plane = {"keys": ["m_s"], "low": [0.0], "high": [0.08], "log": [False], "lines": 400}
+    params = {"line": {"walker": "B", "set": {}}, "plane": plane, "slope_from": 0.01, "slope_to": 0.02, "slopes": 3}
+    low, high = halves(solve_planes.charts({**params, "want": ()}, []))
+    assert asked == [""] and [low["high"], high["low"]] == [[0.02], [0.02]]
+    np.testing.assert_allclose([low["lines"], high["lines"], low["surveyed"], high["surveyed"]], [100, 300, 1.5, 4.5])
+    # Too few lines are left to survey more of them in vain.
+    cells = solve_planes.charts({**params, "want": (), "plane": {**plane, **low, "surveyed": 7.0}}, [])
+    assert not halves(cells) and asked[1:] == ["few walkers"]
+
+
+def test_lines_are_counted_as_they_are_spread(monkeypatch):
+    """Whatever coordinates their gaits are smooth in."""
+    counted = []
+    monkeypatch.setattr(solve_planes, "make_cells", lambda *given: counted.append(given[3]) or Cells([]))
+    for log in (False, True):
+        plane = {"keys": ["m_s"], "low": [0.001], "high": [0.1], "log": [log], "lines": 100}
+        params = {"line": {"walker": "B", "set": {}}, "plane": plane, "slope_from": 0.01, "slope_to": 0.02, "slopes": 3}
+        solve_planes.charts({**params, "want": ()}, [])
+    half = Box(("m_s",), (0.001,), (0.01,), log=True)
+    assert [lines_in(half) for lines_in in counted] == [pytest.approx(100 / 11), pytest.approx(50)]
+
+
+def test_a_box_near_tuned_walkers_is_measured_from_them():
+    """A is tuned at R = 0.2."""
+    family, window = Family.of({"walker": "A", "set": {}}, ("R",)), (-4.5, -4.0)
+    sides = [(0.21, 0.4), (0.1, 0.19), (0.24, 0.3), (0.3, 0.4), (0.5, 0.99)]  # beyond the last one no walker can be
+    origins = []
+    for low, high in sides:
+        (cell,) = make_cells(family, Box(family.keys, (low,), (high,), log=True), window, lambda _: 1.0, 1).made
+        origins.append(cell.box.origin[0])
+    assert origins == [pytest.approx(0.2), pytest.approx(0.2), 0.0, 0.0, 0.0]
 
 
 def test_a_box_is_divided_where_its_walkers_are_tuned():
@@ -567,7 +625,8 @@ def test_a_plane_beside_tuned_walkers_needs_few_boxes():
     """A is tuned at R = 0.2 whatever its hip mass; measured from there, its branches are smooth over the keys."""
     family = Family.of({"walker": "A", "set": {}}, ("m_h", "R"))
     window = float(np.log(0.001)), float(np.log(0.2))
-    made = make_cells(family, Box(family.keys, (0.0, 0.02), (5.0, 0.2), log=True), window, 400, 12)
+    whole = Box(family.keys, (0.0, 0.02), (5.0, 0.2), log=True)
+    made = make_cells(family, whole, window, lambda part: 400 * whole.share(part), 12).made
     described, whole = [cell.box for cell in made if not cell.why], Box(family.keys, (0.0, 0.02), (5.0, 0.2))
     assert 1 <= len(described) <= 3 and sum(map(whole.share, described)) > 0.95
     assert {cell.box.origin[1] for cell in made} == {0.2}

@@ -70,7 +70,7 @@ def plane(name, by="patches", accuracy=0.0):
     asked = {"lines": every, "slope": np.array([slope]), "want": SMOOTH, "accuracy": accuracy}
     if by == "lines":
         return [found for _, found in solve_points.lines(asked, [])]
-    asked["plane"] = {"keys": [key], "low": [low], "high": [high], "lines": 70}
+    asked["plane"] = {"keys": [key], "low": [low], "high": [high], "log": [False], "lines": 70}
     window = {"slope_from": slope, "slope_to": slope, "slopes": 1}
     ((_, found),) = solve_planes.lines(asked, [solve_planes.charts(asked | window | {"line": every[0]}, [])])
     assert int(found["reason"].max()) < 6, "a line was surveyed"
