@@ -159,31 +159,23 @@ variables = ["stance_angle", "period"]
 
 def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
     """A is tuned within: its plane is halved there without a survey, and a chunk waits for the boxes that it meets."""
-    archives, made = [], []
-    for folder, jobs in (("one", 1), ("two", 2)):
-        archives.append(run(tmp_path / folder, HALVED, jobs=jobs))
-        log = paths.sidecar_path(archives[-1], ".events.jsonl").read_text().splitlines()
-        events = [json.loads(line) for line in log]
-        charts = [event["charted"] for event in events if event.get("task") == "charts"]
-        assert charts[0] == 0 and len(charts) == 2 * charts.count(0) + 1
-        state = next(event for event in reversed(events) if event["event"] == "state")
-        stage = state["stages"]["charts"]
-        assert stage["done"] == stage["todo"] == pytest.approx(sum(charts)) == 256 and stage["eta"] == 0
-        made.append(len(charts))
-    assert made[0] == made[1] and archives[0].read_bytes() == archives[1].read_bytes()
-    # All charts are kept: another slope between the same ends reads them, and so does a chunk that was lost.
-    journal = paths.sidecar_path(archives[0], ".journal")
-    study = read(tmp_path / "one" / "plane.toml")
-    with contextlib.closing(Store(journal)) as store:
-        graph, before = Graph(study), set(store.numbers)
+    archive = run(tmp_path, HALVED, jobs=2)
+    events = [json.loads(line) for line in paths.sidecar_path(archive, ".events.jsonl").read_text().splitlines()]
+    charted = [event["charted"] for event in events if event.get("task") == "charts"]
+    assert charted[0] == 0 and len(charted) == 2 * charted.count(0) + 1
+    state = next(event for event in reversed(events) if event["event"] == "state")
+    stage = state["stages"]["charts"]
+    assert stage["done"] == stage["todo"] == pytest.approx(sum(charted)) == 256 and stage["eta"] == 0
+    with contextlib.closing(Store(paths.sidecar_path(archive, ".journal"))) as store:
+        graph = Graph(read(tmp_path / "plane.toml"))
         needed = [
             [node.key.key for node in graph.charts_of(graph.grid.chunk(k), partial(halves_in, store))]
             for k in range(graph.grid.chunks)
         ]
-    assert set().union(*needed) == {key for key in before if key.startswith("charts-")}
-    assert min(map(len, needed)) < made[0] and len({keys[0] for keys in needed}) == 1
-    # In memory they are made the same way.
-    with xr.open_dataset(archives[0]) as stored:
+        assert set().union(*needed) == {key for key in store.numbers if key.startswith("charts-")}
+    assert min(map(len, needed)) < len(charted) and len({keys[0] for keys in needed}) == 1
+    # In memory they are made one after the other.
+    with xr.open_dataset(archive) as stored:
         found = gaitsweep.gaits("A", slope=stored.slope, detuning=stored.detuning, variables=["stance_angle", "period"])
         for name in ("stance_angle", "period", "status"):
             own = found[name].sel(gait=stored.gait).transpose(*stored[name].dims)
