@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -216,7 +216,7 @@ class Walker:
 
     def table(self) -> dict[str, Any]:
         """All keys and values, as written in TOML."""
-        return asdict(self)
+        return {key.name: getattr(self, key.name) for key in fields(self)}
 
 
 def _any(x: Any) -> bool:
