@@ -1,14 +1,15 @@
 """Every value of `status`: outcomes of a solve, and of a worker that did not finish."""
 
+from gaitsweep.pipeline import outcomes
 from gaitsweep.tasks.registry import STATUSES
 
 #: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.
 ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}
 #: Every value of `status`.
 ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
-#: Statuses that are answers; all others are failures.
-ANSWER_NAMES = ("converged", "no_gait", "fell")
-ANSWERS = tuple(STATUSES[name] for name in ANSWER_NAMES)
+STATUS_NAMES = {code: name for name, code in ALL_STATUSES.items()}
+#: Statuses that are answers.
+ANSWERS = tuple(STATUSES[name] for name in outcomes.ANSWERS)
 #: Statuses of gaits that were found.
 FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
 #: Reason of points that nobody has computed.

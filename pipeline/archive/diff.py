@@ -13,7 +13,7 @@ from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.errors import ArchiveError
-from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.statuses import STATUS_NAMES
 
 #: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
@@ -154,10 +154,9 @@ def _compare(
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
-    names = {code: name for name, code in ALL_STATUSES.items()}
     pairs, counts = np.unique(np.stack([x[x != y], y[x != y]]), axis=1, return_counts=True)
     return [
-        f"`status`: {n:,} were {names.get(int(p), p)} and are {names.get(int(q), q)}"
+        f"`status`: {n:,} were {STATUS_NAMES.get(int(p), p)} and are {STATUS_NAMES.get(int(q), q)}"
         for (p, q), n in zip(pairs.T, counts, strict=True)
     ]
 

@@ -13,9 +13,10 @@ from gaitsweep.pipeline.archive import attributes, chunks, layout
 from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.grid import Chunk
-from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from gaitsweep.pipeline.outcomes import count
+from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, STATUS_NAMES, of_atlas
 from gaitsweep.pipeline.store.packing import Packed, pack_values
-from gaitsweep.pipeline.store.record import Head, count, has_multipliers, sentence_number, unpacked
+from gaitsweep.pipeline.store.record import Head, has_multipliers, sentence_number, unpacked
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.registry import GAITS, STATUSES, VARIABLES, Variable
@@ -68,7 +69,7 @@ class PointWriter:
 
     def _count(self, rows: dict[tuple[int, ...], int], sentences: dict[int, str]) -> None:
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
-        self.written.counts += count(rows)
+        self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), solved).any(axis=0)
         self._texts |= sentences
 

@@ -16,7 +16,9 @@ from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
-from gaitsweep.pipeline.store.record import Head, Packing, Points, count, joined, pack, rows_of, unpacked
+from gaitsweep.pipeline.outcomes import count
+from gaitsweep.pipeline.statuses import STATUS_NAMES
+from gaitsweep.pipeline.store.record import Head, Packing, Points, joined, pack, rows_of, unpacked
 from gaitsweep.pipeline.store.store import Key, Outcome
 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
@@ -234,7 +236,7 @@ class Jobs:
         self._arrived(node.key.key, True)
         if not result:
             return
-        counts, line = count(Head(record[0]).rows(), self.plan.columns), int(chunk.lines[0])
+        counts, line = count(Head(record[0]).rows(self.plan.columns), STATUS_NAMES), int(chunk.lines[0])
         event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
         event["place"] = chunk.slopes.start
         self.listen("chunk", {**_event(node, result), **event})

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.errors import unread
 from gaitsweep.pipeline.graph.plan import Plan, Summary
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.statuses import ANSWER_NAMES
+from gaitsweep.pipeline.outcomes import ANSWERS
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
@@ -248,7 +248,7 @@ def _format(value: Any) -> str:
 
 def sentence(state: dict[str, Any]) -> str:
     """State of a run in one line."""
-    failed = {k: n for k, n in state["counts"].items() if k not in ANSWER_NAMES}
+    failed = {k: n for k, n in state["counts"].items() if k not in ANSWERS}
     parts = []
     if state["points"]:
         done = state["cached"] + state["done"]

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 
+from gaitsweep.pipeline.outcomes import ANSWERS, count, count_rows
 from gaitsweep.pipeline.report.cells import Cell, cell, column_cells
 from gaitsweep.pipeline.report.figures import landmarks as places
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.starts import addresses
-from gaitsweep.pipeline.report.source import ANSWERS, Source
+from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
@@ -22,9 +22,6 @@ MAX_ROWS, MAX_LISTED = 60, 20_000
 
 #: Reasons in the table of outcomes; each point of a large study may have its own.
 _MAX_REASONS = 200
-
-#: Answers for one gait of a point, least serious first; a failure outranks them all.
-_WEIGHTS = ("no_gait", "fell", "converged")
 
 #: Rows of the longest table that a page shows unfolded, those shown of one that is longer than `MAX_ROWS`, and columns
 #: shown before all are asked for.
@@ -171,28 +168,14 @@ def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
-    """Count and share of every status of points or lines that occurs, in the order of the flag values.
-
-    As `gaitsweep run` counts, the status of a point is a failure of any of its gaits, else the best answer of any.
-    """
+    """Count and share of every status of points or lines that occurs, in the order of the flag values."""
     if "status" not in source.outcomes:
         return []
     status = source.outcomes["status"]
-    values, counts = np.unique(_of_points(source, status) if "gait" in status.dims else status, return_counts=True)
-    total = counts.sum()
-    return [
-        (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)
-    ]
-
-
-def _of_points(source: Source, status: xr.DataArray) -> np.ndarray:
-    """Status of each point, from those of its gaits."""
-    codes, place = np.unique(status.values, return_inverse=True)
-    names = [source.statuses.get(int(code), "") for code in codes]
-    weights = [_WEIGHTS.index(n) if n in _WEIGHTS else len(_WEIGHTS) + k for k, n in enumerate(names)]
-    order = np.argsort(weights)
-    heaviest = np.argsort(order)[place.reshape(status.shape)].max(axis=status.dims.index("gait"))
-    return np.asarray(codes[order][heaviest])
+    by_gait = status.transpose(..., "gait") if "gait" in status.dims else status.expand_dims("gait", -1)
+    counts = count(count_rows(by_gait.values.reshape(-1, by_gait.sizes["gait"])), source.statuses)
+    every = dict.fromkeys([*source.statuses.values(), *counts])
+    return [(name, counts[name], counts[name] / counts.total()) for name in every if counts[name]]
 
 
 def outcome_sentence(source: Source) -> str:

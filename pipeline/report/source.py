@@ -28,9 +28,6 @@ from gaitsweep.pipeline.study.ways import ends
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
-#: Statuses that answer the question; every other one means that a point failed. A report knows no registry.
-ANSWERS = ("converged", "no_gait", "fell")
-
 #: Cache of chunks for each variable [byte].
 _CACHE = 1 << 20
 #: Largest number of values of a variable that are read for the figures; a larger grid is thinned in slope.

@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,13 +17,11 @@ import numpy as np
 
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
-from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS, FOUND
+from gaitsweep.pipeline.outcomes import count_rows
+from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 
-_BASE = 1 + max(ALL_STATUSES.values())
-_NAMES = {code: name for name, code in ALL_STATUSES.items()}
-_BEST = (*FOUND, *(ALL_STATUSES[name] for name in ("fell", "no_gait")))
 #: Type of the numbers of sentences.
 _REASON = np.dtype("u8")
 
@@ -172,7 +169,7 @@ def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
         whole = _widened(name, array, (array.shape[1], multipliers)) if has_multipliers(name) else array
         pieces += [pack_values(shape.unfold(whole[:, g]), extent) for g in range(array.shape[1])]
     status, reason = values["status"], values["reason"]
-    rows, numbers = _status_rows(status), sorted(points.sentences)
+    rows, numbers = count_rows(status), sorted(points.sentences)
     head = {
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
@@ -198,26 +195,6 @@ def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
 def has_multipliers(name: str) -> bool:
     """Whether a variable has a value for each multiplier."""
     return "multiplier" in VARIABLES[name].dims
-
-
-def _status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
-    """Count the distinct rows of an array of statuses.
-
-    Parameters
-    ----------
-    status : ndarray, shape (n, gait)
-
-    Returns
-    -------
-    dict
-        Occurrences of each row.
-    """
-    code = np.zeros(len(status), np.intp)
-    for column in status.T:
-        code = code * _BASE + column
-    occurrences = np.bincount(code)
-    powers = _BASE ** np.arange(status.shape[1])[::-1]
-    return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
 
 
 class Head:
@@ -298,27 +275,3 @@ def unpacked(head: bytes, payload: bytes) -> Points:
     """Points of a record."""
     contents, view = Head(head), memoryview(payload)
     return Points({name: contents.unpack(view, name) for name in contents.columns}, contents.sentences())
-
-
-def count(rows: Mapping[tuple[int, ...], int], columns: Iterable[int] | None = None) -> Counter[str]:
-    """Count points by outcome: a failure of any gait, else the best answer of any gait.
-
-    Parameters
-    ----------
-    rows : mapping
-        Points by their row of `status`.
-    columns : iterable of int, optional
-        Gaits that count; by default all.
-
-    Returns
-    -------
-    Counter
-        Points by the name of their status.
-    """
-    counts, chosen = Counter[str](), None if columns is None else list(columns)
-    for row, n in rows.items():
-        row = row if chosen is None else tuple(row[c] for c in chosen)
-        failed = [code for code in row if code not in ANSWERS]
-        best = next((code for code in _BEST if code in row), row[0])
-        counts[_NAMES[max(failed, default=best)]] += n
-    return counts

@@ -14,9 +14,11 @@ import pytest
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
 from gaitsweep.pipeline.grid.grid import Shape
+from gaitsweep.pipeline.outcomes import count, count_rows
+from gaitsweep.pipeline.statuses import STATUS_NAMES
 from gaitsweep.pipeline.store import file, store
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
-from gaitsweep.pipeline.store.record import Head, Packing, Points, count, joined, pack, sentence_number, unpacked
+from gaitsweep.pipeline.store.record import Head, Packing, Points, joined, pack, sentence_number, unpacked
 from gaitsweep.pipeline.store.store import Key, Outcome, Store
 from processes import damaged
 
@@ -391,6 +393,8 @@ def test_sentences_have_numbers_of_their_own():
 
 
 def test_points_are_counted_by_a_failure_or_their_best_answer():
-    rows = {(0, 1): 3, (1, 1): 2, (0, 4): 1, (3, 1): 5}
-    assert count(rows) == {"converged": 3, "no_gait": 2, "worker_died": 1, "fell": 5}
-    assert count(rows, [0]) == {"converged": 4, "no_gait": 2, "fell": 5}
+    rows = {(0, 1): 3, (1, 1): 2, (0, 4): 1, (3, 1): 5, (8, 2): 1, (0, 77): 2}
+    outcomes = {"converged": 3, "no_gait": 2, "worker_died": 1, "fell": 5, "raised": 1, "77": 2}
+    assert count(rows, STATUS_NAMES) == outcomes
+    assert count_rows(np.repeat(np.array([*rows], np.int8), [*rows.values()], axis=0)) == rows
+    assert count_rows(np.empty((0, 2), np.int8)) == {}

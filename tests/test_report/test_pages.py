@@ -22,10 +22,11 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.cli import report as report_command
 from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import plain, typeset
-from gaitsweep.pipeline.store.record import count
+from gaitsweep.pipeline.statuses import STATUS_NAMES
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import GAITS, KNEED, POINT, write
@@ -584,7 +585,7 @@ def test_points_are_counted_as_by_the_run(archives):
         if "gait" in grid.outcomes.dims and "status" in grid.outcomes:
             status = grid.outcomes["status"].transpose(..., "gait").values
             rows = Counter(map(tuple, status.reshape(-1, status.shape[-1]).tolist()))
-            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(count(rows))
+            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(count(rows, STATUS_NAMES))
             assert sum(rows.values()) == np.prod([grid.grid.sizes[axis] for axis in grid.axes])
             counted += len(html_tables.statuses(grid))
     assert counted > 4
