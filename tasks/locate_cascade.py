@@ -198,15 +198,15 @@ def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarr
 def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
     """Distinct gaits, of exactly so many steps, to which Newton's method leads from guesses (m + k, n) at one slope."""
     m, n, q = problem.m, problem.steps, np.full(w.shape[1], np.log(slope))
-    result = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
-    exact = (distances_of_steps(result.w, m, n) > _APART).all(axis=0)
+    w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
+    exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
-    for i in np.flatnonzero(result.converged & exact).tolist():
-        if all(distance(result.w[:, i], result.w[:, k], m, n) > _SAME for k in kept):
+    for i in np.flatnonzero(converged & exact).tolist():
+        if all(distance(w[:, i], w[:, k], m, n) > _SAME for k in kept):
             kept.append(i)
     if not kept:
         return []
-    Z = np.vstack([result.w, q])[:, kept]
+    Z = np.vstack([w, q])[:, kept]
     check, gaits = check_steps(problem, Z), correct(problem, Z, None)
     return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
 
