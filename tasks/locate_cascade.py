@@ -14,7 +14,7 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
-from gaitsweep.tasks.continuation.joint import Linearisation, linearised
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.root import hermite
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
@@ -56,7 +56,7 @@ class _Event:
 
     kind: str
     problem: Problem
-    gait: Linearisation
+    gait: Evaluation
     error: float
     beside: tuple[Point, ...] = ()
 
@@ -304,7 +304,7 @@ def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: f
             if not solved.ok[0]:
                 return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
             error = slope_error(problem, kind, solved.Z[:, 0])
-            event = _Event(kind, problem, linearised(problem, solved.Z), error, (before, after))
+            event = _Event(kind, problem, evaluate(problem, solved.Z), error, (before, after))
             if not low <= event.q <= high:
                 return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
             return event, ""

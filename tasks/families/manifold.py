@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import Polish, newton_step
+from gaitsweep.tasks.continuation.defining import Polish, foot_radius, log_froude_by_Z, newton_step
 from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
@@ -188,7 +188,7 @@ class Manifold:
             error[again] = self._error(np.abs(further.change).max(axis=0)) + further.rounding
         points = classify(self.kind, step.at, np.arange(len(unit)), Z + change, rows, error, walks)
         # Where the speed grows towards the other side of the point, it has a maximum before it.
-        points.faster = (step.at.speed_by_Z * step.along).sum(axis=0) > 0
+        points.faster = (log_froude_by_Z(Z, foot_radius(problem)) * step.along).sum(axis=0) > 0
         return points, near
 
     def _error(self, size: np.ndarray) -> np.ndarray:

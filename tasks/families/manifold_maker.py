@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import defining_system, evaluate, gradient, newton_step, solve
+from gaitsweep.tasks.continuation.defining import defining_system, gradient, newton_step, solve
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
 from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit

@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 from gaitsweep.tasks.continuation import atlas
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import evaluate, scalar
+from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
@@ -122,7 +123,8 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
 
 
 def test_tangents_point_along_the_branch():
-    point = Point(np.zeros((2, 1)), SimpleNamespace(y=np.ones((1, 1))), np.array([[0.6], [-0.8]]), np.ones(1, bool))
+    problem, stride = Problem(CATALOGUE["B"]), SimpleNamespace(y=np.ones((1, 1)))
+    point = Point(np.zeros((2, 1)), stride, problem, np.array([[0.6], [-0.8]]), np.ones(1, bool))
     for along in ([1.0, 0.0], [-1.0, 0.0], [0.0, 2.0]):
         tangent = point.oriented(np.array(along)[:, None]).direction[:, 0]
         assert tangent @ along > 0 and np.abs(tangent).tolist() == [0.6, 0.8]
