@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.dynamics.initial_states import r_sequence
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.newton import newton, newton_step
+from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
@@ -27,9 +27,8 @@ _SWING_RATIO = (-1.6, 1.6)
 _SAME, _SAME_COARSE = 1e-5, 1e-3
 #: Newton steps of a guess, by the number of phases of a step: with a free knee they are dear, and few converge late.
 _MAX_STEPS = {1: 25, 2: 15}
-#: Deflated Newton: iterations of a guess, passes over all guesses, largest last step of a converging guess, and its
-#: smallest distance from known solutions.
-_MAX_ITERATIONS, _PASSES, _CONVERGING, _MIN_DISTANCE = 15, 3, 1e-3, 1e-2
+#: Deflated Newton: iterations of a guess, passes over all guesses, and largest last step of a converging guess.
+_MAX_ITERATIONS, _PASSES, _CONVERGING = 15, 3, 1e-3
 _GAIT_COLUMNS = (
     "slope",
     "gait",
@@ -154,11 +153,10 @@ def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, n
     """Distinct fixed points, how many guesses led to each, and how many converged at all."""
     q = np.log(slope)
     # All guesses are iterated coarsely, and only distinct results exactly.
-    coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True, max_iterations=_MAX_STEPS[problem.phases])
-    found = coarse.w[:, coarse.converged]
-    w, hits = _merge(found, np.ones(found.shape[1], int), _SAME_COARSE)
-    exact = newton(problem, w, np.full(w.shape[1], q))
-    return *_merge(exact.w[:, exact.converged], hits[exact.converged], _SAME), found.shape[1]
+    w, near = newton(problem, w, np.full(w.shape[1], q), coarse=True, max_iterations=_MAX_STEPS[problem.phases])
+    w, hits = _merge(w[:, near], np.ones(near.sum(), int), _SAME_COARSE)
+    w, converged = newton(problem, w, np.full(w.shape[1], q))
+    return *_merge(w[:, converged], hits[converged], _SAME), int(near.sum())
 
 
 def _deflate(
@@ -171,9 +169,9 @@ def _deflate(
         if not before or not guesses.shape[1]:
             break
         tried += guesses.shape[1]
-        ends = deflated(problem, guesses, known, slope)
-        solutions = newton(problem, ends, np.full(ends.shape[1], np.log(slope)))
-        both = np.hstack([known, solutions.w[:, solutions.converged]])
+        w, near = deflated(problem, guesses, known, slope)
+        w, converged = newton(problem, w[:, near], np.full(near.sum(), np.log(slope)))
+        both = np.hstack([known, w[:, converged]])
         counts = np.concatenate([hits, np.zeros(both.shape[1] - before, int)])
         known, hits = _merge(both, counts, _SAME)
         if known.shape[1] == before:
@@ -181,47 +179,10 @@ def _deflate(
     return known, hits, tried, known.shape[1] - first
 
 
-def deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, slope: float) -> np.ndarray:
-    """Iterate deflated Newton, which known solutions repel.
-
-    Parameters
-    ----------
-    problem : Problem
-    begin, known : ndarray, shape (m + phases, n)
-        Guesses and known solutions, in similarity coordinates with event times.
-    slope : float [rad]
-
-    Returns
-    -------
-    ndarray, shape (m + phases, k)
-        Iterates near another solution.
-
-    Notes
-    -----
-    With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is its step s for F over
-    1 - s.grad ln M (Sherman-Morrison formula), at no extra evaluation.
-    """
-    w, q = begin.copy(), np.log(slope)
-    active, arrived = np.arange(w.shape[1]), np.zeros(w.shape[1], bool)
-    for _ in range(_MAX_ITERATIONS):
-        if not len(active):
-            break
-        iterate = w[:, active]
-        at, _ = problem.stride(iterate, np.full(len(active), q), coarse=True)
-        step = newton_step(at, iterate)
-        offset = iterate[:, None] - known[:, :, None]
-        square = (offset**2).sum(axis=0)
-        with np.errstate(all="ignore"):
-            growth = (-2 * offset * step[:, None]).sum(axis=0) / (square**2 + square)
-            is_close = np.abs(step).max(axis=0) < _CONVERGING
-            arrived[active[is_close & (square.min(axis=0) > _MIN_DISTANCE**2)]] = True
-            step = step / (1 - growth.sum(axis=0))
-            longest = np.abs(step).max(axis=0)
-            w[:, active] = iterate + step * np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))
-        sane = np.isfinite(w[:, active]).all(axis=0) & (np.abs(w[1 : problem.m, active]) < 50).all(axis=0)
-        sane &= (w[problem.m :, active] > 0.05).all(axis=0) & (w[-1, active] < 12) & (w[0, active] < 0.4)
-        active = active[sane & ~is_close]
-    return w[:, arrived]
+def deflated(problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coarse iterates (m + k, n) of guesses at one slope that known solutions repel, and which are near another."""
+    q = np.full(guesses.shape[1], np.log(slope))
+    return newton(problem, guesses, q, coarse=True, enough=_CONVERGING, max_iterations=_MAX_ITERATIONS, known=known)
 
 
 def _merge(w: np.ndarray, hits: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
-from gaitsweep.tasks.continuation.joint import Linearisation, linearised
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.root import hermite
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
@@ -56,7 +56,7 @@ class _Event:
 
     kind: str
     problem: Problem
-    gait: Linearisation
+    gait: Evaluation
     error: float
     beside: tuple[Point, ...] = ()
 
@@ -198,15 +198,15 @@ def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarr
 def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
     """Distinct gaits, of exactly so many steps, to which Newton's method leads from guesses (m + k, n) at one slope."""
     m, n, q = problem.m, problem.steps, np.full(w.shape[1], np.log(slope))
-    result = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
-    exact = (distances_of_steps(result.w, m, n) > _APART).all(axis=0)
+    w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
+    exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
-    for i in np.flatnonzero(result.converged & exact).tolist():
-        if all(distance(result.w[:, i], result.w[:, k], m, n) > _SAME for k in kept):
+    for i in np.flatnonzero(converged & exact).tolist():
+        if all(distance(w[:, i], w[:, k], m, n) > _SAME for k in kept):
             kept.append(i)
     if not kept:
         return []
-    Z = np.vstack([result.w, q])[:, kept]
+    Z = np.vstack([w, q])[:, kept]
     check, gaits = check_steps(problem, Z), correct(problem, Z, None)
     return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
 
@@ -304,7 +304,7 @@ def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: f
             if not solved.ok[0]:
                 return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
             error = slope_error(problem, kind, solved.Z[:, 0])
-            event = _Event(kind, problem, linearised(problem, solved.Z), error, (before, after))
+            event = _Event(kind, problem, evaluate(problem, solved.Z), error, (before, after))
             if not low <= event.q <= high:
                 return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
             return event, ""

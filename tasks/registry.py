@@ -63,7 +63,7 @@ TASKS = {
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 18, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 12, needs=("atlas",)),
         Task("curve", "gaitsweep.tasks.follow_curves:curve", 15, needs=("atlas",)),
-        Task("design", "gaitsweep.tasks.map_designs:design", 22),
+        Task("design", "gaitsweep.tasks.map_designs:design", 23),
         Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),

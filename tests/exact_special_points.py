@@ -12,6 +12,8 @@ import heyoka as hy
 import numpy as np
 
 from gaitsweep.tasks.continuation import defining
+from gaitsweep.tasks.continuation.joint import evaluate
+from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import sections
@@ -61,7 +63,7 @@ def _scalar(kind, step, y, times):
 def _gradient(problem, kind, Z, h):
     steps = h * np.hstack([np.eye(len(Z)), -np.eye(len(Z))])
     with np.errstate(all="ignore"):
-        up, down = defining.scalar(kind, defining.evaluate(problem, Z[:, None] + steps)).reshape(2, -1)
+        up, down = defining.scalar(kind, evaluate(problem, Z[:, None] + steps)).reshape(2, -1)
     return (up - down) / (2 * h)
 
 
@@ -80,9 +82,9 @@ def _newton(problem, kind, Z, h):
     def wide(values):
         return np.array([number(x) for x in values], dtype=number)
 
-    at, rows = defining.evaluate(problem, Z[:, None]), _gradient(problem, kind, Z, h)
+    at, rows = evaluate(problem, Z[:, None]), _gradient(problem, kind, Z, h)
     size = np.linalg.norm(rows)
-    matrix = at.bordered(rows[:, None] / size)[0]
+    matrix = bordered_matrix(at.derivative, rows[:, None] / size)[0]
     exact = lump(problem.walker, number)
     _, scale = problem.section(Z[:, None])
     section = np.append(np.exp(Z[0]), np.exp(Z[0]) * Z[1:m]) / scale

@@ -19,7 +19,7 @@ from gaitsweep.tasks.continuation.checks import checked
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
-from gaitsweep.tasks.continuation.joint import linearised
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.locate import (
     correct_at,
     is_step,
@@ -164,7 +164,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         if not whole[side] or raw.why[side] not in _BEYOND:
             continue
         kind = _BEYOND[raw.why[side]]
-        last_point = yield Call(linearised, (raw.Z[:, [-side]],))
+        last_point = yield Call(evaluate, (raw.Z[:, [-side]],))
         if float(scalar(kind, last_point)[0]) > 0:
             passed = yield from locate_root(raw, segment, test_function(kind))
             ends[side] = BranchEnd(raw.why[side], passed, raw.end_errors[side])

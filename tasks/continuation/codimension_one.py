@@ -274,4 +274,4 @@ def turning(
     coarse = np.linalg.svd(derivative)[2][-1]
     coarse *= np.sign(coarse @ tangent)
     moved = abs(coarse[component] - tangent[component]) * length / abs(tangents[1] - tangents[0]) + 1e-11 * length
-    return Z, float(turn.error[0] + moved * abs(tangent[-2])) + 8 * np.finfo(float).eps
+    return Z, float(turn.last_step[0] + moved * abs(tangent[-2])) + 8 * np.finfo(float).eps

@@ -9,81 +9,50 @@ tangential or the durations of phases vanish. In shapes, n counts lanes, each wi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.joint import Linearisation, determinants, linearised, rounding_step
-from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix, solve_bordered
+from gaitsweep.tasks.continuation.joint import Evaluation, determinants, evaluate, rounding_step
+from gaitsweep.tasks.continuation.pseudo_arclength import Corrected, Newton, bordered_matrix, bordered_newton
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
+from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
-#: Newton steps from a guess.
-_MAX_STEPS = 12
-#: Newton step after which a point that only leads to others is accurate enough.
-_ENOUGH = 1e-7
 #: A point that moves farther than this is another one.
 _MAX_MOVE = 0.5
+_NEWTON = Newton(max_iterations=12, max_step=_MAX_MOVE, small=1e-7, shrinking=0.3)
+_ONE_STEP = Newton(max_iterations=1, max_step=np.inf, small=0.0, shrinking=1.0)
+#: Newton step after which a point that only leads to others is accurate enough.
+_ENOUGH = 1e-7
 #: Error of a point in estimates of what rounding moves it by.
 _ROUNDING_FACTOR = 16.0
 
 
-@dataclass
-class Evaluation(Linearisation):
-    """Steps at n points, of `problem`: of one walker, or of the n lanes."""
-
-    problem: Problem
-
-    @property
-    def radius(self) -> np.ndarray:
-        """Radius of the foot over the leg, shape (n,)."""
-        return _radius_and_unit(self.problem, self.Z.shape[1])[0]
-
-    @property
-    def log_unit(self) -> np.ndarray:
-        """Logarithm of sqrt(g leg) in the walker's units, shape (n,)."""
-        return _radius_and_unit(self.problem, self.Z.shape[1])[1]
-
-    @property
-    def log_froude(self) -> np.ndarray:
-        """Logarithm of the mean speed over sqrt(g leg), shape (n,)."""
-        return log_froude(self.Z, self.radius)
-
-    @property
-    def speed_by_Z(self) -> np.ndarray:
-        """Derivatives of `log_froude` by Z, shape (c, n)."""
-        return log_froude_by_Z(self.Z, self.radius)
-
-    def bordered(self, by_Z: np.ndarray) -> np.ndarray:
-        """Return the matrix (n, c, c) of the joint equations and of a scalar with the derivatives `by_Z` (c, n)."""
-        return bordered_matrix(self.derivative, by_Z)
-
-
-def foot_radius(problem: Lanes) -> np.ndarray:
-    """Return the radius of the foot over the leg.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return _radius_and_unit(problem, len(problem.lanes))[0]
-
-
-def _radius_and_unit(problem: Problem, n: int) -> np.ndarray:
-    """Radius of the foot over the leg, and the logarithm of sqrt(g leg), (2, n)."""
-    walkers = problem.walker
+def _walkers(problem: Problem) -> Walker | WalkerArray:
+    """The walker of a problem, or those of all its lanes."""
     if isinstance(problem, Lanes):
         assert isinstance(problem.walkers, WalkerArray)
-        walkers = problem.walkers.some(problem.lanes)
-    both = np.empty((2, n))
-    both[0], both[1] = walkers.R / walkers.leg, 0.5 * np.log(walkers.g * walkers.leg)
-    return both
+        return problem.walkers.some(problem.lanes)
+    return problem.walker
+
+
+def foot_radius(problem: Problem) -> np.ndarray:
+    """Return the radius of the foot over the leg, of n lanes (n,), of one walker ()."""
+    walkers = _walkers(problem)
+    return np.asarray(walkers.R / walkers.leg)
+
+
+def _log_speed(at: Evaluation) -> np.ndarray:
+    """Logarithm of the mean speed in the walkers' units."""
+    walkers = _walkers(at.problem)
+    return log_froude(at.Z, foot_radius(at.problem)) + 0.5 * np.log(walkers.g * walkers.leg)
 
 
 def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -92,7 +61,7 @@ def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     Z : ndarray, shape (c, n)
-    radius : ndarray, shape (n,)
+    radius : ndarray, shape (n,) or ()
         Of the foot, over the leg.
 
     Returns
@@ -109,7 +78,7 @@ def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     Z : ndarray, shape (c, n)
-    radius : ndarray, shape (n,)
+    radius : ndarray, shape (n,) or ()
         Of the foot, over the leg.
 
     Returns
@@ -120,22 +89,6 @@ def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     by_Z[0] = angle * ((1 - radius) * np.cos(angle) + radius) / ((1 - radius) * np.sin(angle) + radius * angle)
     by_Z[-2] = -1 / Z[-2]
     return by_Z
-
-
-# Where heelstrike is tangential to the last digit the map has no derivative.
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
-    """Evaluate steps at points.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one walker, or of n lanes.
-    Z : ndarray, shape (c, n)
-    samples : int
-        Equal intervals of each phase at whose ends the motion is also returned.
-    """
-    return Evaluation(Z, linearised(problem, Z, samples).stride, problem)
 
 
 def _flip(at: Evaluation) -> np.ndarray:
@@ -171,23 +124,23 @@ def _last_phase(at: Any) -> np.ndarray:
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def _fold(at: Linearisation) -> np.ndarray:
+def _fold(at: Evaluation) -> np.ndarray:
     return determinants(_at_slope(at))
 
 
-def _at_slope(at: Linearisation) -> np.ndarray:
+def _at_slope(at: Evaluation) -> np.ndarray:
     """Derivatives of the joint equations by all but ln slope, shape (n, m + k, m + k)."""
     return at.derivative[:, :-1].transpose(2, 0, 1)
 
 
-def _exponent(at: Linearisation) -> np.ndarray:
+def _exponent(at: Evaluation) -> np.ndarray:
     """Local exponent d ln angle/d ln slope."""
     return -np.linalg.solve(_at_slope(at), at.derivative[:, -1].T[..., None])[:, 0, 0]
 
 
 def _speed_maximum(at: Evaluation) -> np.ndarray:
     """Determinant that vanishes where the speed is stationary along the branch."""
-    return determinants(at.bordered(at.speed_by_Z))
+    return determinants(bordered_matrix(at.derivative, log_froude_by_Z(at.Z, foot_radius(at.problem))))
 
 
 #: The scalar that vanishes at a special point, by its kind.
@@ -205,21 +158,20 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "window": lambda at: at.q,
     "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
     "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
-    "speed": lambda at: at.log_froude + at.log_unit,
+    "speed": _log_speed,
     "exponent": _exponent,
 }
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def scalar(kind: str, at: Linearisation, target: np.ndarray | float = 0.0) -> np.ndarray:
+def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the scalar that vanishes at special points of a kind.
 
     Parameters
     ----------
     kind : str
         Of SCALARS.
-    at : Linearisation
-        Of `fastest` and `speed` an Evaluation, whose walkers are known.
+    at : Evaluation
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
         units for `speed`, of d ln angle/d ln slope for `exponent`.
@@ -307,47 +259,58 @@ def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.
     ndarray, shape (c + 1, n)
     """
     at = evaluate(problem, Z)
-    matrix = at.bordered(gradient(problem, kind, Z))
+    matrix = bordered_matrix(at.derivative, gradient(problem, kind, Z))
     return np.vstack([at.residual, scalar(kind, at, target), determinants(matrix)])
 
 
-@dataclass
-class Polish:
-    """A Newton step on the defining equations of n points.
+class _Vanishing:
+    """The equation that a scalar vanishes, over the size of its derivatives, `rows` (c, n).
 
-    Attributes
-    ----------
-    at : Evaluation
-        The points before it.
-    change : ndarray, shape (c, n)
-        The Newton step, NaN where the equations are singular.
-    along : ndarray, shape (c, n)
-        Direction of the branch in which the scalar grows.
-    rounding : ndarray, shape (n,)
-        By how much rounding may move the points.
-    rows : ndarray, shape (c, n)
-        The derivatives of the scalar that were used.
+    Newton steps bring the rows up to date, as in Broyden's method: a gait's own equations have their exact derivatives,
+    and along the branch this is the secant method. Where a step has grown, they are taken anew.
     """
 
-    at: Evaluation
-    change: np.ndarray
-    along: np.ndarray
-    rounding: np.ndarray
-    rows: np.ndarray
+    def __init__(self, problem: Problem, kind: str, rows: np.ndarray, target: np.ndarray | float):
+        self.problem, self.kind, self.rows = problem, kind, rows.copy()
+        self.target = np.broadcast_to(np.asarray(target, float), rows.shape[1])
+
+    def __call__(
+        self, lanes: np.ndarray, at: Evaluation, last: np.ndarray, grown: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        if grown.any():
+            self.rows[:, lanes[grown]] = gradient(self.problem.some(lanes[grown]), self.kind, at.Z[:, grown])
+            last = np.where(grown, 0.0, last)
+        value, square = scalar(self.kind, at, self.target[lanes]), (last**2).sum(axis=0)
+        self.rows[:, lanes] += last * (value / np.where(square > 0, square, np.inf))
+        size = np.linalg.norm(self.rows[:, lanes], axis=0)
+        return self.rows[:, lanes] / size, value / size
 
 
-# Where heelstrike is tangential to the last digit the map has no derivative.
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def newton_step(
+def _newton(
     problem: Problem,
     kind: str,
     Z: np.ndarray,
     rows: np.ndarray,
-    target: np.ndarray | float = 0.0,
+    target: np.ndarray | float,
+    limits: Newton,
     samples: int = 0,
-    last: np.ndarray | None = None,
-) -> Polish:
-    """Evaluate points and a Newton step on their defining equations.
+) -> Corrected:
+    """Newton's method on the defining equations of n points Z, with the derivatives of their scalar, both (c, n)."""
+
+    def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
+        return evaluate(problem.some(lanes), Z, samples)
+
+    def rounding(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
+        return _ROUNDING_FACTOR * rounding_step(matrix, at)
+
+    vanishing = _Vanishing(problem, kind, rows, target)
+    return replace(bordered_newton(linearise, rounding, limits, Z, vanishing), rows=vanishing.rows)
+
+
+def newton_step(
+    problem: Problem, kind: str, Z: np.ndarray, rows: np.ndarray, target: np.ndarray | float = 0.0, samples: int = 0
+) -> Corrected:
+    """Evaluate points and take one Newton step on their defining equations.
 
     Parameters
     ----------
@@ -360,42 +323,13 @@ def newton_step(
         As for `scalar`.
     samples : int
         As for `evaluate`.
-    last : ndarray, shape (c, n), optional
-        The Newton steps with these rows that led to the points, 0 where there were none. They bring the rows up to
-        date, as in Broyden's method: a gait's own equations have their exact derivatives, and along the branch this is
-        the secant method.
+
+    Returns
+    -------
+    Corrected
+        Evaluated before the step.
     """
-    at = evaluate(problem, Z, samples)
-    value = scalar(kind, at, target)
-    if last is not None:
-        square = (last**2).sum(axis=0)
-        rows = rows + last * (value / np.where(square > 0, square, np.inf))
-    size = np.linalg.norm(rows, axis=0)
-    matrix = at.bordered(rows)
-    matrix[:, -1] /= size[:, None]
-    change, along, solvable = solve_bordered(matrix, -np.vstack([at.residual, value / size]))
-    change[:, ~solvable] = np.nan
-    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at), rows)
-
-
-@dataclass
-class Solved:
-    """Special points of n lanes.
-
-    Attributes
-    ----------
-    Z, rows : ndarray, shape (c, n)
-        The points, and derivatives of their scalar that serve for Newton steps nearby.
-    error : ndarray, shape (n,)
-        Bound on the error of Z.
-    ok : ndarray of bool, shape (n,)
-        Whether Newton converged near the guess.
-    """
-
-    Z: np.ndarray
-    rows: np.ndarray
-    error: np.ndarray
-    ok: np.ndarray
+    return _newton(problem, kind, Z, rows, target, _ONE_STEP, samples)
 
 
 def solve(
@@ -405,7 +339,7 @@ def solve(
     target: np.ndarray | float = 0.0,
     rows: np.ndarray | None = None,
     quick: bool = False,
-) -> Solved:
+) -> Corrected:
     """Solve the defining equations of one kind from guesses, by Newton's method.
 
     Parameters
@@ -420,31 +354,17 @@ def solve(
         Derivatives of the scalar nearby.
     quick : bool
         Whether the points only lead to others and need not be accurate to rounding.
+
+    Returns
+    -------
+    Corrected
+        With derivatives of the scalar that serve for Newton steps nearby; the guesses where it is not `ok`.
     """
-    n = guess.shape[1]
-    target = np.broadcast_to(np.asarray(target, float), n)
-    Z, rows = guess.copy(), gradient(problem, kind, guess) if rows is None else rows.copy()
-    change, size, error = np.zeros_like(Z), np.full(n, np.inf), np.full(n, np.inf)
-    active = np.arange(n)
-    for _ in range(_MAX_STEPS):
-        own, before = problem.some(active), size[active]
-        polish = newton_step(own, kind, Z[:, active], rows[:, active], target[active], last=change[:, active])
-        rows[:, active], change[:, active] = polish.rows, polish.change
-        size[active] = now = np.abs(polish.change).max(axis=0)
-        alive = np.isfinite(now) & (np.abs(Z[:, active] + polish.change - guess[:, active]).max(axis=0) < _MAX_MOVE)
-        Z[:, active[alive]] += polish.change[:, alive]
-        done = alive & ((now <= np.maximum(polish.rounding, _ENOUGH * quick)) | ((now < 1e-7) & (now > 0.3 * before)))
-        error[active[done]] = (polish.rounding + 2 * now)[done]
-        # Where a step has grown, the row misleads.
-        grown = active[alive & ~done & (now > before)]
-        if len(grown):
-            rows[:, grown], change[:, grown] = gradient(problem.some(grown), kind, Z[:, grown]), 0.0
-        active = active[alive & ~done]
-        if not len(active):
-            break
-    ok = np.isfinite(error)
-    Z[:, ~ok] = guess[:, ~ok]
-    return Solved(Z, rows, error, ok)
+    rows = gradient(problem, kind, guess) if rows is None else rows
+    found = _newton(problem, kind, guess, rows, target, replace(_NEWTON, enough=_ENOUGH * quick))
+    found.ok &= np.abs(found.Z - guess).max(axis=0) < _MAX_MOVE
+    found.Z[:, ~found.ok] = guess[:, ~found.ok]
+    return found
 
 
 #: States side by side over which the variance of rounding is averaged, and how far apart they are, relatively.
@@ -480,7 +400,7 @@ def slope_error(problem: Problem, kind: str, Z: np.ndarray) -> float:
     of the walker's constants, which no change of units shows, is half a unit in each one's last place.
     """
     column = Z[:, None]
-    matrix = evaluate(problem, column).bordered(gradient(problem, kind, column))[0]
+    matrix = bordered_matrix(evaluate(problem, column).derivative, gradient(problem, kind, column))[0]
     if not np.isfinite(matrix).all() or not np.linalg.cond(matrix) < 1 / EPS:
         return np.inf
     by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[-1])

@@ -15,13 +15,13 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import (
     SCALARS,
-    Evaluation,
-    evaluate,
+    foot_radius,
     log_froude,
     log_froude_by_Z,
     scalar,
     solve,
 )
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import END_NAMES
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
@@ -229,14 +229,15 @@ def classify(
     error : ndarray, shape (n,)
     walks : ndarray of bool, shape (n,)
     """
+    radius = foot_radius(at.problem)
     return Points(
         line=line,
         kind=np.full(len(line), kind, "U32"),
         Z=Z,
         rows=rows,
         error=error,
-        log_froude=log_froude(Z, at.radius),
-        speed_error=np.abs(log_froude_by_Z(Z, at.radius)).sum(axis=0) * error + 8 * EPS,
+        log_froude=log_froude(Z, radius),
+        speed_error=np.abs(log_froude_by_Z(Z, radius)).sum(axis=0) * error + 8 * EPS,
         walks=walks,
         long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,

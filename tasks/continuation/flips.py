@@ -12,7 +12,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import slope_error
-from gaitsweep.tasks.continuation.joint import Linearisation
+from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.tracking import HALVED, Point, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
 from gaitsweep.tasks.step.problem import Problem
@@ -28,14 +28,14 @@ _NEAR = 0.05
 _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
-def doubled(problem: Problem, flip: Linearisation, expected: float) -> tuple[Point, np.ndarray, float] | None:
+def doubled(problem: Problem, flip: Evaluation, expected: float) -> tuple[Point, np.ndarray, float] | None:
     """Begin the branch of twice as many steps at a flip.
 
     Parameters
     ----------
     problem : Problem
         Of the flip.
-    flip : Linearisation
+    flip : Evaluation
         Of one lane, with a multiplier of -1.
     expected : float
         Rough length in ln slope of the branch up to its own flip.
@@ -85,14 +85,14 @@ def _relative(w: np.ndarray, m: int) -> np.ndarray:
     return np.append(1.0, w[1:m])[:, None]
 
 
-def _twice(problem: Problem, flip: Linearisation) -> np.ndarray:
+def _twice(problem: Problem, flip: Evaluation) -> np.ndarray:
     """A flip as gaits of twice as many steps, begun at each of its own: similarity coordinates (2 (m + k), steps)."""
     y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, problem.m, problem.steps))
     w = np.repeat(joined(flip.w[:1], y, durations), problem.steps, axis=1)
     return begun_at(w, 2 * problem.m, 2 * problem.steps, np.arange(problem.steps))
 
 
-def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Linearisation]) -> Branch:
+def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Evaluation]) -> Branch:
     """Branch of several steps with the flips of half as many as its ends, where its halves meet.
 
     Parameters
@@ -100,7 +100,7 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Linearisati
     problem : Problem
         Of the branch.
     branch : Branch
-    flips : sequence of Linearisation
+    flips : sequence of Evaluation
         Of gaits of half as many steps.
     """
     if HALVED not in branch.why:

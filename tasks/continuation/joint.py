@@ -19,7 +19,7 @@ from gaitsweep.tasks.step.step_map import matvec
 
 
 @dataclass
-class Linearisation:
+class Evaluation:
     """Steps at n points, and to first order the joint equations of state and event times there.
 
     Attributes
@@ -27,10 +27,13 @@ class Linearisation:
     Z : ndarray, shape (c, n)
     stride : Stride or Strides
         Differentiated by the slope too.
+    problem : Problem
+        Of one walker, or of n lanes.
     """
 
     Z: np.ndarray
     stride: AnyStride
+    problem: Problem
 
     @property
     def m(self) -> int:
@@ -82,9 +85,11 @@ class Linearisation:
         vars(self).pop("derivative", None)
 
 
-def linearised(problem: Problem, Z: np.ndarray, samples: int = 0) -> Linearisation:
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
     """Evaluate the steps at points Z (c, n), with `samples` of their motion as `Problem.stride` takes them."""
-    return Linearisation(Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0])
+    return Evaluation(Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0], problem)
 
 
 def determinants(matrices: np.ndarray) -> np.ndarray:
@@ -105,14 +110,14 @@ def determinants(matrices: np.ndarray) -> np.ndarray:
     return out
 
 
-def rounding_step(matrix: np.ndarray, at: Linearisation) -> np.ndarray:
+def rounding_step(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
     """Size of a bordered Newton step, event times apart, that rounding alone makes.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, c, c)
         Of the joint equations, and the border.
-    at : Linearisation
+    at : Evaluation
 
     Returns
     -------

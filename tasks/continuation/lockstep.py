@@ -34,12 +34,14 @@ def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
 
     Parameters
     ----------
-    result : ndarray, or a dataclass, tuple or list of such
+    result : ndarray, Problem, or a dataclass, tuple or list of such
         Whose last axes count lanes.
     lanes : slice, or ndarray of int, shape (k,)
     """
     if isinstance(result, np.ndarray):
         return result[..., lanes]
+    if isinstance(result, Problem):
+        return result.some(lanes)
     if isinstance(result, tuple | list):
         return type(result)(lanes_of(each, lanes) for each in result)
     values = {field.name: lanes_of(getattr(result, field.name), lanes) for field in dataclasses.fields(result)}

@@ -20,6 +20,9 @@ from gaitsweep.tasks.continuation.root import hermite
 #: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
 Linearise = Callable[[np.ndarray, np.ndarray], Any]
 RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
+#: One equation more: by the numbers of lanes (j,), the other equations there, the Newton steps that led to their points
+#: (c, j) and whether these have grown (j,), its derivatives (c, j) and its values (j,).
+Border = Callable[[np.ndarray, Any, np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray]"]
 
 
 @dataclass(frozen=True)
@@ -27,13 +30,14 @@ class Newton:
     """When bordered Newton ends.
 
     A lane is lost after `max_iterations`, or a step larger than `max_step`. It has converged after a step that is
-    rounding, or after one below `small` that is larger than `shrinking` times the one before.
+    rounding or `enough`, or after one below `small` that is larger than `shrinking` times the one before.
     """
 
     max_iterations: int
     max_step: float
     small: float
     shrinking: float
+    enough: float = 0.0
 
 
 @dataclass
@@ -43,11 +47,13 @@ class Corrected:
     Attributes
     ----------
     Z, direction : ndarray, shape (c, n)
-        The points and the tangents there, of length one.
+        The points and the tangents there, of length one, to the side on which the border's equation grows.
     ok : ndarray of bool, shape (n,)
         Whether Newton converged.
-    error : ndarray, shape (n,)
-        Size of the last step.
+    last_step, rounding : ndarray, shape (n,)
+        Size of the last step, infinite where there was none, and of one that rounding alone makes.
+    rows : ndarray, shape (c, n)
+        Derivatives of the border's equation.
     at : object
         The equations there, to first order: at the point or a Newton step away.
     """
@@ -55,8 +61,15 @@ class Corrected:
     Z: np.ndarray
     direction: np.ndarray
     ok: np.ndarray
-    error: np.ndarray
+    last_step: np.ndarray
+    rounding: np.ndarray
+    rows: np.ndarray
     at: Any
+
+    @property
+    def error(self) -> np.ndarray:
+        """Bound on the error of Z, infinite where Newton did not converge, shape (n,)."""
+        return np.where(self.ok, self.rounding + 2 * self.last_step, np.inf)
 
 
 def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
@@ -92,17 +105,27 @@ def solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, n
     return both[..., 0].T, both[..., 1].T, solvable
 
 
+def _plane(Z: np.ndarray, normal: np.ndarray) -> Border:
+    """The equations of planes normal to some directions through points Z as they are now, wherever these move."""
+    start = Z.copy()
+
+    def equation(lanes: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
+        return normal[:, lanes], (normal[:, lanes] * (Z[:, lanes] - start[:, lanes])).sum(axis=0)
+
+    return equation
+
+
 # Where a strike is tangential to the last digit the map has no derivative.
-@np.errstate(invalid="ignore", over="ignore")
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def bordered_newton(
     linearise: Linearise,
     rounding_step: RoundingStep,
     limits: Newton,
     Z: np.ndarray,
-    border: np.ndarray,
-    sized: Sequence[int],
+    border: np.ndarray | Border,
+    sized: Sequence[int] | slice = slice(None),
 ) -> Corrected:
-    """Solve for the zeros in the planes through some points normal to `border`, by Newton's method.
+    """Solve for the zeros at which one equation more holds, by Newton's method.
 
     Parameters
     ----------
@@ -113,7 +136,8 @@ def bordered_newton(
     limits : Newton
     Z : ndarray, shape (c, n)
         Predicted points.
-    border : ndarray, shape (c, n)
+    border : ndarray, shape (c, n), or callable
+        Directions of planes through the predicted points in which the zeros lie, or another equation.
     sized : sequence of int
         Coordinates whose largest change is the size of a step.
 
@@ -121,35 +145,35 @@ def bordered_newton(
     -------
     Corrected
     """
-    n = Z.shape[1]
-    start, Z = Z, Z.copy()
-    ok, error = np.zeros(n, bool), np.full(n, np.inf)
+    n, Z = Z.shape[1], Z.copy()
+    equation = border if callable(border) else _plane(Z, border)
+    step, direction, rows = (np.zeros_like(Z) for _ in range(3))
+    ok, grown, last_step, rounding = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf), np.full(n, np.inf)
     active = np.arange(n)
     for _ in range(limits.max_iterations):
-        normal, points = border[:, active], Z[:, active]
-        system = linearise(active, points)
-        matrix = bordered_matrix(system.derivative, normal)
-        off = (normal * (start[:, active] - points)).sum(axis=0)
-        change, direction, solvable = solve_bordered(matrix, np.vstack([-system.residual, off]))
-        size = np.abs(change[sized]).max(axis=0)
-        moving = solvable & (size <= limits.max_step)
+        system = linearise(active, Z[:, active])
+        rows[:, active], value = equation(active, system, step[:, active], grown[active])
+        matrix = bordered_matrix(system.derivative, rows[:, active])
+        change, along, solvable = solve_bordered(matrix, -np.vstack([system.residual, value]))
+        size, before = np.where(solvable, np.abs(change[sized]).max(axis=0), np.inf), last_step[active]
+        moving = size <= limits.max_step
         Z[:, active[moving]] += change[:, moving]
-        done = moving & (
-            (size < rounding_step(matrix, system)) | ((size < limits.small) & (size > limits.shrinking * error[active]))
-        )
-        ok[active], error[active] = done, size
+        rounding[active] = rounding_step(matrix, system)
+        at_rest = size <= np.maximum(rounding[active], limits.enough)
+        done = moving & (at_rest | ((size < limits.small) & (size > limits.shrinking * before)))
+        ok[active], grown[active], last_step[active] = done, size > before, size
+        step[:, active], direction[:, active] = change, along
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
         if len(active) == n:
-            at, null = system, direction
+            at = system
         else:
             at.assign(active, system)
-            null[:, active] = direction
         active = active[moving & ~done]
         if not len(active):
             break
-    length = np.linalg.norm(null, axis=0)
+    length = np.linalg.norm(direction, axis=0)
     length[length == 0] = 1.0  # in lanes that are lost
-    return Corrected(Z, null / length, ok, error, at)
+    return Corrected(Z, direction / length, ok, last_step, rounding, rows, at)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import LOST, Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
-from gaitsweep.tasks.continuation.joint import Linearisation
+from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
 from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
@@ -172,7 +172,7 @@ def _strikes_with_knee(point: Point, lane: int) -> bool:
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
-def state_at(problem: Problem, point: Linearisation, lane: int) -> dict[str, Any]:
+def state_at(problem: Problem, point: Evaluation, lane: int) -> dict[str, Any]:
     """State at the start of a point's step, of several that with the largest stance angle.
 
     Returns

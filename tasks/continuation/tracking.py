@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.joint import Linearisation, but_times, linearised, rounding_step
+from gaitsweep.tasks.continuation.joint import Evaluation, but_times, evaluate, rounding_step
 from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.pseudo_arclength import (
     Newton,
@@ -63,7 +63,7 @@ _CHECK_EVERY = 12
 
 
 @dataclass
-class Point(Linearisation):
+class Point(Evaluation):
     """Corrected points of n branches; their steps are those last evaluated, at the point or a Newton step away.
 
     Attributes
@@ -103,12 +103,12 @@ def correct(problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iter
         border = np.zeros(Z.shape)
         border[-1] = 1
 
-    def linearise(lanes: np.ndarray, Z: np.ndarray) -> Linearisation:
-        return linearised(problem.some(lanes), Z)
+    def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
+        return evaluate(problem.some(lanes), Z)
 
     limits = replace(_NEWTON, max_iterations=max_iterations)
     at = bordered_newton(linearise, rounding_step, limits, Z, border, but_times(problem.m))
-    return Point(at.Z, at.at.stride, at.direction, at.ok)
+    return Point(at.Z, at.at.stride, problem, at.direction, at.ok)
 
 
 def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) -> Point:

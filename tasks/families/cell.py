@@ -415,11 +415,11 @@ class _Way:
     def newton(self, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gaits near guesses (m + k, n), and whether they are on the right side of folds, (n,)."""
         problem, q = self.maker.problem(points[:, 1:]), self.span.log_slope(points)
-        result = newton(problem, guess, q, enough=_ENOUGH)
-        off = np.abs(result.w - guess) / np.maximum(1.0, np.abs(guess) / _FAST)
-        fair = result.converged & (off.max(axis=0) < _MAX_STRIDE_ERROR)
-        fair &= side_of_fold(problem.stride(result.w, q)[0]) == self.side
-        return result.w, fair
+        w, converged = newton(problem, guess, q, enough=_ENOUGH)
+        off = np.abs(w - guess) / np.maximum(1.0, np.abs(guess) / _FAST)
+        fair = converged & (off.max(axis=0) < _MAX_STRIDE_ERROR)
+        fair &= side_of_fold(problem.stride(w, q)[0]) == self.side
+        return w, fair
 
     def solved(self, points: np.ndarray, before: Chart | None) -> np.ndarray:
         """Gaits at points (n, 1 + d), shape (m + k, n)."""

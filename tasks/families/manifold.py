@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import Polish, newton_step
+from gaitsweep.tasks.continuation.defining import foot_radius, log_froude_by_Z, newton_step
 from gaitsweep.tasks.continuation.extremes import Points, classify
+from gaitsweep.tasks.continuation.pseudo_arclength import Corrected
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step.problem import Lanes
@@ -176,19 +177,17 @@ class Manifold:
         """
         Z, rows = self.predict(unit)
         step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
-        size, change = np.abs(step.change).max(axis=0), step.change
-        near = size <= _SAFETY * max(self.chart.error, LEAST)
+        near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
         walks = _walks(problem, self.kind, step, near)
-        error = self._error(size) + step.rounding
+        error = self._error(step.last_step) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))
         if len(again):
-            change = change.copy()
-            further = newton_step(problem.some(again), self.kind, (Z + change)[:, again], rows[:, again], self.target)
-            change[:, again] += further.change
-            error[again] = self._error(np.abs(further.change).max(axis=0)) + further.rounding
-        points = classify(self.kind, step.at, np.arange(len(unit)), Z + change, rows, error, walks)
+            further = newton_step(problem.some(again), self.kind, step.Z[:, again], rows[:, again], self.target)
+            step.Z[:, again] = further.Z
+            error[again] = self._error(further.last_step) + further.rounding
+        points = classify(self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks)
         # Where the speed grows towards the other side of the point, it has a maximum before it.
-        points.faster = (step.at.speed_by_Z * step.along).sum(axis=0) > 0
+        points.faster = (log_froude_by_Z(Z, foot_radius(problem)) * step.direction).sum(axis=0) > 0
         return points, near
 
     def _error(self, size: np.ndarray) -> np.ndarray:
@@ -200,17 +199,16 @@ def _is_end(kind: str) -> bool:
     return kind.startswith("end_")
 
 
-def _walks(problem: Lanes, kind: str, step: Polish, near: np.ndarray) -> np.ndarray:
+def _walks(problem: Lanes, kind: str, step: Corrected, near: np.ndarray) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
     walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
     if not len(lanes):
         return walks
     Z, stride = step.at.Z[:, lanes], None
     if _is_end(kind):
-        along = step.along[:, lanes]
         # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
         side = 1 if "kneestrike_at" in kind else -1
-        Z = Z + step.change[:, lanes] + side * _INSIDE * along / np.linalg.norm(along, axis=0)
+        Z = step.Z[:, lanes] + side * _INSIDE * step.direction[:, lanes]
     else:
         stride = step.at.stride.some(lanes)
     _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)

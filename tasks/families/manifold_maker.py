@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import defining_system, evaluate, gradient, newton_step, solve
+from gaitsweep.tasks.continuation.defining import defining_system, gradient, newton_step, solve
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
 from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit
@@ -221,8 +222,8 @@ class _Extension:
         # Nodes are added for the points: it is they that are solved.
         chart = Chart.through(sizes, np.vstack([Z - growth, rows / factor]), np.repeat([1.0, np.inf], len(Z)))
         unit = self.drawn(region, chart)
-        off = newton_step(self.problem(unit), self.kind, *region.predict(chart, unit), self.target).change
-        return replace(chart, error=float(np.nan_to_num(np.abs(off), nan=np.inf).max()))
+        step = newton_step(self.problem(unit), self.kind, *region.predict(chart, unit), self.target)
+        return replace(chart, error=float(step.last_step.max()))
 
     def drawn(self, region: Region, chart: Chart) -> np.ndarray:
         """Coordinates (n, d) of random designs that have a point of the manifold."""
@@ -421,9 +422,9 @@ class _Extension:
         solved = solve(problem, self.kind, guess, self.target, rows)
         if not (chart.error <= _FAIR and solved.ok.all()):
             raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
-        first, Z = newton_step(problem, self.kind, guess, rows, self.target).change, solved.Z
+        first, Z = newton_step(problem, self.kind, guess, rows, self.target), solved.Z
         displaced = Z + _DISPLACED * np.sign(self.box.draw(Z.shape[1], len(Z), "displaced")).T
-        off = displaced + newton_step(problem, self.kind, displaced, rows, self.target).change - Z
-        own, moved = np.abs(guess + first - Z).max(axis=0), np.abs(first).max(axis=0)
-        linear, quadratic = (own / np.maximum(moved, LEAST)).max(), np.abs(off).max() / _DISPLACED**2
+        off = newton_step(problem, self.kind, displaced, rows, self.target).Z - Z
+        own = np.abs(first.Z - Z).max(axis=0)
+        linear, quadratic = (own / np.maximum(first.last_step, LEAST)).max(), np.abs(off).max() / _DISPLACED**2
         return Manifold(self.kind, self.target, region, chart, float(linear), float(quadratic))

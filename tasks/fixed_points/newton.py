@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,9 @@ from gaitsweep.tasks.step.step_map import matvec
 LONGEST_PERIOD = 12.0
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
+
+#: Smallest distance of a new solution from those that deflation removes.
+_BESIDE = 1e-2
 
 #: Differences by which Lipschitz constants are estimated, in turn, until the derivative changes over one by no more
 #: than this, relative: steps that almost end in a fall are far more curved than others.
@@ -65,12 +67,18 @@ def relative_sizes(w: np.ndarray, m: int) -> np.ndarray:
     return sizes
 
 
-@dataclass
-class NewtonResult:
-    """Result of Newton on n lanes: similarity coordinates (m + phases, n), and which converged (n,)."""
+# Beside a known solution, or where the step leads away from it at once, deflation divides by nothing.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _deflated(step: np.ndarray, w: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Newton steps (m + k, n) at iterates w that known solutions repel, and whether these are beside the iterates (n,).
 
-    w: np.ndarray
-    converged: np.ndarray
+    With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is its step s for F over
+    1 - s.grad ln M (Sherman-Morrison formula), at no extra evaluation.
+    """
+    offset = w[:, None] - known[:, :, None]
+    square = (offset**2).sum(axis=0)
+    growth = (-2 * offset * step[:, None]).sum(axis=0) / (square**2 + square)
+    return step / (1 - growth.sum(axis=0)), (square <= _BESIDE**2).any(axis=0)
 
 
 def newton(
@@ -83,7 +91,8 @@ def newton(
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
     group: np.ndarray | None = None,
-) -> NewtonResult:
+    known: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
@@ -103,10 +112,13 @@ def newton(
         After three steps, of lanes of one group in one cell of this size, only that with the smallest step continues.
     group : ndarray of int, shape (n,), optional
         Of lanes with one walker at one slope.
+    known : ndarray, shape (m + phases, j), optional
+        Solutions that repel the iterates, which lead to others.
 
     Returns
     -------
-    NewtonResult
+    w : ndarray, shape (m + phases, n)
+    converged : ndarray of bool, shape (n,)
     """
     w = w.copy()
     n = w.shape[1]
@@ -120,24 +132,28 @@ def newton(
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
         rounding_std = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        alive = np.isfinite(size) & (size < max_step_by_iteration[min(taken, len(max_step_by_iteration) - 1)])
-        step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
+        beside = np.zeros(len(active), bool)
+        if known is not None:
+            step, beside = _deflated(step, w[:, active], known)
+        length = np.abs(step).max(axis=0)
+        alive = np.isfinite(length) & (size < max_step_by_iteration[min(taken, len(max_step_by_iteration) - 1)])
+        step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(length[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
         done = alive & (
-            (size < (1e-5 if coarse else np.maximum(rounding_std, enough)))
+            (size < np.maximum(1e-5 if coarse else rounding_std, enough))
             | ((size < 1e-6) & (size > 0.3 * last[active]))
         )
         sane = (np.abs(w[1 : problem.m, active]) < 50).all(axis=0) & (w[problem.m :, active] > 0.05).all(axis=0)
         sane &= (w[-1, active] < LONGEST_PERIOD * problem.steps) & (w[0, active] < 0.4)
-        converged[active[done & sane]] = True
+        converged[active[done & sane & ~beside]] = True
         last[active] = size
         active = active[alive & sane & ~done]
         if merge_cell and group is not None and taken > 1:
             active = active[np.argsort(last[active], kind="stable")]
             cells = np.vstack([group[active], np.round(w[:, active] / merge_cell)])
             active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
-    return NewtonResult(w, converged)
+    return w, converged
 
 
 def curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -131,8 +131,8 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
 
     def solve(w: np.ndarray, group: np.ndarray, apart: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
         lanes = problem.some(group // len(slopes))
-        result = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
-        return _distinct(result.w[:, result.converged], group[result.converged], apart)
+        w, converged = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
+        return _distinct(w[:, converged], group[converged], apart)
 
     limits = {"max_iterations": _MAX_ITERATIONS, "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases]}
     # Only what converges with coarse integration is integrated exactly.

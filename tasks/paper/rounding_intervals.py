@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import evaluate, joint_derivative, scalar, solve
+from gaitsweep.tasks.continuation.defining import joint_derivative, scalar, solve
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
 from gaitsweep.tasks.paper.lines import Line, Paper, memoize
 from gaitsweep.tasks.paper.published import HALF_UNITS

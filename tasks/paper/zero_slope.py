@@ -94,7 +94,7 @@ def mass_limit(paper: Paper, slope: float = 1e-9) -> float:
 
     def solve(ratio: float, guess: np.ndarray) -> tuple[np.ndarray, float]:
         problem = Problem(resolve("E", {"foot_mass_ratio": ratio}))
-        solution = newton(problem, guess, q).w
+        solution, _ = newton(problem, guess, q)
         return solution, float(np.abs(multipliers(problem.stride(solution, q)[0].jacobian, problem.m)).max() - 1)
 
     # At vanishing slopes Newton's basin is narrow: small steps from E's own foot mass.

@@ -63,12 +63,12 @@ class Problem:
         constants = self.constants[:, self.lanes]
         return np.vstack([slope, scale, np.broadcast_to(constants, (len(constants), len(slope)))])
 
-    def some(self, lanes: np.ndarray) -> Problem:
+    def some(self, lanes: np.ndarray | slice) -> Problem:
         """Return the problem of some lanes: the same where all lanes share a walker.
 
         Parameters
         ----------
-        lanes : ndarray of int, shape (k,)
+        lanes : ndarray of int, shape (k,), or slice
         """
         return self
 
@@ -183,12 +183,12 @@ class Lanes(Problem):
         self.constants = constants_of(walkers, self.structure)
         self.lanes = np.arange(len(walkers))
 
-    def some(self, lanes: np.ndarray) -> Lanes:
+    def some(self, lanes: np.ndarray | slice) -> Lanes:
         """Return the problem of some lanes, each with its walker.
 
         Parameters
         ----------
-        lanes : ndarray of int, shape (k,)
+        lanes : ndarray of int, shape (k,), or slice
         """
         some = copy.copy(self)
         some.lanes = self.lanes[lanes]

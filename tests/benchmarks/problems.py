@@ -81,9 +81,9 @@ def family(name: str, slope: float) -> Family:
     for branch in atlases.from_arrays(arrays):
         for index, Z, _ in branch.guesses(q):
             if len(index) == LANES:
-                solution = newton(problem, Z[:-1], q)
-                if solution.converged.all():
-                    return _with_reference(name, slope, problem, arrays, solution.w, slopes)
+                w, converged = newton(problem, Z[:-1], q)
+                if converged.all():
+                    return _with_reference(name, slope, problem, arrays, w, slopes)
     raise ValueError(f"`slope` must have a gait of {name} all around it; got {slope}.")
 
 
@@ -248,8 +248,8 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     for setting, coarse in ((EPS, False), (1e-7, True)):
 
         def ours(coarse: bool = coarse) -> np.ndarray:
-            solution = newton(f.problem, start, q, coarse=coarse)
-            stride, scale = f.problem.stride(solution.w, q, coarse=coarse)
+            w, _ = newton(f.problem, start, q, coarse=coarse)
+            stride, scale = f.problem.stride(w, q, coarse=coarse)
             multipliers(stride.jacobian, 3)
             return (stride.y + stride.newton) * scale / f.scale
 

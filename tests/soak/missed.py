@@ -105,8 +105,8 @@ def _dense(problem: Lanes, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     shaken[0] = w[0] + SHAKE * random.uniform(-1, 1, w.shape[1])
     w = np.where(np.arange(w.shape[1]) % COPIES == 0, w, shaken)
     for coarse in (True, False):
-        solved = newton(problem.some(line), w, np.log(slopes[line]), coarse=coarse)
-        w, line = solved.w[:, solved.converged], line[solved.converged]
+        w, converged = newton(problem.some(line), w, np.log(slopes[line]), coarse=coarse)
+        w, line = w[:, converged], line[converged]
         cells = np.vstack([line, np.round(w, 3 if coarse else 5)])
         kept = np.unique(cells, axis=1, return_index=True)[1]
         w, line = w[:, kept], line[kept]

@@ -211,11 +211,11 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
     slope = np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), n))
     before = _strides(problem)
     start = _starts(problem, slope, random)
-    solved = newton(problem, start, np.log(slope))
-    converged = np.nonzero(solved.converged)[0]
+    w, found = newton(problem, start, np.log(slope))
+    converged = np.nonzero(found)[0]
     outcomes.add(family, "Newton did not converge", n - len(converged))
     if len(converged):
-        lanes, slope, w = problem.some(converged), slope[converged], solved.w[:, converged]
+        lanes, slope, w = problem.some(converged), slope[converged], w[:, converged]
         at = settle(lanes, unmeasured(lanes, w, slope))
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(converged)):

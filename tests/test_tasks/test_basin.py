@@ -192,14 +192,15 @@ def test_deflated_newton_keeps_away_from_what_is_known():
     y = starts(problem, slope, 600)
     flown = stride(problem, y, np.full(600, slope), exact=False)
     begin = np.vstack([np.log(y[0]), y[1:] / y[0], flown.times])[:, flown.outcome == STRUCK]
-    solved = newton(problem, begin, np.full(begin.shape[1], np.log(slope)))
-    w = solved.w[:, solved.converged]
+    w, converged = newton(problem, begin, np.full(begin.shape[1], np.log(slope)))
+    w = w[:, converged]
     both = [w[:, k] for k in (np.argmin(w[0]), np.argmax(w[0]))]
     for mine, other in (both, both[::-1]):
-        ends = deflated(problem, begin, mine[:, None], slope)
-        assert ends.shape[1] > 0
-        assert np.abs(ends - other[:, None]).max() < 2e-3
-    assert deflated(problem, begin, np.array(both).T, slope).shape[1] == 0
+        ends, near = deflated(problem, begin, mine[:, None], slope)
+        assert near.any()
+        assert np.abs(ends[:, near] - other[:, None]).max() < 2e-3
+        assert not deflated(problem, mine[:, None] + 1e-4, mine[:, None], slope)[1].any()
+    assert not deflated(problem, begin, np.array(both).T, slope)[1].any()
 
 
 def test_starts_fill_the_section():

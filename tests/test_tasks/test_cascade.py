@@ -141,15 +141,15 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
     """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
     problem = Problem(resolve("D"))
     (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    begun, evaluated, newton_step = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.newton_step
-    monkeypatch.setattr(defining, "newton_step", lambda *a, **k: evaluated.append(1) or newton_step(*a, **k))
+    begun, evaluated, rounding_step = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.rounding_step
+    monkeypatch.setattr(defining, "rounding_step", lambda *a: evaluated.append(1) or rounding_step(*a))
     event, _ = locate_cascade._first_event(problem, begun, "flip", *np.log([0.0145, 0.016]))
     assert event.slope == pytest.approx(0.015088437941119463562, rel=1e-13)
     assert 0 < len(evaluated) < 8
 
 
 def test_an_event_that_is_not_located_is_told(monkeypatch):
-    monkeypatch.setattr(defining, "_MAX_STEPS", 0)
+    monkeypatch.setattr(defining, "_NEWTON", replace(defining._NEWTON, max_iterations=1))
     (stopped,) = doublings("D", 0.0145, 0.0195, periods=2, steps=0)["accumulation/stopped"]
     assert stopped.startswith("No flip of period 1: the next one could not be located, near a slope of 0.01")
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gaitsweep.tasks.continuation import atlas
+from gaitsweep.tasks.continuation import atlas, defining
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import evaluate, scalar
+from gaitsweep.tasks.continuation.defining import scalar, solve
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
@@ -122,7 +123,8 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
 
 
 def test_tangents_point_along_the_branch():
-    point = Point(np.zeros((2, 1)), SimpleNamespace(y=np.ones((1, 1))), np.array([[0.6], [-0.8]]), np.ones(1, bool))
+    problem, stride = Problem(CATALOGUE["B"]), SimpleNamespace(y=np.ones((1, 1)))
+    point = Point(np.zeros((2, 1)), stride, problem, np.array([[0.6], [-0.8]]), np.ones(1, bool))
     for along in ([1.0, 0.0], [-1.0, 0.0], [0.0, 2.0]):
         tangent = point.oriented(np.array(along)[:, None]).direction[:, 0]
         assert tangent @ along > 0 and np.abs(tangent).tolist() == [0.6, 0.8]
@@ -168,6 +170,21 @@ def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
     at, point = evaluate(problem, Z), correct(problem, Z, None, max_iterations=1)
     for kind in ("flip", "neimark_sacker", "release_hyperextension", "end_kneestrike_at_heelstrike"):
         np.testing.assert_allclose(scalar(kind, point), scalar(kind, at), rtol=1e-6, atol=1e-10)
+
+
+def test_special_points_are_solved_with_derivatives_of_points_nearby(monkeypatch):
+    """The steps themselves bring the row up to date, and no point goes far."""
+    problem, found = branches("B")
+    Z, steps = found[0].at(np.array([20.5])), []
+    rounding_step = defining.rounding_step
+    monkeypatch.setattr(defining, "rounding_step", lambda *a: steps.append(1) or rounding_step(*a))
+    row, q = np.eye(len(Z))[:, [-1]], Z[-1, 0]
+    near = solve(problem, "window", Z, q + 0.1, rows=1.3 * row)
+    assert near.ok[0] and near.Z[-1, 0] == pytest.approx(q + 0.1, abs=1e-13) and len(steps) < 8
+    assert near.rows[-1, 0] == pytest.approx(1.0, abs=0.2)
+    far = solve(problem, "window", Z, q + 0.7, rows=1.5 * row)
+    assert not far.ok[0] and far.error[0] == np.inf
+    np.testing.assert_array_equal(far.Z, Z)
 
 
 def test_forward_and_back_to_the_start():

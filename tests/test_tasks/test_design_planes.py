@@ -10,8 +10,9 @@ from scipy.optimize import brentq
 
 from gaitsweep.tasks.continuation import defining, extremes
 from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
+from gaitsweep.tasks.continuation.defining import SCALARS, foot_radius, gradient, log_froude, scalar, solve
 from gaitsweep.tasks.continuation.extremes import Points, best, find
+from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families import landscape as landscapes
 from gaitsweep.tasks.families import manifold_maker as makers
@@ -420,7 +421,7 @@ def test_the_scalars_vanish_at_points_known_otherwise():
         if kind == "fastest":
             step = 1e-4
             others = [solve(problem, "window", Z, Z[-1] + sign * step).Z for sign in (-1, 1)]
-            v = [log_froude(each, at.radius)[0] for each in (others[0], Z, others[1])]
+            v = [log_froude(each, foot_radius(problem))[0] for each in (others[0], Z, others[1])]
             assert abs(v[2] - v[0]) < 5e-3 * abs(v[0] - 2 * v[1] + v[2])
 
 
@@ -483,7 +484,7 @@ def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_n
     manifold = extension.manifold()
     nodes = manifold.region.unit(roots(manifold.chart.sizes[0])[:, None])
     problem, (Z, rows) = extension.problem(nodes), manifold.predict(nodes)
-    assert np.abs(defining.newton_step(problem, "flip", Z, rows).change).max() < 1e-11
+    assert defining.newton_step(problem, "flip", Z, rows).last_step.max() < 1e-11
     np.testing.assert_allclose(rows, gradient(problem, "flip", Z), rtol=1e-6, atol=1e-6 * np.abs(rows).max())
     c = len(Z)
     assert (manifold.chart.tails()[:, c:] == 0).all() and (manifold.chart.tails()[:, :c] > 0).any()

@@ -336,7 +336,7 @@ def test_a_gait_may_lie_farther_from_its_guess_where_steps_nearly_vanish(monkeyp
     guess = np.array([[0.1] * 4, [-3.0, -3.0, -12.0, -12.0], [3.0] * 4])
     moved = guess + np.array([[0.0, 0.0, 0.0, 0.5], [0.2, 0.5, 0.5, 0.0], [0.0] * 4])
     monkeypatch.setattr(cells, "side_of_fold", lambda stride: np.ones(stride.shape[1]))
-    monkeypatch.setattr(cells, "newton", lambda *_, **__: SimpleNamespace(w=moved, converged=np.ones(4, bool)))
+    monkeypatch.setattr(cells, "newton", lambda *_, **__: (moved, np.ones(4, bool)))
     assert way.newton(np.zeros((4, 2)), guess)[1].tolist() == [True, False, True, False]
 
 
@@ -401,13 +401,13 @@ def test_gaits_that_are_lost_on_their_way_are_refused(monkeypatch):
     (group, *_), usual = maker.groups(), cells.newton
 
     def lost(problem, w, q, **options):
-        found = usual(problem, w, q, **options)
-        return SimpleNamespace(w=found.w, converged=found.converged & (q < np.log(0.0099)))
+        w, converged = usual(problem, w, q, **options)
+        return w, converged & (q < np.log(0.0099))
 
     monkeypatch.setattr(cells, "newton", lost)
     with pytest.raises(Refused, match=r"a gait is lost on its way to \d+ nodes"):
         maker.patch(group)
-    monkeypatch.setattr(cells, "newton", lambda problem, w, q, **_: SimpleNamespace(w=w + 0.31, converged=q < 0))
+    monkeypatch.setattr(cells, "newton", lambda problem, w, q, **_: (w + 0.31, q < 0))
     with pytest.raises(Refused, match="is lost on its way"):
         maker.patch(group)
 

@@ -177,9 +177,9 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
     low, high = beside_the_gap(found)
     q = np.log([0.0042])
     w = 0.5 * (low.Z[:-1, [-1]] + high.Z[:-1, [0]])
-    solution = newton(problem, w, q)
-    assert solution.converged.all()
-    stride, scale = problem.stride(solution.w, q)
+    w, converged = newton(problem, w, q)
+    assert converged.all()
+    stride, scale = problem.stride(w, q)
     state = stride.start[:, 0] * scale[0]
     time_unit = np.sqrt(problem.walker.leg / problem.walker.g)
     with pytest.raises(StepFailed, match="after the leg has passed the heelstrike angle"):
