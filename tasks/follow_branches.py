@@ -12,7 +12,7 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import locate_root
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.sampling import chosen, within
-from gaitsweep.tasks.continuation.special_points import RATES, special_points, state_at
+from gaitsweep.tasks.continuation.special_points import RATES, record, special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
@@ -119,15 +119,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         # Closer samples show the error of the minimum of a sampled force.
         error = least(point.Z, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
-        records.append(
-            {
-                "kind": "end_contact_lost",
-                "slope": float(np.exp(point.q[0])),
-                **state_at(problem, point, 0),
-                "period": float(point.times[-1, 0]),
-                "error_bound": slope_error + 64 * EPS,
-            }
-        )
+        records.append(record("end_contact_lost", problem, point, 0, slope_error + 64 * EPS))
     return records
 
 
