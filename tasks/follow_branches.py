@@ -12,14 +12,14 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import locate_root
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.sampling import chosen, within
-from gaitsweep.tasks.continuation.special_points import RATES, special_points, state_at
+from gaitsweep.tasks.continuation.special_points import RATES, record, special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
-from gaitsweep.tasks.tables import table
+from gaitsweep.tasks.tables import stacked, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Columns of the tables `branches` and `special_points`.
@@ -58,7 +58,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
-    parts: list[tuple[np.ndarray, ...]] = []
+    parts: list[tuple[Any, ...]] = []
     points: list[tuple[Any, ...]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(problem, curve, low, high, least)
@@ -69,18 +69,17 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         rates = problem.start(stride.y * scale, np.exp(q))[1:] / time_unit
         radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
         times = w[m:] * time_unit
-        knee = times[0] if walker.knees else np.full(len(q), np.nan)
+        knee = times[0] if walker.knees else np.nan
         label = np.where(gait_ratio(stride) < 0.5, "long", "short")
-        start = np.full(len(q), number), np.exp(q), np.exp(w[0]), *rates
-        parts.append((*start, times[-1], knee, radius, (radius < 1).astype("i1"), label))
+        parts.append(
+            (number, np.exp(q), np.exp(w[0]), *rates, times[-1], knee, radius, (radius < 1).astype("i1"), label)
+        )
         for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
                 state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
                 period, error = point["period"] * time_unit, point["error_bound"]
                 points.append((number, point["kind"], point["slope"], *state, period, error))
-    columns = zip(*parts, strict=True) if parts else [(np.zeros(0),)] * len(COLUMNS)
-    branches = {f"branches/{k}": np.concatenate(v) for k, v in zip(COLUMNS, columns, strict=True)}
-    return branches | table("special_points", points, SPECIAL)
+    return stacked("branches", parts, COLUMNS) | table("special_points", points, SPECIAL)
 
 
 def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:
@@ -120,15 +119,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         # Closer samples show the error of the minimum of a sampled force.
         error = least(point.Z, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
-        records.append(
-            {
-                "kind": "end_contact_lost",
-                "slope": float(np.exp(point.q[0])),
-                **state_at(problem, point, 0),
-                "period": float(point.times[-1, 0]),
-                "error_bound": slope_error + 64 * EPS,
-            }
-        )
+        records.append(record("end_contact_lost", problem, point, 0, slope_error + 64 * EPS))
     return records
 
 

@@ -137,18 +137,8 @@ def _seeds(
     problem: Problem, branches: list[Branch], kinds: Any, window: Mapping[str, tuple[float, float]]
 ) -> list[tuple[str, np.ndarray]]:
     """Special points of a line's branches at which curves begin: kind, and Z (c,) without a key."""
-    seeds = []
-    for branch in branches:
-        for point in special_points(problem, branch):
-            q = np.log(float(point["slope"]))
-            if point["kind"] not in kinds or not window["q"][0] <= q <= window["q"][1]:
-                continue
-            # Folds are nodes; between nodes the branch's polynomial is accurate enough as a guess.
-            angle = np.log(float(point["stance_angle"]))
-            near = [branch.Z[:, np.argmin(np.abs(branch.Z[[0, -1]].T - [angle, q]).max(axis=1))]]
-            near += [Z[:, 0] for _, Z, _ in branch.guesses(np.array([q]))]
-            seeds.append((str(point["kind"]), min(near, key=lambda z: abs(z[0] - angle) + abs(z[-1] - q))))
-    return seeds
+    found = [(str(p["kind"]), np.array(p["Z"])) for branch in branches for p in special_points(problem, branch)]
+    return [(kind, Z) for kind, Z in found if kind in kinds and window["q"][0] <= Z[-1] <= window["q"][1]]
 
 
 def _returns(equations: Curve, points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:

@@ -15,9 +15,9 @@ from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fixed_points.polish import SAFETY_FACTOR
 from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
-Arrays = dict[str, np.ndarray]
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.
 _ALIGNMENT, _BLOCKS = 16, 8
 #: Columns of a row, and the longest period at which an orbit is tested for repetition.
@@ -114,16 +114,13 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     if strides < _BLOCKS:
         reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
         means, strides = np.full_like(means, np.nan), 0
-    rows: dict[str, list[float]] = {k: [] for k in ("slope", "index", "exponent", "standard_error", "strides")}
+    rows = []
     for s in np.unique(lane_slope):
         at_slope = lane_slope == s
         value, error = estimate(means[:, :, at_slope])
         for i, k in enumerate(np.argsort(-value, kind="stable").tolist()):
-            row = (s, i, value[k], error[k], strides * int(at_slope.sum()))
-            for column, x in zip(rows.values(), row, strict=True):
-                column.append(x)
-    table = {f"lyapunov/{k}": np.array(v, float if k not in ("index", "strides") else int) for k, v in rows.items()}
-    return table | {"lyapunov/reason": np.full(len(rows["slope"]), reason)}
+            rows.append((s, i, value[k], error[k], strides * int(at_slope.sum()), reason))
+    return table("lyapunov", rows, ("slope", "index", "exponent", "standard_error", "strides", "reason"))
 
 
 def _settle(walk: Walk, transient: int) -> None:

@@ -288,15 +288,11 @@ _Begun = tuple[Point, np.ndarray, float]
 
 def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
     """The first fold or flip along a branch inside the window, or why there is none."""
-
-    def test(gait: Point) -> float:
-        return float(scalar("flip", gait)[0]) if kind == "flip" else float(gait.direction[-1, 0])
-
     q, points = float(begun[0].q[0]), points_along(problem, *begun)
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
             return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}"
-        q, a, b = float(after.q[0]), test(before), test(after)
+        q, (a, b) = float(after.q[0]), (float(scalar(kind, gait)[0]) for gait in (before, after))
         if a * b < 0:
             length = float(np.linalg.norm(after.Z - before.Z))
             guess = hermite(before.Z, before.direction, after.Z, after.direction, length, a / (a - b))

@@ -14,13 +14,14 @@ from gaitsweep.tasks.dynamics.initial_states import NO_START, gaits_at
 from gaitsweep.tasks.dynamics.stable_manifold import saddle_at, stable_manifold
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.tables import Arrays, stacked, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
-Arrays = dict[str, np.ndarray]
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
-#: Columns of points of the section.
+#: Columns of points of the section, and of areas.
 _POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
+_AREAS = ("slope", "outcome", "area", "standard_error", "share", "starts")
 
 
 def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -55,9 +56,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    tables: list[Arrays] = []
-    areas: dict[str, list[Any]] = {k: [] for k in ("slope", "outcome", "area", "standard_error", "share", "starts")}
-    gaits, manifolds = ({name: list[Any]() for name in _POINTS} for _ in range(2))
+    areas, basins, gaits, manifolds = (list[tuple[Any, ...]]() for _ in range(4))
     branches = atlases.from_arrays(inputs[0])
     for slope in np.asarray(params["slope"], float):
         targets = {}
@@ -66,52 +65,42 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             if len(known):
                 targets[label] = y[:, 0]
         if "long" not in targets:
-            _append_row(areas, (slope, NO_START, 0.0, 0.0, np.nan, 0))
+            areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
             continue
         starts, cell = _starts(problem, targets["long"], options, time_unit)
         grid = starts.reshape(problem.m, int(options["size"]), -1)
         for label, y in targets.items():
-            _append(gaits, float(slope), label, y[:, None], time_unit)
+            gaits.append((slope, label, *_section(y[:, None], time_unit)))
             saddle = saddle_at(problem, y, float(slope))
             if saddle:
                 edge = stable_manifold(problem, saddle, float(slope), grid)
                 # To seven digits, as the steps simulated there are accurate; an archive packs these well.
-                _append(manifolds, float(slope), label, edge.astype(np.float32).astype(float), time_unit)
+                manifolds.append((slope, label, *_section(edge.astype(np.float32).astype(float), time_unit)))
         n = starts.shape[1]
         neighbourhoods = {label: Neighbourhoods(problem, y[:, None], np.array([slope])) for label, y in targets.items()}
         homes = {label: home.some(np.zeros(n, int)) for label, home in neighbourhoods.items() if home.radius[0]}
         walk = Walk(problem, starts, np.full(n, slope))
         outcome = attractors(walk, homes, int(options["steps"]))
-        table = {
-            "slope": walk.slope,
-            "stance_angle": starts[0],
-            "stance_rate": starts[1] / time_unit,
-        }
-        if problem.m == 3:
-            table["swing_rate"] = starts[2] / time_unit
-        tables.append(table | {"outcome": outcome, "steps": np.minimum(walk.taken, int(options["steps"]))})
+        taken = np.minimum(walk.taken, int(options["steps"]))
+        basins.append((walk.slope, starts[0], *(starts[1:] / time_unit), outcome, taken))
         for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell):
-            row = (slope, name, area / time_unit, error / time_unit, np.mean(outcome == name), len(outcome))
-            _append_row(areas, row)
-    basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
-    fixed = {f"fixed_points/{k}": np.array(v) for k, v in gaits.items()}
-    edges = {f"stable_manifold/{k}": np.array(v) for k, v in manifolds.items() if problem.m == 3 or k != "swing_rate"}
+            share = np.mean(outcome == name)
+            areas.append((slope, name, area / time_unit, error / time_unit, share, len(outcome)))
+    columns = ("slope", *_POINTS[2 : 2 + problem.m], "outcome", "steps")
+    tables = stacked("basin", basins, columns) if basins else {}
+    tables |= stacked("fixed_points", gaits, _POINTS)
+    edges = stacked("stable_manifold", manifolds, _POINTS)
+    if problem.m == 2:
+        del edges["stable_manifold/swing_rate"]
     # Points of a slope are numbered across saddles.
-    _, first, place = np.unique(manifolds["slope"], return_index=True, return_inverse=True)
+    _, first, place = np.unique(edges["stable_manifold/slope"], return_index=True, return_inverse=True)
     edges["stable_manifold/point"] = np.arange(len(place)) - first[place]
-    return basins | fixed | edges | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+    return tables | edges | table("areas", areas, _AREAS)
 
 
-def _append_row(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
-    for column, value in zip(table.values(), row, strict=True):
-        column.append(value)
-
-
-def _append(table: dict[str, list[Any]], slope: float, label: str, y: np.ndarray, time_unit: float) -> None:
-    """Append points of the section, shape (m, n), to a table of `_POINTS`."""
-    rates = [*(y[1:] / time_unit), np.full(y.shape[1], np.nan)][:2]
-    for name, values in zip(_POINTS, ([slope] * y.shape[1], [label] * y.shape[1], y[0], *rates), strict=True):
-        table[name] += list(values)
+def _section(y: np.ndarray, time_unit: float) -> list[Any]:
+    """Angle and both rates of points of the section, shape (m, n)."""
+    return [y[0], *(y[1:] / time_unit), np.nan][:3]
 
 
 def _starts(

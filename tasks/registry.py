@@ -60,17 +60,17 @@ TASKS = {
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
         Task("branch", "gaitsweep.tasks.follow_branches:branch", 18, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 10, needs=("atlas",)),
-        Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 18, needs=("atlas",)),
+        Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 19, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 12, needs=("atlas",)),
-        Task("curve", "gaitsweep.tasks.follow_curves:curve", 15, needs=("atlas",)),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 16, needs=("atlas",)),
         Task("design", "gaitsweep.tasks.map_designs:design", 23),
         Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
-        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 6, needs=("atlas",)),
+        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 7, needs=("atlas",)),
         Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)),
         Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 7, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 20, needs=("points", "atlas")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 21, needs=("points", "atlas")),
     )
 }
 

@@ -1,4 +1,4 @@
-"""Tables of results: the columns "group/column", shape (n,), made of rows."""
+"""Tables of results: the columns "group/column", shape (n,), made of rows or of parts of several rows."""
 
 from __future__ import annotations
 
@@ -29,3 +29,22 @@ def table(group: str, rows: Sequence[Mapping[str, Any] | Sequence[Any]], columns
     each = [[row[name] for name in names] if isinstance(row, Mapping) else row for row in rows]
     values = zip(*each, strict=True) if each else [()] * len(names)
     return {f"{group}/{name}": np.array(column) for name, column in zip(names, values, strict=True)}
+
+
+def stacked(group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]) -> Arrays:
+    """Parts of several rows, one after another, as the columns of one group.
+
+    Parameters
+    ----------
+    group : str
+    parts : sequence of sequence
+        Of each part the columns, shape (rows,), or the value that all its rows have.
+    columns : sequence of str
+        Their names.
+
+    Returns
+    -------
+    dict of ndarray, shape (rows of all parts,)
+    """
+    each = [np.broadcast_arrays(*part) for part in parts] or [(np.zeros(0),) * len(columns)]
+    return {f"{group}/{name}": np.concatenate(own) for name, own in zip(columns, zip(*each, strict=True), strict=True)}

@@ -13,12 +13,14 @@ from gaitsweep.tasks.continuation.locate import settle_on_branches
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.tables import stacked
 from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Intervals of each phase.
 SAMPLES = 48
 #: Largest number of slopes of a line that are drawn, spread over those of the study.
 MAX_SLOPES = 6
+COLUMNS = ("gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")
 
 
 def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -40,9 +42,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    columns: dict[str, list[np.ndarray]] = {
-        k: [] for k in ("gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")
-    }
+    parts: list[tuple[Any, ...]] = []
     slope = np.unique(np.asarray(params["slope"], float))
     slope = slope[np.unique(np.linspace(0, len(slope) - 1, MAX_SLOPES).round().astype(int))]
     known = points({**params, "slope": slope, "want": ()}, inputs)
@@ -59,18 +59,8 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
             for lane, g in np.argwhere(is_drawn):
                 times, angles = _cycle(stride.one.motion, at.times[:, lane], lane)
                 a, b, c = angles * at.scale[lane]
-                n = len(times)
-                for key, value in (
-                    ("gait", np.full(n, GAITS[g])),
-                    ("slope", np.full(n, slope[index[lane]])),
-                    ("time", times * time_unit),
-                    ("theta_st", a),
-                    ("theta_th", b),
-                    ("theta_sh", c),
-                    ("foot_x", -walker.R * a),
-                ):
-                    columns[key].append(value)
-    return {f"trace/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in columns.items()}
+                parts.append((GAITS[g], slope[index[lane]], times * time_unit, a, b, c, -walker.R * a))
+    return stacked("trace", parts, COLUMNS)
 
 
 def _cycle(motion: list[np.ndarray], ends: np.ndarray, lane: int) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,7 @@ from gaitsweep.tasks.continuation.locate import (
     locate_root,
     narrow_segment,
     sharpened_fold,
-    test_function,
+    value_of,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
@@ -166,7 +166,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         kind = _BEYOND[raw.why[side]]
         last_point = yield Call(evaluate, (raw.Z[:, [-side]],))
         if float(scalar(kind, last_point)[0]) > 0:
-            passed = yield from locate_root(raw, segment, test_function(kind))
+            passed = yield from locate_root(raw, segment, value_of(kind))
             ends[side] = BranchEnd(raw.why[side], passed, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run of only the node beyond a fall, none remains.

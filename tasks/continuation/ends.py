@@ -15,7 +15,7 @@ from gaitsweep.tasks.continuation.locate import (
     locate_root,
     sampled_steps,
     search_segment,
-    test_function,
+    value_of,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.root import root_search
@@ -55,7 +55,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     for kind in _ENDS:
         if "kneestrike" in kind and not len(at_good.stride.one.knee):
             continue
-        test = test_function(kind)
+        test = value_of(kind)
         if test(at_good) * test(at_bad) < 0:
             end = BranchEnd(kind, (yield from locate_root(branch, segment, test)), 0.0)
             # In the coordinate in which the segment is monotone: all others turn where kneestrike is tangential.

@@ -22,7 +22,7 @@ from gaitsweep.tasks.continuation.defining import (
     solve,
 )
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
-from gaitsweep.tasks.continuation.special_points import END_NAMES
+from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes
@@ -373,10 +373,9 @@ def _turns_and_ends(nodes: _Nodes, low: float) -> list[tuple[str, np.ndarray, np
     """The folds and the ends of the branches, which are nodes; `low` is the least ln slope of the window."""
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
-        by_kind.setdefault("fold", []).extend(first + place for place, _ in branch.pieces()[1:])
-        for place, why in zip((0, len(branch.q) - 1), branch.why, strict=True):
-            is_any = branch.q[place] <= np.log(_VANISHING) and branch.q.max() >= low
-            by_kind.setdefault(ANY_SLOPE if is_any else END_NAMES.get(why, why), []).append(first + place)
+        for kind, node, _ in turns_and_ends(branch):
+            is_any = kind != "fold" and branch.q[node] <= np.log(_VANISHING) and branch.q.max() >= low
+            by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
     return [
         (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))
         for kind, numbers in sorted(by_kind.items())

@@ -14,7 +14,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import LOST, Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
-from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
+from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, value_of
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
 from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
 from gaitsweep.tasks.fixed_points.rounding import rounding
@@ -38,24 +38,31 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     -------
     list of dict
         `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and shank [sqrt(g/leg)], `period`
-        [sqrt(leg/g)], `error_bound` (relative, of the slope), and `place`: the number of its node, or a number between
-        those of its neighbours.
+        [sqrt(leg/g)], `error_bound` (relative, of the slope), the point `Z`, shape (c,), and `place`: the number of its
+        node, or a number between those of its neighbours.
     """
     nodes = corrected(problem, branch)
-    # Folds have nodes of their own.
-    records = [(float(first), _record("fold", problem, nodes, first)) for first, _ in branch.pieces()[1:]]
     kinds = ["flip", "neimark_sacker", "branch_point"]
     kinds += ["release_hyperextension"] if problem.walker.knees else []
-    for kind, segment, point in crossings(problem, branch, nodes, kinds):
-        records.append((segment + 0.5, _record(kind, problem, point, 0)))
-    ends = list(zip((0, len(branch.q) - 1), branch.why, branch.end_errors, strict=True))
-    # Both ends of a closed branch are one fold.
-    for index, kind, error in ends[: 1 if branch.why == ("fold", "fold") else 2]:
-        record = _record(END_NAMES.get(kind, kind), problem, nodes, index, error)
-        if kind == "zero step length":
-            record |= _limit_of_short_steps(branch, index)
-        records.append((float(index), record))
-    return [{**record, "place": place} for place, record in sorted(records, key=lambda entry: entry[0])]
+    found = [(float(node), kind, nodes, node, error) for kind, node, error in turns_and_ends(branch)]
+    found += [(k + 0.5, kind, point, 0, 0.0) for kind, k, point in crossings(problem, branch, nodes, kinds)]
+    records = []
+    for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
+        own = record(kind, problem, point, lane, _error(kind, problem, point, lane, known))
+        if kind == "end_zero_step":
+            own |= _limit_of_short_steps(branch, lane)
+        records.append({**own, "place": place})
+    return records
+
+
+def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
+    """Return the folds and the ends of a branch, which are nodes: their kinds, nodes, and known errors of ln slope."""
+    found = [("fold", first, 0.0) for first, _ in branch.pieces()[1:]]
+    for side, why in enumerate(branch.why):
+        # Both ends of a closed branch are one fold.
+        if not (side and branch.why == ("fold", "fold")):
+            found.append((END_NAMES.get(why, why), side * (len(branch.q) - 1), branch.end_errors[side]))
+    return found
 
 
 def corrected(problem: Problem, branch: Branch) -> Point:
@@ -78,7 +85,9 @@ def flips(problem: Problem, branch: Branch) -> list[Point]:
     return [point for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
-def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
+def crossings(
+    problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str], target: float = 0.0
+) -> Iterator[tuple[str, int, Point]]:
     """Yield what a branch passes between its nodes: kinds, segments and points of one lane.
 
     Parameters
@@ -89,9 +98,11 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
         Its nodes.
     kinds : sequence of str
         Of SCALARS, and `branch_point`.
+    target : float
+        The scalars' value there.
     """
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds if kind in SCALARS
+        kind: (scalar(kind, nodes, target), value_of(kind, target)) for kind in kinds if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
@@ -185,19 +196,27 @@ def state_at(problem: Problem, point: Evaluation, lane: int) -> dict[str, Any]:
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
-def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, Any]:
+def _error(kind: str, problem: Problem, point: Point, lane: int, known: float) -> float:
+    """Bound on the relative error of a special point's slope, of which a part is known."""
+    error = known
     if kind == "fold":
         error = fold_error(point, lane)
     elif kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
         error += slope_error(problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])
-    elif not (kind == "branch_point" and error):  # that of a flip at which the branch begins is known
+    elif not (kind == "branch_point" and known):  # that of a flip at which the branch begins is known
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
+    return error + 8 * EPS
+
+
+def record(kind: str, problem: Problem, point: Evaluation, lane: int, error_bound: float) -> dict[str, Any]:
+    """Describe a special point as `special_points` does, but for its place."""
     return {
         "kind": kind,
         "slope": float(np.exp(point.q[lane])),
         **state_at(problem, point, lane),
         "period": float(point.times[-1, lane]),
-        "error_bound": error + 8 * EPS,
+        "error_bound": error_bound,
+        "Z": tuple(point.Z[:, lane].tolist()),
     }

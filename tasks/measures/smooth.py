@@ -22,6 +22,8 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
 _LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
 _RATIO = "heelstrike_rate_ratio"
+#: What is interpolated by its logarithm.
+_LOGARITHMS = ("stance_angle", "period")
 _MULTIPLIERS = tuple(v.name for v in VARIABLES.values() if v.group == "multipliers")
 
 
@@ -76,27 +78,16 @@ class Smooth:
         -------
         values, size : ndarray, shape (len(names), n)
         """
-        angle, period = solved["stance_angle"], solved["period"]
-        fastest = np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self._unit / angle
-        largest = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
-        values, size = [], []
-        for name in self.names:
-            own = np.ones(len(slope))
-            if name in ("stance_angle", "period"):
-                value = np.log(solved[name])
-            elif name in _RATES:
-                value, own = solved[name] * self._unit / angle, fastest
-            elif name == "kneestrike_time":
-                value = solved[name] / period
-            elif name in _LOSSES:
-                value = solved[name] / self._drop(slope, angle)
-            elif name == _RATIO:
-                value, own = solved[name], np.maximum(1.0, np.abs(solved[name]))
-            else:
-                value, own = jacobian[int(name[0]), int(name[1])], largest
-            values.append(value)
-            size.append(own)
-        return np.stack(values), np.stack(size)
+        values = {name: np.log(solved[name]) for name in _LOGARITHMS}
+        for name, (factor, divisor) in self._factors(slope, solved).items():
+            if name in self.names:
+                values[name] = solved[name] * factor / divisor
+        values |= {name: jacobian[int(name[0]), int(name[1])] for name in self.entries}
+        fastest = np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self._unit / solved["stance_angle"]
+        sizes = dict.fromkeys(_RATES, fastest) | {_RATIO: np.maximum(1.0, np.abs(values[_RATIO]))}
+        sizes |= dict.fromkeys(self.entries, np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1))))
+        one = np.ones(len(slope))
+        return np.stack([values[name] for name in self.names]), np.stack([sizes.get(name, one) for name in self.names])
 
     def needed(self, want: Sequence[str]) -> list[int]:
         """Columns from which variables follow."""
@@ -163,14 +154,10 @@ class Smooth:
 
     def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray]) -> Arrays:
         """Variables (n,) that follow from quantities, but for multipliers."""
-        known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in ("stance_angle", "period") if k in columns}
-        for name in {*_RATES, *_LOSSES, "kneestrike_time", _RATIO} & set(columns):
-            if name in _RATES:
-                known[name] = columns[name] * known["stance_angle"] / self._unit
-            elif name in _LOSSES:
-                known[name] = columns[name] * self._drop(slope, known["stance_angle"])
-            else:
-                known[name] = columns[name] * (known["period"] if name == "kneestrike_time" else 1.0)
+        known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in _LOGARITHMS if k in columns}
+        for name, (factor, divisor) in self._factors(slope, known).items():
+            if name in columns:
+                known[name] = columns[name] * divisor / factor
         if "thigh_rate" in known and not self.walker.knees:
             known["shank_rate"] = known["thigh_rate"]
         known["step_length"] = step_length(self.walker, known["stance_angle"])
@@ -184,6 +171,13 @@ class Smooth:
     def _unit(self) -> Any:
         return np.sqrt(self.walker.leg / self.walker.g)
 
-    def _drop(self, slope: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Energy that a step draws from gravity, in the walker's units."""
-        return self.walker.total_mass * self.walker.g * step_length(self.walker, angle) * np.sin(slope)
+    def _factors(self, slope: np.ndarray, known: Mapping[str, np.ndarray]) -> dict[str, tuple[Any, Any]]:
+        """Factor and divisor that make quantities of variables, by these, of gaits whose angle and period are known."""
+        angle = known["stance_angle"]
+        drawn = self.walker.total_mass * self.walker.g * step_length(self.walker, angle) * np.sin(slope)
+        return {
+            **dict.fromkeys(_RATES, (self._unit, angle)),
+            **dict.fromkeys(_LOSSES, (1.0, drawn)),
+            "kneestrike_time": (1.0, known.get("period")),
+            _RATIO: (1.0, 1.0),
+        }

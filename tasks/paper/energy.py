@@ -10,7 +10,7 @@ from gaitsweep.tasks.fixed_points.search import search
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, TUNED, Paper, numbers
+from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, WALKERS, Paper, numbers
 from gaitsweep.tasks.paper.zero_slope import VANISHING
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -38,7 +38,7 @@ def diagonal(paper: Paper) -> ClaimResult:
 def balance(paper: Paper) -> ClaimResult:
     """Compare the losses of the impacts with the loss of potential energy."""
     worst = {}
-    for name in (*TUNED, "physical", "physical-straight"):
+    for name in WALKERS:
         imbalance = paper.line(name).grid(1e-6, 0.2, 85)["energy_imbalance"]
         worst[name] = float(np.nanmax(np.abs(imbalance)))
     return ClaimResult(
@@ -75,7 +75,7 @@ def powers(paper: Paper) -> ClaimResult:
 @claim("M5")
 def kneestrike(paper: Paper) -> ClaimResult:
     """Compute the exponent of the kneestrike loss in speed."""
-    exponent = {gait: paper.line("C").exponent(g, VANISHING, "loss_kneestrike", "speed") for gait, g in BOTH.items()}
+    exponent = paper.line("C").exponents(VANISHING, "loss_kneestrike", "speed")
     grid = paper.line("C").grid()
     losses = sum(grid[k][0, :2] for k in ("loss_normal", "loss_tangential", "loss_kneestrike"))
     share = grid["loss_kneestrike"][0, :2] / losses

@@ -15,7 +15,7 @@ from gaitsweep.tasks.follow_curves import curve
 from gaitsweep.tasks.iterate_orbits import orbit
 from gaitsweep.tasks.locate_cascade import cascade
 from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import Arrays, Paper, memoize, numbers
+from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper, coarse_lines, memoize, numbers
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.paper.rounding_intervals import changed, interval
 from gaitsweep.tasks.registry import LOSS_WINDOWS
@@ -35,7 +35,6 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
 _BESIDE = 0.3
 #: What curve of folds the branches of C touch on.
 FOLDS_OF_C = {"slope": np.array([1e-3, 0.3]), "key": "detuning", "from": 0.0, "to": 1.2, "kinds": ["fold"]}
-WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
 #: Window of slopes [rad] that holds the doublings and the loss of walking of kneed walkers within their rounding.
 CORNER = (0.06, 0.12)
 
@@ -250,18 +249,19 @@ def re_pairing(paper: Paper) -> ClaimResult:
     value, slope, angle, bound = (
         float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
     )
-    near = {}
-    for detuning in (value - 0.004, value + 0.004):
-        folds = (float(fold["slope"]) for fold in paper.line("C", detuning=detuning).special_of("fold"))
-        near[detuning] = sorted((fold for fold in folds if abs(np.log(fold / slope)) < _BESIDE), reverse=True)
+    beside = (value - 0.004, value + 0.004)
+    near = [
+        [fold["slope"] for fold in gaits.special_of("fold")[::-1] if abs(np.log(fold["slope"] / slope)) < _BESIDE]
+        for gaits in coarse_lines([("C", {"detuning": detuning}) for detuning in beside])
+    ]
     neighbours = "; ".join(
-        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in f) or 'no slope'}"
-        for d, f in near.items()
+        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in folds) or 'no slope'}"
+        for d, folds in zip(beside, near, strict=True)
     )
     return ClaimResult(
         f"branches touch at detuning {value:.9f} and slope {slope:.9f} (stance angle {angle:.6f}, relative error of "
         f"the slope {bound:.0e}); {neighbours}",
-        verdict(sorted(map(len, near.values())) == [0, 2]),
+        verdict(sorted(map(len, near)) == [0, 2]),
         value,
     )
 

@@ -17,9 +17,8 @@ from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures.kinematics import step_length
-from gaitsweep.tasks.measures.losses import velocity_ratio
 from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.solve_points import atlas, lines, points
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import Walker
@@ -33,6 +32,8 @@ _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 _EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
+#: All walkers of the paper, with exact parameters where it has them.
+WALKERS = (*TUNED, "physical", "physical-straight")
 
 
 _Self = TypeVar("_Self", "Line", "Paper")
@@ -139,10 +140,14 @@ class Line:
         stride, _ = self.problem.stride(Z[:-1, None], Z[-1:])
         return not gait_ratio(stride)[0] < 0.5
 
-    def ends(self) -> tuple[float, float]:
-        """Smallest and largest slope of any branch [rad]."""
-        q = np.concatenate([b.q for b in self.branches])
-        return float(np.exp(q.min())), float(np.exp(q.max()))
+    def exponents(self, slope: float, *of: str) -> dict[str, float]:
+        """Local exponents of both gaits, by their labels; `of` names ordinate and abscissa."""
+        return {label: self.exponent(gait, slope, *of) for label, gait in BOTH.items()}
+
+    @property
+    def reaches(self) -> np.ndarray:
+        """Smallest and largest slope of each branch, shape (2, branches) [rad]."""
+        return np.exp(np.array([[b.q.min(), b.q.max()] for b in self.branches]).T)
 
     @functools.cached_property
     def special(self) -> list[dict[str, Any]]:
@@ -242,7 +247,7 @@ class Paper:
 
     def exponents_of_both(self, walkers: Iterable[str], slope: float, *of: str) -> dict[str, float]:
         """Local exponents of both gaits, by walker and gait; `of` names ordinate and abscissa."""
-        return {f"{w} {name}": self.line(w).exponent(g, slope, *of) for w in walkers for name, g in BOTH.items()}
+        return {f"{w} {label}": p for w in walkers for label, p in self.line(w).exponents(slope, *of).items()}
 
     def table(self, group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
         """Look up one table of a line.
@@ -313,21 +318,11 @@ def _is_of_atlas(name: str) -> bool:
     return name not in VARIABLES and name not in ("slope", "reasons") and "/" not in name
 
 
-def foot_ratio(walker: Walker, data: Arrays) -> np.ndarray:
-    """Ratio |x'/y'| of the swing foot's velocities just before heelstrike.
-
-    Parameters
-    ----------
-    walker : Walker
-    data : dict
-        `stance_angle` [rad] and `heelstrike_rate_ratio`, shape (n, gaits).
-
-    Returns
-    -------
-    ndarray, shape (n, gaits)
-
-    """
-    return np.abs(velocity_ratio(walker, data["stance_angle"], data["heelstrike_rate_ratio"]))
+def coarse_lines(each: Sequence[tuple[str, Mapping[str, float]]]) -> list[Line]:
+    """Lines of walkers with some keys set, whose atlases locate folds and ends as fine ones do, but are coarse."""
+    named = [{"walker": walker, "set": settings} for walker, settings in each]
+    surveyed = lines({"lines": named, "slope": np.empty(0), "want": ()}, [])
+    return [Line(*own, known) for own, (known, _) in zip(each, surveyed, strict=True)]
 
 
 def numbers(pairs: Mapping[str, float], digits: int = 4) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gaitsweep.tasks.measures.kinematics import step_length
 from gaitsweep.tasks.paper.claim import PRINTED, VERDICTS, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import Arrays, Paper
+from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, Interval, interval, place
 
 
@@ -49,7 +49,7 @@ def stability(paper: Paper) -> ClaimResult:
 def one_stable(paper: Paper) -> ClaimResult:
     """Count the stable gaits at each slope."""
     most, points = 0, 0
-    for name in ("A", "B", "C", "D", "E", "F", "physical", "physical-straight"):
+    for name in WALKERS:
         stable = (paper.line(name).grid()["spectral_radius"] < 1).sum(axis=1)
         most, points = max(most, int(stable.max())), points + len(stable)
     return ClaimResult(

@@ -6,7 +6,7 @@ import numpy as np
 
 from gaitsweep.tasks.fit_laws import transition
 from gaitsweep.tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, foot_ratio, memoize, numbers
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
 
@@ -143,7 +143,7 @@ def faster(paper: Paper) -> ClaimResult:
 def tangential(paper: Paper) -> ClaimResult:
     """Evaluate the ratio of the swing foot's velocities just before heelstrike."""
     slopes = [1e-6, 1e-4, 1e-2, 0.1]
-    ratio = {w: foot_ratio(paper.line(w).walker, paper.line(w).at(slopes)) for w in ("E", "F")}
+    ratio = {w: np.abs(paper.line(w).at(slopes)["velocity_ratio"]) for w in ("E", "F")}
     long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
     short = ", ".join(f"{r:.3g}" for r in ratio["E"][:, SHORT])
     is_clear = all(

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import joint_derivative, scalar, solve
-from gaitsweep.tasks.continuation.joint import evaluate
+from gaitsweep.tasks.continuation.defining import joint_derivative
+from gaitsweep.tasks.continuation.special_points import corrected, crossings
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
 from gaitsweep.tasks.paper.lines import Line, Paper, memoize
 from gaitsweep.tasks.paper.published import HALF_UNITS
-from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
 from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
@@ -110,28 +109,18 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
     ValueError
         If the walker has no such point.
     """
-    guesses = np.hstack([_guesses(gaits.problem, branch, mark) for branch in gaits.branches])
-    n = guesses.shape[1]
-    found = solve(Lanes([gaits.walker] * n), mark.kind, guesses, mark.target) if n else None
-    rows = list(found.Z.T[found.ok]) if found else []
+    rows = [np.array(point["Z"]) for point in gaits.special_of(mark.kind)]
+    if mark.kind == "exponent":
+        for branch in gaits.branches:
+            nodes = corrected(gaits.problem, branch)
+            passed = crossings(gaits.problem, branch, nodes, [mark.kind], mark.target)
+            rows += [point.Z[:, 0] for _, _, point in passed]
     if mark.label:
         rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
     rows.sort(key=lambda Z: float(Z[-1]))
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
     return rows[mark.which]
-
-
-def _guesses(problem: Problem, branch: Branch, mark: Landmark) -> np.ndarray:
-    """Points (c, n) of a branch at which a landmark's scalar vanishes: nodes, or between two by interpolation."""
-    if mark.kind == "fold":
-        return branch.Z[:, [first for first, _ in branch.pieces()[1:]]]
-    if mark.kind.startswith("end_"):
-        return branch.Z[:, [i for i, why in zip((0, -1), branch.why, strict=True) if why == mark.kind]]
-    values = scalar(mark.kind, evaluate(problem, branch.Z), mark.target)
-    # A jump across a pole is no root: values on both sides must be small.
-    segment = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
-    return branch.at(segment + values[segment] / (values[segment] - values[segment + 1]))
 
 
 def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], step: float = STEP) -> np.ndarray:

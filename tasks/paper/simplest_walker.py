@@ -8,7 +8,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.tracking import MAX_SLOPE
 from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, foot_ratio, numbers
+from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, Paper, numbers
 from gaitsweep.tasks.trace_motion import trace
 
 #: Periods as the slope vanishes, long and short step: the root of tan(t/2) = -3 tanh(t/2), and pi [sqrt(l/g)].
@@ -25,7 +25,7 @@ def two_gaits(paper: Paper) -> ClaimResult:
     """Solve both gaits over a grid of slopes."""
     gaits = paper.line("D").grid()
     both = np.isfinite(gaits["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
-    upper = min(MAX_SLOPE, *(float(np.exp(b.q.max())) for b in paper.line("D").branches))
+    upper = min(MAX_SLOPE, float(paper.line("D").reaches[1].min()))
     return ClaimResult(
         f"both gaits at each of {both.size} slopes from 1e-8 to 0.2; their branches extend to slope {upper:.2f}",
         verdict(bool(both.all()) and upper > 0.2),
@@ -59,7 +59,7 @@ def short_unstable(paper: Paper) -> ClaimResult:
 def heelstrike_direction(paper: Paper) -> ClaimResult:
     """Evaluate the swing foot's direction at heelstrike and the asymmetry of the motion under time reversal."""
     slopes = [1e-3, 1e-5, 1e-7]
-    ratios = {w: foot_ratio(paper.line(w).walker, paper.line(w).at(slopes)) for w in ("D", "A", "B", "E", "F")}
+    ratios = {w: np.abs(paper.line(w).at(slopes)["velocity_ratio"]) for w in ("D", "A", "B", "E", "F")}
     power = {w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1]) for w, r in ratios.items()}
     asymmetry = [_asymmetry(paper, s) for s in slopes]
     falls = all(p[LONG] > 0.3 for p in power.values())
@@ -91,13 +91,11 @@ def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
 @claim("D5")
 def cube_roots(paper: Paper) -> ClaimResult:
     """Compute exponents and periods at vanishing slopes."""
-    gaits = paper.line("D").at([1e-9])
-    names = ("long", "short")
-    angle = {n: paper.line("D").exponent(g, 1e-8) for g, n in enumerate(names)}
-    speed = {n: paper.line("D").exponent(g, 1e-8, "speed") for g, n in enumerate(names)}
-    period = {n: float(gaits["period"][0, g]) for g, n in enumerate(names)}
+    d = paper.line("D")
+    angle, speed, periods = d.exponents(1e-8), d.exponents(1e-8, "speed"), d.at([1e-9])["period"][0]
+    period = {label: float(periods[gait]) for label, gait in BOTH.items()}
     deviation = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
-    drift = max(abs(period[n] - limit) for n, limit in zip(names, PERIODS, strict=True))
+    drift = max(abs(one - limit) for one, limit in zip(period.values(), PERIODS, strict=True))
     return ClaimResult(
         f"exponents at slope 1e-8 of the angle: {numbers(angle, 6)}, of the speed: {numbers(speed, 6)}; "
         f"periods at slope 1e-9: {numbers(period, 10)}",
@@ -110,16 +108,16 @@ def cube_roots(paper: Paper) -> ClaimResult:
 def fourth_power(paper: Paper) -> ClaimResult:
     """Compute exponents and factors of power in speed at vanishing slopes."""
     d = paper.line("D")
-    exponents = [d.exponent(g, 1e-8, "power", "speed") for g in (LONG, SHORT)]
+    exponents = d.exponents(1e-8, "power", "speed")
     gaits, weight = d.at([1e-9]), d.walker.total_mass * d.walker.g
     factors = [float(gaits["power"][0, g] / gaits["speed"][0, g] ** 4) / weight for g in (LONG, SHORT)]
     limits = [_power_factor(p) for p in PERIODS]
     deviation = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
     return ClaimResult(
-        f"exponents {exponents[0]:.6f} long, {exponents[1]:.6f} short; P/v^4 = {factors[0]:.6f} and "
+        f"exponents {exponents['long']:.6f} long, {exponents['short']:.6f} short; P/v^4 = {factors[0]:.6f} and "
         f"{factors[1]:.6f} (closed form {limits[0]:.6f} and {limits[1]:.6f})",
-        verdict(max(abs(p - 4) for p in exponents) < 1e-3 and deviation < 1e-4),
-        exponents[0],
+        verdict(max(abs(p - 4) for p in exponents.values()) < 1e-3 and deviation < 1e-4),
+        exponents["long"],
     )
 
 

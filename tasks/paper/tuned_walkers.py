@@ -9,8 +9,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Line, Paper, memoize, numbers
-from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Line, Paper, coarse_lines, memoize, numbers
 from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import from_table
@@ -41,7 +40,7 @@ def conditions(paper: Paper) -> ClaimResult:
     return ClaimResult(
         f"met by {', '.join(tuned)} and Goswami's compass walker (residual {compass:g} m); largest residuals of "
         f"the others, in m: {numbers(untuned, 3)}",
-        verdict(set(tuned) == {"A", "B", "C", "D", "E", "F"} and is_tuned(GOSWAMI)),
+        verdict(set(tuned) == set(TUNED) and is_tuned(GOSWAMI)),
         untuned["C-printed"],
     )
 
@@ -50,7 +49,7 @@ def conditions(paper: Paper) -> ClaimResult:
 def two_gaits(paper: Paper) -> ClaimResult:
     """Solve both gaits of A and C over a grid of slopes."""
     share = {w: np.isfinite(paper.line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
-    top = {w: min(float(np.exp(b.q.max())) for b in paper.line(w).branches) for w in "AC"}
+    top = {w: float(paper.line(w).reaches[1].min()) for w in "AC"}
     return ClaimResult(
         f"both gaits at each of 65 slopes from 1e-8 to 0.04, continuing to slope {numbers(top, 3)}",
         verdict(all(s == 1 for s in share.values())),
@@ -134,18 +133,16 @@ def _short_end(gaits: Line) -> dict[str, Any]:
 @memoize
 def _offsets(paper: Paper) -> list[dict[str, Any]]:
     """Rows of the smallest slope [rad] against fore-aft offsets from exact tuning [m]."""
-    # Coarse atlases, which locate the ends of branches as fine ones do.
-    each = [{"walker": name, "set": {key: value}} for name, key, value in OFFSETS]
-    surveys = [atlas for atlas, _ in lines({"lines": each, "slope": np.empty(0), "want": ()}, [])]
+    surveyed = coarse_lines([(name, {key: value}) for name, key, value in OFFSETS])
     return [
         {
             "walker": name,
             "key": key,
             "key_value": value,
             "offset": value - getattr(CATALOGUE[name], key),
-            "smallest_slope": Line(name, {key: value}, survey).ends()[0],
+            "smallest_slope": float(gaits.reaches[0].min()),
         }
-        for (name, key, value), survey in zip(OFFSETS, surveys, strict=True)
+        for (name, key, value), gaits in zip(OFFSETS, surveyed, strict=True)
     ]
 
 
@@ -170,7 +167,7 @@ def not_generic(paper: Paper) -> ClaimResult:
     grows = all(np.all(np.diff(slope[side][np.argsort(abs(offset[side]))]) > 0) for side in (offset > 0, offset < 0))
     return ClaimResult(
         f"smallest slope of {numbers(least, 3)}; of C with its offsets as printed (rounded) "
-        f"{paper.line('C-printed').ends()[0]:.3g}",
+        f"{paper.line('C-printed').reaches[0].min():.3g}",
         verdict(min(least.values()) > 1e-7 and bool(grows)),
         float(slope[0]),
     )

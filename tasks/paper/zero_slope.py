@@ -22,7 +22,7 @@ VANISHING = 1e-9
 @claim("Z1")
 def arbitrarily_small(paper: Paper) -> ClaimResult:
     """Solve both gaits at the smallest slopes that double precision resolves."""
-    least = {w: max(float(np.exp(b.q.min())) for b in paper.line(w).branches) for w in WALKERS}
+    least = {w: float(paper.line(w).reaches[0].max()) for w in WALKERS}
     both = {w: paper.line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
     return ClaimResult(
         f"both gaits solved at slope 1e-10, and their branches continued to {max(least.values()):.0e}, the limit of "

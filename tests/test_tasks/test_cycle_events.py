@@ -7,7 +7,7 @@ import pytest
 from exact_special_points import exact_cycle_slope, steps_of
 from gaitsweep.tasks import locate_cascade
 from gaitsweep.tasks.continuation.defining import slope_error
-from gaitsweep.tasks.continuation.special_points import corrected, crossings, special_points
+from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.mechanics.lumped import lump
 from gaitsweep.tasks.step.extended_precision import _extended_step_map
 from gaitsweep.tasks.step.problem import Problem
@@ -127,14 +127,11 @@ def shares(seed):
     problem, branches = followed(walker, steps, **keys)
     for branch in branches:
         own = problem.of_steps(branch.steps)
-        flips = {k + 0.5: point.Z[:, 0] for _, k, point in crossings(own, branch, corrected(own, branch), ["flip"])}
         for record in special_points(own, branch):
-            kind, place, of, Z = record["kind"], record["place"], own, branch.Z[:, int(record["place"])]
+            kind, of, Z = record["kind"], own, np.array(record["Z"])
             if kind == "branch_point":
                 kind, of, Z = "flip", problem.of_steps(branch.steps // 2), halved(own, Z)
-            elif kind == "flip":
-                Z = flips[place]
-            elif kind != "fold":
+            elif kind not in ("fold", "flip"):
                 continue
             exact = exact_cycle_slope(of, kind, Z)
             slope = R(float(np.exp(Z[-1])))

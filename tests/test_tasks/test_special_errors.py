@@ -6,10 +6,10 @@ import pytest
 
 from exact_special_points import exact_earlier_strike, exact_slope
 from gaitsweep.tasks import follow_curves
-from gaitsweep.tasks.continuation import special_points as module
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.defining import SCALARS
 from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -22,28 +22,18 @@ KINDS = {*SCALARS, "end_earlier_strike"} - {"window", "label", "speed", "fastest
 LINES = 300
 
 
-@pytest.fixture
-def compared(monkeypatch):
+def compared(problem, found):
     """Special points of branches, each with the error of its slope over its bound: NaN where it is not known."""
-    record = module._record
-
-    def with_state(kind, problem, point, lane, *error):
-        return {**record(kind, problem, point, lane, *error), "Z": point.Z[:, lane]}
-
-    monkeypatch.setattr(module, "_record", with_state)
-
-    def each(problem, found):
-        points = [point for branch in found for point in module.special_points(problem, branch)]
-        for point in (point for point in points if point["kind"] in KINDS):
-            if point["kind"] == "end_earlier_strike":
-                exact = exact_earlier_strike(problem, point["Z"])
-            else:
-                exact = exact_slope(problem, point["kind"], point["Z"])
-            slope = hy.real128(point["slope"])
-            error = np.nan if exact is None else abs(float((exact - slope) / exact))
-            yield point["kind"], exact, error / point["error_bound"]
-
-    return each
+    points = [point for branch in found for point in special_points(problem, branch)]
+    for point in (point for point in points if point["kind"] in KINDS):
+        Z = np.array(point["Z"])
+        if point["kind"] == "end_earlier_strike":
+            exact = exact_earlier_strike(problem, Z)
+        else:
+            exact = exact_slope(problem, point["kind"], Z)
+        slope = hy.real128(point["slope"])
+        error = np.nan if exact is None else abs(float((exact - slope) / exact))
+        yield point["kind"], exact, error / point["error_bound"]
 
 
 @pytest.mark.parametrize(
@@ -51,7 +41,7 @@ def compared(monkeypatch):
     # Errors of their flips were up to five times their bounds.
     [("D", {}), ("E", {"foot_mass_ratio": 0.08050684536489794})],
 )
-def test_special_points_lie_within_their_bounds(compared, walker, keys):
+def test_special_points_lie_within_their_bounds(walker, keys):
     """Flips had the bounds of gaits at a given slope, which leave out how the multipliers round."""
     problem = Problem(resolve(walker, keys))
     found = list(compared(problem, survey(problem, COARSE)))
@@ -87,7 +77,7 @@ def test_slopes_of_curves_lie_within_their_bounds(monkeypatch, walker, key, low,
 
 
 @pytest.mark.parametrize("seed", [26, 31])
-def test_ends_by_an_earlier_strike_lie_within_their_bounds(compared, seed):
+def test_ends_by_an_earlier_strike_lie_within_their_bounds(seed):
     """Where the foot is on the ground at kneestrike, errors were up to 1.6 times the bound of a gait at its slope."""
     problem = Problem(drawn(seed))
     found = [b for b in survey(problem, COARSE) if "end_earlier_strike" in b.why]
@@ -123,7 +113,7 @@ def test_slopes_at_which_steps_vanish_lie_within_their_bounds(seed):
     for branch in survey(problem):
         for end in (i for i in (0, -1) if branch.why[i] == "zero step length"):
             place = 0 if end == 0 else len(branch.q) - 1
-            (point,) = [p for p in module.special_points(problem, branch) if p["place"] == place]
+            (point,) = [p for p in special_points(problem, branch) if p["place"] == place]
             error = abs(limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1)
             shares.append(error / point["error_bound"])
     assert shares and max(shares) < 0.5
@@ -140,7 +130,7 @@ def drawn(seed):
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_special_points_of_random_walkers_lie_within_their_bounds(compared, resumed, tell):
+def test_special_points_of_random_walkers_lie_within_their_bounds(resumed, tell):
     """Of each kind: their number, those that are not found again, and the largest error over its bound."""
     largest = {}
     for seed in resumed(LINES):
