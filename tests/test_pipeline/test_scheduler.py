@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.engine import progress, worker_process
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.jobs import Jobs
@@ -19,7 +20,8 @@ from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.errors import StoppedError, StudyError
-from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.store.record import Packing, Points, pack, unpacked
 from gaitsweep.pipeline.store.store import Store
@@ -289,3 +291,63 @@ def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal, colum
     (line,) = said
     shown = ("3 of 9 points" * 10)[: 79 if columns else 118]
     assert line == (("\r\033[K" + shown, "") if is_terminal else ("3 of 9 points" * 10, "\n"))
+
+
+PLANE = """
+name = "{}"
+walker = "A"
+[axes]
+slope = {{ from = 0.01, to = 0.02, n = 16 }}
+m_h = {{ from = 0.0, to = 10.0, n = 20 }}
+R = {{ from = 0.1, to = 0.4, n = 15 }}
+"""
+
+
+def _box(low, high, lines):
+    return {"low": low, "high": high, "origin": [0.0, 0.0], "halved": [0, 0], "lines": lines, "surveyed": 0.0}
+
+
+@pytest.mark.parametrize("studies", ["a", "ab"])
+def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_path, studies):
+    """Whatever studies of a command want them; what is left is told by their lines."""
+    low, high = _box([0.1, 0.0], [0.4, 5.0], 128.0), _box([0.1, 5.0], [0.4, 10.0], 128.0)
+    halved = {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
+    engine, made, eta, inputs = Engine(2), [], [], set()
+    with contextlib.ExitStack() as stack:
+        jobs = []
+        for name in studies:
+            (tmp_path / f"{name}.toml").write_text(PLANE.format(name))
+            store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
+            plan = Plan(parse.read(tmp_path / f"{name}.toml"), store)
+            jobs.append(Jobs(plan, engine, progress.Progress(plan, summary(plan), tmp_path / "log", True)))
+        scheduler = Scheduler(jobs, engine, Signals())
+        told = jobs[0].listen
+        while taken := scheduler._next():
+            number, request = taken
+            answer = {"seconds": 4.0, "atlases": []}
+            if request.packing:
+                m_h = [line["set"]["m_h"] for line in request.params["lines"]]
+                assert len(request.inputs) == 1 + (min(m_h) <= 5) + (max(m_h) >= 5)
+                inputs.add(len(request.inputs))
+                n = len(request.params["lines"]) * 16
+                points = Points.of_ending(n, "raised", "", request.params["want"])
+                answer["record"] = pack(points, request.packing)
+            else:
+                plane = request.params["plane"]
+                made.append(plane)
+                answer |= {"outcome": "ok", "reason": ""}
+                answer["data"] = serialize.dump({} if len(made) > 1 else halved)
+                planned = told._stages()["charts"]["eta"]
+            scheduler._record(number, answer)
+            if not request.packing:
+                eta.append((planned, told._stages()["charts"]))
+        assert 2 in inputs and [box["high"] for box in made] == [[0.4, 10.0], low["high"], high["high"]]
+        assert [stage["done"] for _, stage in eta] == [0, 128, 256] and eta[2][1]["eta"] == 0
+        cost = costs.seconds(jobs[0].study, "charts")
+        assert 2 * eta[0][0] == pytest.approx(cost, abs=0.1)  # on two workers
+        # As if half the plane had been measured as planned.
+        for (_, stage), spent, done in zip(eta[:2], (4.0, 8.0), (0, 128), strict=True):
+            each = (spent + cost / 2) / (done + 128)
+            assert stage["eta"] == pytest.approx(each * (256 - done) / 2, abs=0.06)
+        for study in jobs:
+            study.listen.close(True)
