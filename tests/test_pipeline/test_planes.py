@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -22,7 +23,8 @@ from gaitsweep.pipeline.grid.method import Method, seconds_over_plane
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.store import Store
-from gaitsweep.pipeline.study.parse import read
+from gaitsweep.pipeline.study.model import about
+from gaitsweep.pipeline.study.parse import parse, read
 from gaitsweep.tasks import solve_planes, solve_points
 
 STUDY = """
@@ -107,6 +109,7 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path, monkeypatch):
 
 def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
     """Its charts depend on the sides of the plane and about how many lines it has; a line has all its slopes."""
+    assert [about(n) for n in (1, 181, 182, 362, 363)] == [1, 128, 256, 256, 512]
     other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 35")
     digests = []
     whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
@@ -122,6 +125,21 @@ def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
         first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
         digests.append(graph.digests(np.array(first)).tolist())
     assert all(one not in digests[:k] for k, one in enumerate(digests))
+
+
+@pytest.mark.parametrize(
+    ("m_h", "R", "slopes", "lines"),
+    [(40, 20, 12, 64), (20, 15, 1, 300), (100, 100, 1, 25**2), (1000, 1000, 1, 4096), (60, 20, 100, 36)],
+)
+def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(m_h, R, slopes, lines):
+    """As many lines as fill registers, and points as pay for a job; no more than take a quarter of a second."""
+    axes = {"slope": np.linspace(0.01, 0.02, slopes).tolist(), "m_h": np.linspace(0, 5, m_h).tolist()}
+    study = parse(
+        {"name": "plane", "walker": "A", "axes": {**axes, "R": np.linspace(0.1, 0.3, R).tolist()}}, "", Path()
+    )
+    grid = Graph(study).grid
+    each = [len(grid.chunk(k).lines) for k in range(grid.chunks)]
+    assert sum(each) == m_h * R and max(each) == pytest.approx(lines, rel=0.07)
 
 
 def test_a_grid_with_a_few_other_lines_keeps_its_charts(tmp_path):
