@@ -69,7 +69,7 @@ class Body:
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
 
-def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
+def _draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
     """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""
     knee = body.knee(hip, thigh)
     foot = body.foot(knee, shank)
@@ -91,8 +91,8 @@ def draw_pose(
 ) -> None:  # fmt: skip
     """Draw both legs, at the angles of stance leg, swing thigh and swing shank [rad], and the hip of some size [pt]."""
     leg, thigh, shank = angles
-    draw_leg(axes, body, hip, leg, leg, **stance)
-    draw_leg(axes, body, hip, thigh, shank, **swing)
+    _draw_leg(axes, body, hip, leg, leg, **stance)
+    _draw_leg(axes, body, hip, thigh, shank, **swing)
     axes.plot(hip.real, hip.imag, "o", color=INK, ms=size, zorder=5)
 
 
@@ -212,7 +212,7 @@ def conditions(source: Source) -> Sketch | None:
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
-        draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
+        _draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
             axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
         for at, size in ((thigh, 5), (shank, 5)):
