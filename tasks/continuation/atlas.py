@@ -29,16 +29,9 @@ from gaitsweep.tasks.continuation.locate import (
     value_of,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
+from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
-from gaitsweep.tasks.continuation.tracking import (
-    CLOSED,
-    MIN_SLOPE,
-    Point,
-    Track,
-    check_steps,
-    follow,
-    joined,
-)
+from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, Point, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import search_lines, starts
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance

@@ -8,15 +8,16 @@ coincide, so ends are followed as folds and flips are.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.defining import joint_derivative
 from gaitsweep.tasks.continuation.joint import but_times
-from gaitsweep.tasks.continuation.root import bracketed_root, passes
-from gaitsweep.tasks.continuation.tracking import CLOSED, Track, joined
+from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
+from gaitsweep.tasks.continuation.root import bracketed_root, hermite
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import STRUCK
@@ -41,11 +42,12 @@ _CONTROL = engine.StepControl(
 )
 #: Length of the first step, and most points of a curve.
 _FIRST_STEP, _MAX_POINTS = 0.02, 5000
-#: Why a curve is followed no further; or it is CLOSED.
-BORDER, LOST, TOO_MANY = "border", "no further point", "too many points"
+#: Why a curve is followed no further within its window.
+BORDER = "border"
 
 
-class _AtPoint(NamedTuple):
+@dataclass
+class _AtPoint:
     """The equations at a point, to first order, in arrays of one lane."""
 
     residual: np.ndarray
@@ -150,54 +152,43 @@ def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapp
     window : mapping
         `q` (ln slope) and `key`: least and largest value of each.
     """
+    edges = np.array([window["q"], np.array(window["key"]) / curve.scale])
+
+    def inside(Z: np.ndarray) -> np.ndarray:
+        return np.clip(Z, edges[:, :1], edges[:, 1:])
+
+    def correct(_: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Corrected:
+        return curve.correct(guess, border)
+
+    def judge(_: np.ndarray, point: Any, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.ones(1, bool), error / tracks.step
+
+    def reasons(_: np.ndarray, point: engine.Corrected, last: np.ndarray) -> np.ndarray:
+        return np.where((inside(point.Z[-2:]) == point.Z[-2:]).all(axis=0), "", BORDER)
+
     tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
-    Z, T = [first.Z[:, 0]], [tangent[:, 0]]
-
-    def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.ones(1, bool), error / track.step
-
-    def until(reason: str) -> Track:
-        return Track(np.array(Z).T, np.array(T).T, reason)
-
-    track = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP)
-    while len(Z) < _MAX_POINTS and track.step[0] > _CONTROL.shortest:
-        step = track.step[0]
-        _, fair = track.advance(np.array([0]), curve.correct, judge)
-        if not fair[0]:
-            continue
-        new, ahead = track.Z[:, 0].copy(), track.tangent[:, 0].copy()
-        if (leaves := _exit(curve, Z[-1], new, window)) is not None:
-            component, edge, share = leaves
-            if share < 1e-9:  # it begins there
-                return until(BORDER)
-            guess = Z[-1] + share * (new - Z[-1])
-            guess[component] = edge
-            at = curve.correct(guess, np.eye(len(guess))[component])
-            if at.ok[0]:
-                Z.append(at.Z[:, 0])
-                T.append(at.direction[:, 0] * (np.sign(at.direction[:, 0] @ T[-1]) or 1.0))
-                return until(BORDER)
-            track = engine.Tracks(_CONTROL, Z[-1][:, None], T[-1][:, None], _CONTROL.reduction * step)
-            continue
-        closes = len(Z) > 3 and passes(Z[0], T[0], Z[-1], T[-1], new, ahead)
-        Z.append(Z[0] if closes else new)
-        T.append(T[0] if closes else ahead)
-        if closes:
-            return until(CLOSED)
-    return until(LOST if len(Z) < _MAX_POINTS else TOO_MANY)
-
-
-def _exit(
-    curve: Curve, last: np.ndarray, new: np.ndarray, window: Mapping[str, tuple[float, float]]
-) -> tuple[int, float, float] | None:
-    """Component of Z in which a continuation step leaves the window, the border, and the share of the step up to it."""
-    exits = []
-    for component, (low, high) in ((-2, window["q"]), (-1, np.array(window["key"]) / curve.scale)):
-        edge = float(np.clip(new[component], low, high))
-        if edge != new[component]:
-            share = float((edge - last[component]) / (new[component] - last[component]))
-            exits.append((component, edge, share))
-    return min(exits, key=lambda each: each[2], default=None)
+    tracks = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP)
+    (track,) = tracks.follow(correct, judge, reasons, _MAX_POINTS)
+    if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
+        track.Z[:, -1], track.tangent[:, -1] = track.Z[:, 0], track.tangent[:, 0]
+    if track.stop_reason != BORDER:
+        return track
+    # The last point lies beyond the window: that on the border takes its place.
+    Z, T, beyond = track.Z[:, :-1], track.tangent[:, :-1], track.Z[:, [-1]]
+    edge = inside(beyond[-2:])
+    out = np.flatnonzero(edge != beyond[-2:])
+    shares = ((edge - Z[-2:, -1:]) / (beyond - Z[:, -1:])[-2:])[out, 0]
+    share, component = min(zip(shares.tolist(), (out - 2).tolist(), strict=True))
+    if share < 1e-9:  # it begins there
+        return Track(Z, T, BORDER)
+    length = np.linalg.norm(beyond - Z[:, -1:], axis=0)
+    guess = hermite(Z[:, -1:], T[:, -1:], beyond, track.tangent[:, -1:], length, share)
+    guess[component] = edge[component]
+    at = curve.correct(guess, np.eye(len(guess))[component])
+    if not at.ok[0]:
+        return Track(Z, T, engine.NO_FURTHER)
+    along = at.direction * (np.sign(at.direction[:, 0] @ T[:, -1]) or 1.0)
+    return Track(np.hstack([Z, at.Z]), np.hstack([T, along]), BORDER)
 
 
 def follow_both_directions(
@@ -248,24 +239,12 @@ def turning(
     length = float(np.linalg.norm(chord))
     chord /= length
 
+    def at(share: float) -> engine.Corrected:
+        return curve.correct(hermite(*a, *b, length, share), chord)
+
     def along(point: engine.Corrected) -> np.ndarray:
         return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
 
-    known = {share: curve.correct(Z, chord) for share, (Z, _) in ((0.0, a), (1.0, b))}
-
-    def at(share: float) -> engine.Corrected:
-        if share not in known:
-            # Near the root the nearest point that is known is so near that a step of Newton's or two remain.
-            nearest = min(known, key=lambda other: abs(other - share))
-            tangent = along(known[nearest])
-            guess = known[nearest].Z[:, 0] + tangent * ((share - nearest) * length / (tangent @ chord))
-            known[share] = curve.correct(guess, chord)
-        return known[share]
-
-    ends = [at(0.0), at(1.0)]
-    tangents = [along(point)[component] for point in ends]
-    if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
-        return None
     turn = at(bracketed_root(lambda share: float(along(at(share))[component]), 0.0, 1.0, 1e-11))
     if not turn.ok[0]:
         return None
@@ -273,5 +252,6 @@ def turning(
     derivative = curve.system(Z, 2 * DIFFERENCE)[1]
     coarse = np.linalg.svd(derivative)[2][-1]
     coarse *= np.sign(coarse @ tangent)
-    moved = abs(coarse[component] - tangent[component]) * length / abs(tangents[1] - tangents[0]) + 1e-11 * length
+    moved = abs(coarse[component] - tangent[component]) * length / abs(b[1][component] - a[1][component])
+    moved += 1e-11 * length
     return Z, float(turn.last_step[0] + moved * abs(tangent[-2])) + 8 * np.finfo(float).eps

@@ -9,11 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.root import hermite
+from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.continuation.root import hermite, passes
+
+#: Points beyond which a curve may have closed.
+_LEAST_CLOSED = 3
 
 #: Equations of some lanes at their points Z (c, n), to first order: their `residual` (c - 1, n), its `derivative`
 #: (c - 1, c, n), and, of several lanes, `assign(lanes, other)`, which replaces some of them; and the size of a bordered
@@ -229,8 +234,39 @@ class StepControl:
         return np.minimum(self.longest, step * factor)
 
 
+#: By the numbers of tracks (j,): corrected points of predicted ones and which are fair, as `Tracks.advance` takes both;
+#: and why tracks stop at points that follow on others (c, j), empty where they go on.
+Correct = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
+Judge = Callable[[np.ndarray, Any, np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray]"]
+Reasons = Callable[[np.ndarray, Any, np.ndarray], np.ndarray]
+#: Why a track stops that returns to its start, that could be continued no further, or that has the most points.
+CLOSED, NO_FURTHER, TOO_MANY = "closed", "no further point", "too many points"
+
+
+@dataclass(frozen=True)
+class Track:
+    """A curve followed in one direction from a point.
+
+    Attributes
+    ----------
+    Z, tangent : ndarray, shape (c, p)
+        Its points in order, and the unit tangents there, along the track.
+    stop_reason : str
+        Why it stops at its last point.
+    """
+
+    Z: np.ndarray
+    tangent: np.ndarray
+    stop_reason: str
+
+
+def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points and tangents (c, p) of both directions from one point, in the order of the track up."""
+    return np.hstack([down.Z[:, :0:-1], up.Z]), np.hstack([-down.tangent[:, :0:-1], up.tangent])
+
+
 class Tracks:
-    """Curves in progress: the last points of n of them.
+    """Curves in progress: the last points of n of them, all points in the order they were found, and why they stopped.
 
     Attributes
     ----------
@@ -240,6 +276,10 @@ class Tracks:
         How fast the tangents turned over the last steps.
     step : ndarray, shape (n,)
         Length of the next steps.
+    count : ndarray of int, shape (n,)
+        Points so far.
+    stop : ndarray of str, shape (n,)
+        Why they stopped; empty where they go on.
     """
 
     def __init__(self, control: StepControl, Z: np.ndarray, tangent: np.ndarray, step: float):
@@ -248,6 +288,35 @@ class Tracks:
         self.step = np.full(Z.shape[1], step)
         # The points before the last ones, the tangents there, and the distances; 0 where there are none.
         self.before, self.back = (Z.copy(), tangent.copy()), np.zeros(Z.shape[1])
+        n, self.first = Z.shape[1], (Z.copy(), tangent.copy())
+        self.count, self.stop = np.zeros(n, int), np.full(n, "", object)
+        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.record(np.arange(n))
+
+    def follow(self, correct: Correct, judge: Judge, reasons: Reasons, most: int) -> list[Track]:
+        """Follow all tracks until each stops: for a reason, or after the most points."""
+        while len(active := np.flatnonzero(self.stop == "")):
+            last = self.Z[:, active], self.tangent[:, active]
+            point, fair = self.advance(active, partial(correct, active), partial(judge, active))
+            new, refused, (Z, tangent) = active[fair], active[~fair], lanes_of(last, fair)
+            self.record(new)
+            self.stop[new] = reasons(new, lanes_of(point, fair), Z)
+            start, ahead = lanes_of(self.first, new)
+            closes = passes(start, ahead, Z, tangent, self.Z[:, new], self.tangent[:, new])
+            goes_on = self.stop[new] == ""
+            self.stop[new[goes_on & (self.count[new] >= most)]] = TOO_MANY
+            self.stop[new[goes_on & closes & (self.count[new] > _LEAST_CLOSED)]] = CLOSED
+            self.stop[refused[self.step[refused] < self.control.shortest]] = NO_FURTHER
+        owner = np.concatenate([tracks for tracks, _, _ in self.log])
+        order = np.argsort(owner, kind="stable")
+        bounds = np.cumsum(self.count)[:-1]
+        Z, tangent = (np.split(np.hstack([e[i] for e in self.log])[:, order], bounds, axis=1) for i in (1, 2))
+        return [Track(*each) for each in zip(Z, tangent, self.stop.tolist(), strict=True)]
+
+    def record(self, tracks: np.ndarray) -> None:
+        """Add the last points of tracks to what was found."""
+        self.count[tracks] += 1
+        self.log.append((tracks, self.Z[:, tracks], self.tangent[:, tracks]))
 
     def advance(
         self,

@@ -16,15 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gaitsweep.tasks.continuation.joint import Evaluation, but_times, evaluate, rounding_step
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.pseudo_arclength import (
     Newton,
     StepControl,
+    Track,
     Tracks,
     bordered_matrix,
     bordered_newton,
 )
-from gaitsweep.tasks.continuation.root import passes
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.registry import SLOPES
@@ -130,30 +129,8 @@ def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) ->
     return at_point
 
 
-@dataclass(frozen=True)
-class Track:
-    """A branch followed in one direction from a gait.
-
-    Attributes
-    ----------
-    Z, tangent : ndarray, shape (c, p)
-        Its points in order, and the unit tangents there, along the track.
-    stop_reason : str
-        Why it stops at its last point.
-    """
-
-    Z: np.ndarray
-    tangent: np.ndarray
-    stop_reason: str
-
-
-def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points and tangents (c, p) of both directions from one point, in the order of the track up."""
-    return np.hstack([down.Z[:, :0:-1], up.Z]), np.hstack([-down.tangent[:, :0:-1], up.tangent])
-
-
-def _stop_reasons(point: Point, count: np.ndarray) -> np.ndarray:
-    """Why tracks stop at their points, of which they have `count`; empty where they go on."""
+def _stop_reasons(point: Point) -> np.ndarray:
+    """Why tracks stop at their points; empty where they go on."""
     q, angle = point.q, point.Z[0]
     slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
     vanished = rate_of_steps(point.Z[1 : point.m]) > MOST_RATE
@@ -165,15 +142,14 @@ def _stop_reasons(point: Point, count: np.ndarray) -> np.ndarray:
         "a fall": ~no_step & (fall_margin(point.Z, point.stride.steps) > 0),
         "zero step length": no_step | vanished,
         "heelstrike before kneestrike": early,
-        "too many points": count > _MAX_NODES,
     }
-    return np.select(list(tests.values()), list(tests), "")
+    return np.select(list(tests.values()), list(tests), "").astype(object)
 
 
 #: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
 MOST_RATE = 36.0
-#: Why a track that returns to its start stops, and one of several steps that passes the flip of half as many.
-CLOSED, HALVED = "closed", "halved"
+#: Why a track of several steps stops that passes the flip of half as many: beyond, it repeats itself.
+HALVED = "halved"
 
 
 def rate_of_steps(rates: np.ndarray) -> np.ndarray:
@@ -221,9 +197,11 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
     tracks = _Branches(problem.some(lanes), first, lanes, sign * upwards[:, lanes], step)
     tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
     tracks.stop[~first.ok[lanes]] = "no start"
-    while len(active := np.flatnonzero(tracks.stop == "")):
-        tracks.go_on(active)
-    return tracks.pairs()
+    followed = [
+        Track(each.Z[:, :-1], each.tangent[:, :-1], HALVED) if each.stop_reason == HALVED else each
+        for each in tracks.follow(tracks.correct, tracks.judge, tracks.reasons, _MAX_NODES)
+    ]
+    return list(zip(followed[:n], followed[n:], strict=True))
 
 
 def _trace(point: Point) -> np.ndarray:
@@ -274,81 +252,42 @@ def points_along(problem: Problem, first: Point, direction: np.ndarray, step: fl
 
 
 class _Branches(Tracks):
-    """Branches in progress: their last points, all points in the order they were found, and why they stopped."""
+    """Branches in progress, with the sides of the determinants that vanish where branches cross."""
 
     def __init__(self, problem: Problem, first: Point, lanes: np.ndarray, orientation: np.ndarray, step: float):
         self.problem, tangent = problem, first.direction[:, lanes]
         tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        super().__init__(_CONTROL if problem.steps == 1 else _CONTROL_OF_SEVERAL, first.Z[:, lanes], tangent, step)
-        self.trace = _trace(first)[lanes]
-        n, self.first = len(lanes), (self.Z.copy(), self.tangent.copy())
-        self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.full(n, "", object)
-        self.recent = np.zeros((_CHECK_EVERY // 3, *self.Z.shape))
-        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        self.record(np.arange(n))
+        self.recent = np.zeros((_CHECK_EVERY // 3, *tangent.shape))
+        control = _CONTROL if problem.steps == 1 else _CONTROL_OF_SEVERAL
+        super().__init__(control, first.Z[:, lanes], tangent, step)
+        self.trace, self.side = _trace(first)[lanes], np.zeros(len(lanes))
 
-    def go_on(self, active: np.ndarray) -> None:
-        """Try a step of some tracks, ndarray of int of shape (j,), and see which of them stop."""
-        problem, m = self.problem, self.problem.m
-        before, tangent = self.Z[:, active], self.tangent[:, active]
-        side = np.zeros(len(active))
+    def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
+        return correct(self.problem.some(tracks), guess, border)
 
-        def judge(point: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            # Another root of a guard is another solution, even if the gait is nearly the same.
-            fair = (np.abs(point.Z - guess)[m:-1] < _MAX_TIME_ERROR).all(axis=0)
-            side[:] = np.sign(branch_point_determinant(point, tangent))
-            fair &= (self.side[active] * side >= 0) | (self.step[active] <= MAX_CROSSING_STEP)
-            return (fair, error) if problem.steps == 1 else _of_several(fair, error, point, self.trace[active])
+    def judge(
+        self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        # Another root of a guard is another solution, even if the gait is nearly the same.
+        fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(axis=0)
+        side = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
+        fair &= (self.side[tracks] * side >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
+        return (fair, error) if self.problem.steps == 1 else _of_several(fair, error, point, self.trace[tracks])
 
-        point, fair = self.advance(active, functools.partial(correct, problem.some(active)), judge)
-        new, refused, point = active[fair], active[~fair], lanes_of(point, fair)
-        before, tangent = before[:, fair], tangent[:, fair]
-        self.side[new], self.trace[new] = side[fair], _trace(point)
-        self.stop[new] = _stop_reasons(point, self.count[new])
-        if problem.steps > 1:
-            self.stop[new[np.abs(point.multipliers[:, 0]) > MAX_MULTIPLIER]] = "multiplier_limit"
-            self.stop[new[~_keeps_apart(before, point.Z, problem)]] = HALVED
-        # Beyond the flip of half its steps a branch repeats itself.
-        self.record(new[self.stop[new] != HALVED])
-        self.stop[new[self.pass_start(new, before, tangent)]] = CLOSED
-        self.stop[refused[self.step[refused] < self.control.shortest]] = "no further point"
-        checked = new[(self.stop[new] == "") & (self.count[new] % _CHECK_EVERY == 0)]
-        if len(checked):
-            self.stop[checked[~_are_steps(problem, self, checked)]] = "not a step"
+    def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
+        self.side[tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
+        self.trace[tracks], why = _trace(point), _stop_reasons(point)
+        if self.problem.steps > 1:
+            why[np.abs(point.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
+            why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
+        due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
+        if len(due):
+            why[due[~_are_steps(self.problem, self, tracks[due])]] = "not a step"
+        return why
 
     def record(self, tracks: np.ndarray) -> None:
-        """Add the last points of tracks to what was found."""
-        Z = self.Z[:, tracks]
-        self.recent[self.count[tracks] % len(self.recent), :, tracks] = Z.T
-        self.count[tracks] += 1
-        self.log.append((tracks, Z, self.tangent[:, tracks]))
-
-    def pass_start(self, tracks: np.ndarray, Z: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-        """Whether tracks pass their own starts, in their directions there, on their last steps.
-
-        Parameters
-        ----------
-        tracks : ndarray of int, shape (j,)
-        Z, tangent : ndarray, shape (c, j)
-            The points before the last ones, and the tangents there.
-
-        Returns
-        -------
-        ndarray of bool, shape (j,)
-        """
-        start, ahead = (each[:, tracks] for each in self.first)
-        closes = passes(start, ahead, Z, tangent, self.Z[:, tracks], self.tangent[:, tracks])
-        return np.asarray(closes & (self.count[tracks] > 3))
-
-    def pairs(self) -> list[tuple[Track, Track]]:
-        """Tracks down and up of each gait."""
-        owner = np.concatenate([tracks for tracks, _, _ in self.log])
-        order = np.argsort(owner, kind="stable")
-        bounds = np.cumsum(self.count)[:-1]
-        Z, tangent = (np.split(np.hstack([e[i] for e in self.log])[:, order], bounds, axis=1) for i in (1, 2))
-        tracks = [Track(*each) for each in zip(Z, tangent, self.stop.tolist(), strict=True)]
-        n = len(tracks) // 2
-        return list(zip(tracks[:n], tracks[n:], strict=True))
+        self.recent[self.count[tracks] % len(self.recent), :, tracks] = self.Z[:, tracks].T
+        super().record(tracks)
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
