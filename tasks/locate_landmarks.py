@@ -103,7 +103,7 @@ def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     (name, *_) = _walkers({"lines": [line]}) or [""]
     is_rounded = name in LOSS_WINDOWS and name in HALF_UNITS
     brackets = corner_crises(paper_of([line], inputs), name) if is_rounded else ()
-    return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
+    return table("corners", brackets, ("low", "high"))
 
 
 def _walkers(params: Mapping[str, Any]) -> list[str]:

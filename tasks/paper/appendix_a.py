@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, Arrays, Paper
+from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
 
@@ -16,6 +16,7 @@ _SLOPES = (1e-5, 1e-4, 1e-3, 0.01, 0.02, 0.025, 0.03, 0.036, 0.045, 0.06, 0.1)
 _STRAIGHT = ("A", "B", "D", "E", "physical-straight")
 
 
+@memoize
 def _measure(paper: Paper, walker: str, slopes: tuple[float, ...]) -> Arrays:
     return paper.line(walker).at(list(slopes), _WANT)
 

@@ -153,9 +153,8 @@ def silly_wheel(paper: Paper) -> ClaimResult:
 @claim("G2")
 def dimension(paper: Paper) -> ClaimResult:
     """Evaluate the multipliers of the physical walker, kneed and straight-legged."""
-    kneed, straight = paper.line("physical").at([0.036]), paper.line("physical-straight").at([0.036])
-    four = np.hypot(kneed["multiplier_real"][0, LONG], kneed["multiplier_imag"][0, LONG])
-    three = np.hypot(straight["multiplier_real"][0, LONG], straight["multiplier_imag"][0, LONG])
+    gaits = (paper.line(walker).at([0.036]) for walker in ("physical", "physical-straight"))
+    four, three = (np.hypot(g["multiplier_real"][0, LONG], g["multiplier_imag"][0, LONG]) for g in gaits)
     return ClaimResult(
         f"magnitudes of multipliers at slope 0.036: kneed {', '.join(f'{x:.6g}' for x in four)}; straight-legged "
         f"{', '.join(f'{x:.6g}' for x in three)}",

@@ -19,6 +19,7 @@ from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper, coarse_lines, me
 from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.paper.rounding_intervals import changed, interval
 from gaitsweep.tasks.registry import LOSS_WINDOWS
+from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Where each walker's period doublings are sought: window of slopes [rad], number of slopes searched, first periods.
@@ -199,7 +200,7 @@ def _compute_corners(paper: Paper, walker: str) -> Arrays:
         params = {"line": {"walker": asdict(corner), "set": {}}, "near": paper.line(walker).params["line"]}
         ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [paper.line(walker).arrays])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
-    return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
+    return table("corners", brackets, ("low", "high"))
 
 
 @claim("K2")

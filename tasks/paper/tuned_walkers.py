@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
 from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Line, Paper, coarse_lines, memoize, numbers
 from gaitsweep.tasks.tables import Arrays, table
@@ -173,33 +171,18 @@ def not_generic(paper: Paper) -> ClaimResult:
     )
 
 
-@memoize
-def _high_slope_branch(paper: Paper) -> Branch:
-    """The physical walker's gaits at high slopes, which may lie on a branch apart from its gaits at low slopes.
-
-    Raises
-    ------
-    ValueError
-        If no branch reaches slope 0.3.
-    """
-    high = [branch for branch in paper.line("physical").branches if np.exp(branch.q.max()) > 0.3]
-    if not high:
-        raise ValueError("no branch of the physical walker reaches slope 0.3")
-    return high[0]
-
-
 @claim("T8")
 def high_slopes(paper: Paper) -> ClaimResult:
-    """Locate the special points of the branch at high slopes."""
-    branch = _high_slope_branch(paper)
-    points = special_points(paper.line("physical").problem, branch)
+    """Locate the special points of the branch at high slopes, which may be another than that at low slopes."""
+    tops = paper.line("physical").reaches[1]
+    points = [p for p in paper.line("physical").special if p["branch"] == tops.argmax()]
     fold = next(p for p in points if p["kind"] == "fold")
     others = ", ".join(
         f"{p['kind'].replace('_', ' ')} at {p['slope']:.6f}"
         for p in points
         if p["kind"] in ("flip", "end_kneestrike_at_heelstrike")
     )
-    top = float(np.exp(branch.q.max()))
+    top = float(tops.max())
     return ClaimResult(
         f"fold at slope {fold['slope']:.9f}, stance angle {fold['stance_angle']:.6f}; {others}; continued to "
         f"slope {top:.2f}",
