@@ -72,7 +72,6 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    time_unit = np.sqrt(walker.leg / walker.g)
     rows: list[tuple[Any, ...]] = []
     cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float):
@@ -86,7 +85,9 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
             radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
-            stance_rate = problem.start(np.multiply(*problem.section(w)), np.full(w.shape[1], slope))[1] / time_unit
+            stance_rate = (
+                problem.start(np.multiply(*problem.section(w)), np.full(w.shape[1], slope))[1] / walker.time_unit
+            )
             anthropomorphic = verdict.anthropomorphic
             counts = {
                 "anthropomorphic": int(anthropomorphic.sum()),
@@ -101,7 +102,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     int(verdict.leg_passes[i]),
                     np.exp(w[0, i]),
                     stance_rate[i],
-                    w[-1, i] * time_unit,
+                    w[-1, i] * walker.time_unit,
                     radius[i],
                     int(hits[i]),
                 )

@@ -55,7 +55,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker, int(params.get("steps", 1)))
-    time_unit = np.sqrt(walker.leg / walker.g)
+    time_unit = walker.time_unit
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []

@@ -113,7 +113,7 @@ def _place(equations: Curve, Z: np.ndarray, key: str, window: Mapping[str, tuple
     """Slope, key, its value, stance angle and period of a point, in the walker's units."""
     walker = equations.walker_at(equations.value(Z))
     slope, value = np.exp(np.clip(Z[-2], *window["q"])), np.clip(Z[-1] * equations.scale, *window["key"])
-    period = Z[-3] * np.sqrt(walker.leg / walker.g)
+    period = Z[-3] * walker.time_unit
     return float(slope), key, float(value), float(np.exp(Z[0])), float(period)
 
 

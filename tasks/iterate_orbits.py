@@ -60,12 +60,12 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     offsets = np.tile(2 * r_sequence(problem.m, count) - 1, (1, len(known)))
     y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
     lane_slope, start = np.repeat(slope[known], count), np.tile(np.arange(count), len(known))
-    time_unit = np.sqrt(walker.leg / walker.g)
+    unit = walker.time_unit
     walk, strides = Walk(problem, y, lane_slope), int(options["steps"])
     _settle(walk, int(options["transient"]))
     rows, means = _keep(walk, strides, min(int(options["shown"]), strides))
     walks = walk.outcome == STRUCK
-    kept = rows[:, :, walks] * np.array([1, 1 / time_unit, 1 / time_unit, 1 / time_unit, time_unit, 1])[:, None]
+    kept = rows[:, :, walks] * np.array([1, 1 / unit, 1 / unit, 1 / unit, unit, 1])[:, None]
     shown, n = len(kept), int(walks.sum())
     out = {
         "orbits/slope": np.repeat(lane_slope[walks], shown),

@@ -130,7 +130,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     event.error,
                     next(ratio) if event.kind == "flip" else np.nan,
                     state["stance_angle"],
-                    *(np.array(state["rates"]) / np.sqrt(walker.leg / walker.g)).tolist(),
+                    *(np.array(state["rates"]) / walker.time_unit).tolist(),
                     int(check.step[0]),
                 )
                 rows.append(values)

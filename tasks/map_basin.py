@@ -55,7 +55,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     options = registry.options("basin", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    time_unit = np.sqrt(walker.leg / walker.g)
+    time_unit = walker.time_unit
     areas, basins, gaits, manifolds = (list[tuple[Any, ...]]() for _ in range(4))
     branches = atlases.from_arrays(inputs[0])
     for slope in np.asarray(params["slope"], float):

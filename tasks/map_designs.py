@@ -121,7 +121,7 @@ def _disturb(walkers: WalkerArray, gaits: np.ndarray, slope: float, ground: floa
     """Store the attractors beside walkers' long gaits at a slope, and the steps of the ground that they survive."""
     for structure, numbers in _alike(walkers, np.flatnonzero(np.isfinite(gaits[0]))).items():
         own = walkers.some(numbers)
-        problem, time_unit = Lanes(own, structure), np.sqrt(own.leg / own.g)
+        problem, time_unit = Lanes(own, structure), own.time_unit
         angle, stance_rate, thigh_rate, radius = gaits[:, numbers]
         state = np.array([angle, stance_rate * time_unit, thigh_rate * time_unit])
         y = problem.section_of(state, np.full(len(numbers), slope))
@@ -284,10 +284,9 @@ class _Rows:
 
     def columns(self, walkers: WalkerArray) -> Arrays:
         """The table's columns, in the walkers' units."""
-        time_unit = np.sqrt(walkers.leg / walkers.g)
         froude = np.exp(self.value["fastest_stable_speed"])
         any_slope = self.kind["smallest_slope"] == ANY_SLOPE
-        unit = [1.0, time_unit, time_unit, time_unit]
+        unit = [1.0, *3 * [walkers.time_unit]]
         states = {
             name + _OF[of]: value / by
             for of, state in self.state.items()

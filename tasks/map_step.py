@@ -46,7 +46,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
     check_state(state)
     problem = section_problem(walker)
-    time_unit = np.sqrt(walker.leg / walker.g)
+    time_unit = walker.time_unit
     units = np.array([1.0, time_unit, time_unit])  # by which the walker's are multiplied
     scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)

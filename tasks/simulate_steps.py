@@ -70,7 +70,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     walker = resolve(params["walker"], params.get("set"))
     problem = section_problem(walker)
-    time_unit = np.sqrt(walker.leg / walker.g)
+    time_unit = walker.time_unit
     n, phases = int(params["steps"]), problem.phases
     state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
     check_state(state)

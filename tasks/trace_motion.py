@@ -41,7 +41,6 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    time_unit = np.sqrt(walker.leg / walker.g)
     parts: list[tuple[Any, ...]] = []
     slope = np.unique(np.asarray(params["slope"], float))
     slope = slope[np.unique(np.linspace(0, len(slope) - 1, MAX_SLOPES).round().astype(int))]
@@ -59,7 +58,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
             for lane, g in np.argwhere(is_drawn):
                 times, angles = _cycle(stride.one.motion, at.times[:, lane], lane)
                 a, b, c = angles * at.scale[lane]
-                parts.append((GAITS[g], slope[index[lane]], times * time_unit, a, b, c, -walker.R * a))
+                parts.append((GAITS[g], slope[index[lane]], times * walker.time_unit, a, b, c, -walker.R * a))
     return stacked("trace", parts, COLUMNS)
 
 

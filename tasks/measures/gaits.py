@@ -325,7 +325,7 @@ class Steps:
             In the walker's units.
         """
         walker, stride, scale = self.walker, self.stride, self.scale
-        time_unit = np.sqrt(walker.leg / walker.g)
+        time_unit = walker.time_unit
         angle, end = self.y[0], self.y[0] if self.after is None else self.y[0][self.after]
         rates = self.state[self.problem.map.start_size // 2 :] / time_unit
         ratio = gait_ratio(stride)

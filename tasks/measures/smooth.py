@@ -83,7 +83,9 @@ class Smooth:
             if name in self.names:
                 values[name] = solved[name] * factor / divisor
         values |= {name: jacobian[int(name[0]), int(name[1])] for name in self.entries}
-        fastest = np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self._unit / solved["stance_angle"]
+        fastest = (
+            np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self.walker.time_unit / solved["stance_angle"]
+        )
         sizes = dict.fromkeys(_RATES, fastest) | {_RATIO: np.maximum(1.0, np.abs(values[_RATIO]))}
         sizes |= dict.fromkeys(self.entries, np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1))))
         one = np.ones(len(slope))
@@ -167,16 +169,12 @@ class Smooth:
             known |= travel(self.walker, slope, known["step_length"], known["period"])
         return known
 
-    @property
-    def _unit(self) -> Any:
-        return np.sqrt(self.walker.leg / self.walker.g)
-
     def _factors(self, slope: np.ndarray, known: Mapping[str, np.ndarray]) -> dict[str, tuple[Any, Any]]:
         """Factor and divisor that make quantities of variables, by these, of gaits whose angle and period are known."""
         angle = known["stance_angle"]
         drawn = self.walker.total_mass * self.walker.g * step_length(self.walker, angle) * np.sin(slope)
         return {
-            **dict.fromkeys(_RATES, (self._unit, angle)),
+            **dict.fromkeys(_RATES, (self.walker.time_unit, angle)),
             **dict.fromkeys(_LOSSES, (1.0, drawn)),
             "kneestrike_time": (1.0, known.get("period")),
             _RATIO: (1.0, 1.0),

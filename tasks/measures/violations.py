@@ -338,8 +338,7 @@ def measure(
 
 def _units(walker: Walker) -> dict[str, float]:
     """Unit of each kind of quantity inside the solver, in the walker's units."""
-    length, mass = walker.leg, walker.total_mass
-    time = float(np.sqrt(length / walker.g))
+    length, time, mass = walker.leg, walker.time_unit, walker.total_mass
     return {
         "length": length,
         "time": time,

@@ -199,7 +199,7 @@ class Line:
     def _nodes(self, branch: Branch) -> Arrays:
         walker, m, nodes = self.walker, branch.m, correct(self.problem, branch.Z, branch.direction)
         times = branch.Z[m:-1]
-        period, angle = times[-1] * np.sqrt(walker.leg / walker.g), np.exp(branch.Z[0])
+        period, angle = times[-1] * walker.time_unit, np.exp(branch.Z[0])
         return {
             "slope": np.exp(branch.q),
             "stance_angle": angle,

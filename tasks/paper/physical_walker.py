@@ -145,7 +145,7 @@ def _from_point_3(paper: Paper) -> Arrays:
     kneed = paper.line("physical")
     third, first = (kneed.special_of(k)[0] for k in ("release_hyperextension", "end_kneestrike_at_heelstrike"))
     angle, *_, knee, period, q = place(kneed, LANDMARKS["point 3"])
-    speed = step_length(kneed.walker, np.exp(angle)) / (period * np.sqrt(kneed.walker.leg / kneed.walker.g))
+    speed = step_length(kneed.walker, np.exp(angle)) / (period * kneed.walker.time_unit)
     at = {"slope": np.exp(q), "knee_share": knee / period, "speed": speed}
     nodes = kneed.curves[third["branch"]]
     rises = third["place"] < first["place"]

@@ -31,7 +31,7 @@ def _third_multiplier(paper: Paper, walker: str) -> float:
     """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
     problem = section_problem(paper.line(walker).walker)
     gaits = paper.line(walker).at([0.01])
-    unit = np.sqrt(problem.walker.leg / problem.walker.g)
+    unit = problem.walker.time_unit
     angle = gaits["stance_angle"][0, :2]
     w = np.stack(
         [

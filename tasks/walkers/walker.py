@@ -168,6 +168,11 @@ class Walker:
         return self.l + self.R
 
     @property
+    def time_unit(self) -> float:
+        """Unit of time inside the solver, sqrt(leg/g)."""
+        return self._math.sqrt(self.leg / self.g)
+
+    @property
     def knee(self) -> complex:
         """Position of the knee from the hip, in the frame of the extended leg: x forward, y up."""
         return -self.l_t * (self._math.sin(self.eps_T) + 1j * self._math.cos(self.eps_T))
