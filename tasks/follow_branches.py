@@ -123,9 +123,9 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         records.append(
             {
                 "kind": "end_contact_lost",
-                "slope": float(np.exp(point.q[0])),
-                **state_at(problem, point, 0),
-                "period": float(point.times[-1, 0]),
+                "slope": float(np.exp(point.at.q[0])),
+                **state_at(problem, point.at, 0),
+                "period": float(point.at.times[-1, 0]),
                 "error_bound": slope_error + 64 * EPS,
             }
         )

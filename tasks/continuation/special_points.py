@@ -16,7 +16,8 @@ from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, test_function
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
-from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
+from gaitsweep.tasks.continuation.tracking import branch_point_determinant, correct
 from gaitsweep.tasks.fixed_points.rounding import rounding
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
@@ -66,16 +67,16 @@ def corrected(problem: Problem, branch: Branch) -> Point:
     return nodes.oriented(branch.direction)
 
 
-def flips(problem: Problem, branch: Branch) -> list[Point]:
+def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     """Return the flips of a branch of anthropomorphic gaits.
 
     Returns
     -------
-    list of Point
+    list of Evaluation
         Of one lane each.
     """
     found = crossings(problem, branch, corrected(problem, branch), ["flip"])
-    return [point for _, segment, point in found if branch.leg_passes[segment] == 1]
+    return [point.at for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
 def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
@@ -91,7 +92,7 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
         Of SCALARS, and `branch_point`.
     """
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds if kind in SCALARS
+        kind: (scalar(kind, nodes.at), test_function(kind)) for kind in kinds if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
@@ -155,9 +156,9 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
 
 def _is_genuine(kind: str, point: Point) -> bool:
     """Whether a sign change of the test function is a special point of its kind."""
-    if not np.isfinite(point.jacobians).all():
+    if not np.isfinite(point.at.jacobians).all():
         return False
-    values = np.linalg.eigvals(point.jacobians[0])
+    values = np.linalg.eigvals(point.at.jacobians[0])
     if kind == "flip":
         return bool(np.abs(values + 1).min() < 1e-6)
     if kind == "neimark_sacker":
@@ -168,7 +169,7 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
     """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
-    knee = point.stride.one.knee
+    knee = point.at.stride.one.knee
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
@@ -193,11 +194,11 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])
     elif not (kind == "branch_point" and error):  # that of a flip at which the branch begins is known
-        error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
+        error += float(np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max())
     return {
         "kind": kind,
-        "slope": float(np.exp(point.q[lane])),
-        **state_at(problem, point, lane),
-        "period": float(point.times[-1, lane]),
+        "slope": float(np.exp(point.at.q[lane])),
+        **state_at(problem, point.at, lane),
+        "period": float(point.at.times[-1, lane]),
         "error_bound": error + 8 * EPS,
     }
