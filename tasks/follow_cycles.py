@@ -10,10 +10,12 @@ from gaitsweep.tasks.continuation.atlas import branches_along, is_known, ranked
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.flips import doubled
+from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.continuation.special_points import corrected, flips
-from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER, Point, follow
+from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER, follow
 from gaitsweep.tasks.locate_cascade import search_cycles
 from gaitsweep.tasks.step.problem import Problem
 
@@ -58,11 +60,11 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     return ranked(followed)
 
 
-def _flips_of(problem: Problem, branches: list[Branch]) -> list[Point]:
+def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
     return [flip for branch in branches for flip in flips(problem.of_steps(branch.steps), branch)]
 
 
-def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Point]) -> list[Branch]:
+def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Evaluation]) -> list[Branch]:
     """The branch through a gait, followed both ways, in parts that walk."""
     ((down, up),) = follow(problem, gait.Z, step)
     return run(problem, branches_along(problem, down, up, COARSE, begins))
@@ -70,12 +72,12 @@ def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Point]) 
 
 def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
     """Slopes at which gaits have doubled already, as those of heavy feet at vanishing slopes, shape (n,) [rad]."""
-    doubled = [b.q[(scalar("flip", corrected(problem, b)) < 0) & (b.leg_passes == 1)] for b in branches]
+    doubled = [b.q[(scalar("flip", corrected(problem, b).at) < 0) & (b.leg_passes == 1)] for b in branches]
     return np.array([np.exp(np.median(q)) for q in doubled if len(q)])
 
 
 def _searched(
-    problem: Problem, branches: list[Branch], n: int, flips: list[Point], known: list[Branch]
+    problem: Problem, branches: list[Branch], n: int, flips: list[Evaluation], known: list[Branch]
 ) -> list[Branch]:
     """Branches of gaits of n steps that a search near the first flip of one step finds besides the known ones.
 
@@ -89,6 +91,6 @@ def _searched(
         slopes = _beyond_flips(problem, branches)
     for slope in slopes:
         for gait in search_cycles(problem, branches, float(slope), n, _STARTS):
-            if abs(gait.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known([*known, *followed], gait.Z[:, 0]):
+            if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known([*known, *followed], gait.Z[:, 0]):
                 followed += _along(several, gait, _FIRST_STEP, [])
     return followed

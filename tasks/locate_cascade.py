@@ -16,9 +16,10 @@ from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.lockstep import lanes_of
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import hermite
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
-from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct, points_along
+from gaitsweep.tasks.continuation.tracking import check_steps, correct, points_along
 from gaitsweep.tasks.dynamics.crisis import lost
 from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
@@ -243,7 +244,7 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     nearest = walk.lanes[np.argsort(distance, kind="stable")[:60]]
     y, strikes = (np.stack(each)[..., nearest] for each in (after[:n], times[1:]))
     gaits = _solved(problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope)
-    return sorted(gaits, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
+    return sorted(gaits, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0])))
 
 
 def _follow_family(
@@ -254,7 +255,7 @@ def _follow_family(
     Of a family that is the other side of the fold of one of the `others` only the fold, and None.
     """
     low, high = np.log(slope[0]), np.log(slope[-1])
-    problem = problem.of_steps(start.stride.steps)
+    problem = problem.of_steps(start.at.stride.steps)
     up = np.eye(len(start.Z))[-1]
     events: list[_Event] = []
     if problem.steps > 1:
@@ -264,7 +265,7 @@ def _follow_family(
             events.append(fold)
             if any(_is_same(fold, other[0]) for other in others if other):
                 return events, None
-            start = min(fold.beside, key=lambda gait: float(np.abs(gait.multipliers[0, 0])))
+            start = min(fold.beside, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0])))
     begun: _Begun | None = (start, up, _FIRST_STEP * (high - low))
     expected, period = high - low, problem.steps
     while begun is not None and period <= longest:
@@ -288,11 +289,11 @@ _Begun = tuple[Point, np.ndarray, float]
 
 def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
     """The first fold or flip along a branch inside the window, or why there is none."""
-    q, points = float(begun[0].q[0]), points_along(problem, *begun)
+    q, points = float(begun[0].at.q[0]), points_along(problem, *begun)
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
             return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}"
-        q, (a, b) = float(after.q[0]), (float(scalar(kind, gait)[0]) for gait in (before, after))
+        q, (a, b) = float(after.at.q[0]), (float(scalar(kind, gait.at)[0]) for gait in (before, after))
         if a * b < 0:
             length = float(np.linalg.norm(after.Z - before.Z))
             guess = hermite(before.Z, before.direction, after.Z, after.direction, length, a / (a - b))

@@ -19,7 +19,7 @@ from gaitsweep.tasks.continuation.checks import checked
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
-from gaitsweep.tasks.continuation.joint import evaluate
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.locate import (
     correct_at,
     is_step,
@@ -29,9 +29,9 @@ from gaitsweep.tasks.continuation.locate import (
     value_of,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
-from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
+from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Point, Track, joined
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
-from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, Point, check_steps, follow
+from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import search_lines, starts
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance
@@ -60,7 +60,7 @@ def _join(problem: Problem, down: Track, up: Track) -> tuple[Branch, int]:
 
 
 def branches_along(
-    problem: Problem, down: Track, up: Track, tolerance: float, flips: Sequence[Point] = ()
+    problem: Problem, down: Track, up: Track, tolerance: float, flips: Sequence[Evaluation] = ()
 ) -> Procedure[list[Branch]]:
     """Join both directions, keep the parts that are steps up to their located ends, refine and measure them.
 
@@ -70,7 +70,7 @@ def branches_along(
     down, up : Track
     tolerance : float
         FINE or COARSE.
-    flips : sequence of Point
+    flips : sequence of Evaluation
         Of gaits of half as many steps: where branches of several steps begin.
     """
     raw, start = _join(problem, down, up)

@@ -101,7 +101,7 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     """The branch; ends whose own condition fails become `no further point`."""
     Z = branch.Z[:, [0, -1]]
     point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
-    at_ends = replace(point, Z=Z)
+    at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
         if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
             branch = branch.ending(side, "no further point", branch.end_errors[side])

@@ -112,7 +112,7 @@ class Curve:
         lanes = self._lanes((Z[-1] + h * np.array([0.0, 1.0, -1.0])) * self.scale)
         return joint_derivative(lanes, self.kind, Z[:-1], np.array([h]), h=h)
 
-    def correct(self, Z: np.ndarray, border: np.ndarray) -> engine.Corrected:
+    def correct(self, Z: np.ndarray, border: np.ndarray) -> engine.Point:
         """Correct a point of the curve in the plane through Z normal to `border`, both (c,) or (c, 1), by Newton."""
         Z, border = Z.reshape(-1, 1), border.reshape(-1, 1)
         sized = [*but_times(self.m)[:-1], -2, -1]
@@ -140,12 +140,12 @@ class Curve:
         return bool(step.outcome[0] == STRUCK and np.abs(step.times - times).max() < 1e-3)
 
 
-def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapping[str, tuple[float, float]]) -> Track:
+def follow(curve: Curve, first: engine.Point, direction: float, window: Mapping[str, tuple[float, float]]) -> Track:
     """Follow a curve from a point on it up to the window's border, or until it closes.
 
     Parameters
     ----------
-    first : Corrected
+    first : Point
         Where it begins.
     direction : float
         1 towards increasing values of the key, -1 towards decreasing ones.
@@ -157,13 +157,13 @@ def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapp
     def inside(Z: np.ndarray) -> np.ndarray:
         return np.clip(Z, edges[:, :1], edges[:, 1:])
 
-    def correct(_: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Corrected:
+    def correct(_: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Point:
         return curve.correct(guess, border)
 
     def judge(_: np.ndarray, point: Any, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.ones(1, bool), error / tracks.step
 
-    def reasons(_: np.ndarray, point: engine.Corrected, last: np.ndarray) -> np.ndarray:
+    def reasons(_: np.ndarray, point: engine.Point, last: np.ndarray) -> np.ndarray:
         return np.where((inside(point.Z[-2:]) == point.Z[-2:]).all(axis=0), "", BORDER)
 
     tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
@@ -187,12 +187,11 @@ def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapp
     at = curve.correct(guess, np.eye(len(guess))[component])
     if not at.ok[0]:
         return Track(Z, T, engine.NO_FURTHER)
-    along = at.direction * (np.sign(at.direction[:, 0] @ T[:, -1]) or 1.0)
-    return Track(np.hstack([Z, at.Z]), np.hstack([T, along]), BORDER)
+    return Track(np.hstack([Z, at.Z]), np.hstack([T, at.oriented(T[:, -1:]).direction]), BORDER)
 
 
 def follow_both_directions(
-    curve: Curve, first: engine.Corrected, window: Mapping[str, tuple[float, float]]
+    curve: Curve, first: engine.Point, window: Mapping[str, tuple[float, float]]
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, str]]:
     """Follow a curve from a point on it in both directions, or once round.
 
@@ -239,16 +238,13 @@ def turning(
     length = float(np.linalg.norm(chord))
     chord /= length
 
-    def at(share: float) -> engine.Corrected:
-        return curve.correct(hermite(*a, *b, length, share), chord)
+    def at(share: float) -> engine.Point:
+        return curve.correct(hermite(*a, *b, length, share), chord).oriented(chord[:, None])
 
-    def along(point: engine.Corrected) -> np.ndarray:
-        return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
-
-    turn = at(bracketed_root(lambda share: float(along(at(share))[component]), 0.0, 1.0, 1e-11))
+    turn = at(bracketed_root(lambda share: float(at(share).direction[component, 0]), 0.0, 1.0, 1e-11))
     if not turn.ok[0]:
         return None
-    Z, tangent = turn.Z[:, 0], along(turn)
+    Z, tangent = turn.Z[:, 0], turn.direction[:, 0]
     derivative = curve.system(Z, 2 * DIFFERENCE)[1]
     coarse = np.linalg.svd(derivative)[2][-1]
     coarse *= np.sign(coarse @ tangent)

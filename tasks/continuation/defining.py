@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.continuation.joint import Evaluation, determinants, evaluate, rounding_step
-from gaitsweep.tasks.continuation.pseudo_arclength import Corrected, Newton, bordered_matrix, bordered_newton
+from gaitsweep.tasks.continuation.pseudo_arclength import Newton, Point, bordered_matrix, bordered_newton
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
@@ -294,7 +294,7 @@ def _newton(
     target: np.ndarray | float,
     limits: Newton,
     samples: int = 0,
-) -> Corrected:
+) -> Point:
     """Newton's method on the defining equations of n points Z, with the derivatives of their scalar, both (c, n)."""
 
     def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
@@ -309,7 +309,7 @@ def _newton(
 
 def newton_step(
     problem: Problem, kind: str, Z: np.ndarray, rows: np.ndarray, target: np.ndarray | float = 0.0, samples: int = 0
-) -> Corrected:
+) -> Point:
     """Evaluate points and take one Newton step on their defining equations.
 
     Parameters
@@ -326,7 +326,7 @@ def newton_step(
 
     Returns
     -------
-    Corrected
+    Point
         Evaluated before the step.
     """
     return _newton(problem, kind, Z, rows, target, _ONE_STEP, samples)
@@ -339,7 +339,7 @@ def solve(
     target: np.ndarray | float = 0.0,
     rows: np.ndarray | None = None,
     quick: bool = False,
-) -> Corrected:
+) -> Point:
     """Solve the defining equations of one kind from guesses, by Newton's method.
 
     Parameters
@@ -357,7 +357,7 @@ def solve(
 
     Returns
     -------
-    Corrected
+    Point
         With derivatives of the scalar that serve for Newton steps nearby; the guesses where it is not `ok`.
     """
     rows = gradient(problem, kind, guess) if rows is None else rows

@@ -18,8 +18,9 @@ from gaitsweep.tasks.continuation.locate import (
     value_of,
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
-from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct
+from gaitsweep.tasks.continuation.tracking import check_steps, correct
 from gaitsweep.tasks.fixed_points.step_check import verified
 from gaitsweep.tasks.step.step_map import SAMPLES
 
@@ -53,7 +54,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
     ends: list[tuple[float, BranchEnd]] = []
     for kind in _ENDS:
-        if "kneestrike" in kind and not len(at_good.stride.one.knee):
+        if "kneestrike" in kind and not len(at_good.at.stride.one.knee):
             continue
         test = value_of(kind)
         if test(at_good) * test(at_bad) < 0:
@@ -72,12 +73,12 @@ def _with_a_kneestrike(branch: Branch, segment: int, end: BranchEnd) -> Procedur
     if end.kind != "end_tangential_kneestrike" or _earliest_kneestrike(end.point) > _EARLIEST_KNEESTRIKE:
         return end
     earliest = yield from locate_root(branch, segment, lambda point: _earliest_kneestrike(point) - _EARLIEST_KNEESTRIKE)
-    return BranchEnd(end.kind, earliest, abs(float(earliest.q[0] - end.point.q[0])))
+    return BranchEnd(end.kind, earliest, abs(float(earliest.at.q[0] - end.point.at.q[0])))
 
 
 def _earliest_kneestrike(point: Point) -> float:
     """Shortest time to kneestrike of a gait's steps [sqrt(leg/g)]."""
-    return float(np.diff(point.times[:, 0], prepend=0)[::2].min())
+    return float(np.diff(point.at.times[:, 0], prepend=0)[::2].min())
 
 
 def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Procedure[bool]:
@@ -86,7 +87,7 @@ def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Pro
     a, b = branch.Z[axis, good], end.point.Z[axis, 0]
     points = yield Call(correct, (branch.evaluate(segments, a + (b - a) * _SHARES), branch.between(segments)))
     check = yield Call(check_steps, (points.Z,))
-    values = scalar(end.kind, points)
+    values = scalar(end.kind, points.at)
     # Corrected points lie slightly off the polynomial; those beyond the end do not count.
     before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
     return bool((check.step | ~points.ok | ~before).all())

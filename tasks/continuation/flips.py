@@ -13,7 +13,8 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
-from gaitsweep.tasks.continuation.tracking import HALVED, Point, correct
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
+from gaitsweep.tasks.continuation.tracking import HALVED, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
@@ -66,9 +67,9 @@ def doubled(problem: Problem, flip: Evaluation, expected: float) -> tuple[Point,
     a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Point]]()
     for _ in range(6):
         first = correct(twice, (Z + a * direction)[:, None], direction[:, None], _MAX_ITERATIONS)
-        if first.ok[0] and first.q[0] != q:
+        if first.ok[0] and first.at.q[0] != q:
             farther.append((a, first))
-            distance = abs(float(first.q[0]) - q)
+            distance = abs(float(first.at.q[0]) - q)
             if 0.02 * abs(expected) < distance < 0.3 * abs(expected):
                 break
             a *= np.sqrt(0.1 * abs(expected) / distance)

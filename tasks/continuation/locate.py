@@ -15,8 +15,9 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, lanes_of, run
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
-from gaitsweep.tasks.continuation.tracking import Point, check_steps, correct_and_evaluate
+from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import EPS, Problem
@@ -39,7 +40,7 @@ _SHARP = 1e-13
 
 def value_of(kind: str, target: float = 0.0) -> Callable[[Point], float]:
     """Return the scalar of a kind of special point, less its target, as a test function."""
-    return lambda point: float(scalar(kind, point, target)[0])
+    return lambda point: float(scalar(kind, point.at, target)[0])
 
 
 def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:
@@ -122,7 +123,7 @@ def settle_on_branches(
         for part, own in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
             point = run(walker, locate_root(part, own, beyond))
             if point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]:
-                again.w[:, i] = from_largest(point.w, branch.m, branch.steps)[:, 0]
+                again.w[:, i] = from_largest(point.at.w, branch.m, branch.steps)[:, 0]
                 break
     located = settle(problem.some(lost), again, accuracy=accuracy)
     located.converged &= _is_near(problem, located, again.w)
@@ -139,7 +140,7 @@ def _is_near(problem: Problem, at: Polished, w: np.ndarray) -> np.ndarray:
 
 
 def _beyond(q: float, point: Point) -> float:
-    return float(point.q[0]) - q
+    return float(point.at.q[0]) - q
 
 
 def is_step(point: Point) -> Procedure[bool]:
@@ -209,7 +210,7 @@ def sampled_steps(problem: Problem, Z: np.ndarray, samples: int) -> tuple[AnyStr
 
 def _fold_covector(point: Point, lane: int) -> np.ndarray:
     """How far residuals of the joint equations, over the stance angle, move the ln slope of a fold, shape (m + k,)."""
-    derivative = point.derivative[..., lane]
+    derivative = point.at.derivative[..., lane]
     least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
     return np.asarray(-least / (least @ derivative[:, -1]))
 
@@ -223,8 +224,8 @@ def fold_error(point: Point, lane: int) -> float:
         Of n lanes.
     lane : int
     """
-    y, image = np.abs([point.stride.y[:, lane], point.stride.image[:, lane]])
-    rounded = 3 * EPS * np.append(y + image, np.full(len(point.derivative) - len(y), 2 * y[0]))
+    y, image = np.abs([point.at.stride.y[:, lane], point.at.stride.image[:, lane]])
+    rounded = 3 * EPS * np.append(y + image, np.full(len(point.at.derivative) - len(y), 2 * y[0]))
     return float(np.abs(_fold_covector(point, lane)) @ rounded / y[0])
 
 

@@ -8,7 +8,7 @@ and share nothing but the call. In shapes, n counts lanes and c coordinates of Z
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -46,8 +46,8 @@ class Newton:
 
 
 @dataclass
-class Corrected:
-    """Corrected points of n lanes.
+class Point:
+    """Points of n lanes that solve equations, as Newton's method found them.
 
     Attributes
     ----------
@@ -75,6 +75,11 @@ class Corrected:
     def error(self) -> np.ndarray:
         """Bound on the error of Z, infinite where Newton did not converge, shape (n,)."""
         return np.where(self.ok, self.rounding + 2 * self.last_step, np.inf)
+
+    def oriented(self, direction: np.ndarray) -> Point:
+        """Return the points with their tangents turned to the side of some directions (c, n)."""
+        sign = np.where((self.direction * direction).sum(axis=0) < 0, -1.0, 1.0)
+        return replace(self, direction=sign * self.direction)
 
 
 def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
@@ -129,7 +134,7 @@ def bordered_newton(
     Z: np.ndarray,
     border: np.ndarray | Border,
     sized: Sequence[int] | slice = slice(None),
-) -> Corrected:
+) -> Point:
     """Solve for the zeros at which one equation more holds, by Newton's method.
 
     Parameters
@@ -148,7 +153,7 @@ def bordered_newton(
 
     Returns
     -------
-    Corrected
+    Point
     """
     n, Z = Z.shape[1], Z.copy()
     equation = border if callable(border) else _plane(Z, border)
@@ -178,7 +183,7 @@ def bordered_newton(
             break
     length = np.linalg.norm(direction, axis=0)
     length[length == 0] = 1.0  # in lanes that are lost
-    return Corrected(Z, direction / length, ok, last_step, rounding, rows, at)
+    return Point(Z, direction / length, ok, last_step, rounding, rows, at)
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def _refine(
     new = point.oriented(border)
     # Below the rounding of the fixed point no split helps: by estimate, or because the last split did not.
     allowed = np.clip(_FOLD_SHARE * branch.distance_from_fold()[segments], FINE, tolerance)
-    keep = ok & (moved > np.maximum(allowed, _ROUNDING_MARGIN * rounding(point.stride).max(axis=0)))
+    keep = ok & (moved > np.maximum(allowed, _ROUNDING_MARGIN * rounding(point.at.stride).max(axis=0)))
     keep &= before[segments] > 0
     at = segments[keep] + 1
     moved_from = np.where(moved < _MIN_IMPROVEMENT * before[segments], moved, 0.0)[keep]

@@ -16,7 +16,8 @@ from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, value_of
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
-from gaitsweep.tasks.continuation.tracking import Point, branch_point_determinant, correct
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
+from gaitsweep.tasks.continuation.tracking import branch_point_determinant, correct
 from gaitsweep.tasks.fixed_points.rounding import rounding
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
@@ -48,7 +49,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     found += [(k + 0.5, kind, point, 0, 0.0) for kind, k, point in crossings(problem, branch, nodes, kinds)]
     records = []
     for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
-        own = record(kind, problem, point, lane, _error(kind, problem, point, lane, known))
+        own = record(kind, problem, point.at, lane, _error(kind, problem, point, lane, known))
         if kind == "end_zero_step":
             own |= _limit_of_short_steps(branch, lane)
         records.append({**own, "place": place})
@@ -73,16 +74,16 @@ def corrected(problem: Problem, branch: Branch) -> Point:
     return nodes.oriented(branch.direction)
 
 
-def flips(problem: Problem, branch: Branch) -> list[Point]:
+def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     """Return the flips of a branch of anthropomorphic gaits.
 
     Returns
     -------
-    list of Point
+    list of Evaluation
         Of one lane each.
     """
     found = crossings(problem, branch, corrected(problem, branch), ["flip"])
-    return [point for _, segment, point in found if branch.leg_passes[segment] == 1]
+    return [point.at for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
 def crossings(
@@ -102,7 +103,7 @@ def crossings(
         The scalars' value there.
     """
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes, target), value_of(kind, target)) for kind in kinds if kind in SCALARS
+        kind: (scalar(kind, nodes.at, target), value_of(kind, target)) for kind in kinds if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
@@ -166,9 +167,9 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
 
 def _is_genuine(kind: str, point: Point) -> bool:
     """Whether a sign change of the test function is a special point of its kind."""
-    if not np.isfinite(point.jacobians).all():
+    if not np.isfinite(point.at.jacobians).all():
         return False
-    values = np.linalg.eigvals(point.jacobians[0])
+    values = np.linalg.eigvals(point.at.jacobians[0])
     if kind == "flip":
         return bool(np.abs(values + 1).min() < 1e-6)
     if kind == "neimark_sacker":
@@ -179,7 +180,7 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
     """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
-    knee = point.stride.one.knee
+    knee = point.at.stride.one.knee
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
@@ -206,7 +207,7 @@ def _error(kind: str, problem: Problem, point: Point, lane: int, known: float) -
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])
     elif not (kind == "branch_point" and known):  # that of a flip at which the branch begins is known
-        error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
+        error += float(np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max())
     return error + 8 * EPS
 
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from gaitsweep.tasks.continuation.joint import Evaluation, but_times, evaluate, rounding_step
 from gaitsweep.tasks.continuation.pseudo_arclength import (
     Newton,
+    Point,
     StepControl,
     Track,
     Tracks,
@@ -61,27 +62,6 @@ MAX_CROSSING_STEP = 1e-4
 _CHECK_EVERY = 12
 
 
-@dataclass
-class Point(Evaluation):
-    """Corrected points of n branches; their steps are those last evaluated, at the point or a Newton step away.
-
-    Attributes
-    ----------
-    direction : ndarray, shape (c, n)
-        Unit tangents of the branches.
-    ok : ndarray of bool, shape (n,)
-        Whether Newton converged.
-    """
-
-    direction: np.ndarray
-    ok: np.ndarray
-
-    def oriented(self, direction: np.ndarray) -> Point:
-        """Return the points with their tangents turned to the side of some directions (c, n)."""
-        sign = np.where((self.direction * direction).sum(axis=0) < 0, -1.0, 1.0)
-        return replace(self, direction=sign * self.direction)
-
-
 def correct(problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iterations: int = 8) -> Point:
     """Correct points by bordered Newton: the solutions in the plane through them normal to `border`.
 
@@ -106,8 +86,9 @@ def correct(problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iter
         return evaluate(problem.some(lanes), Z)
 
     limits = replace(_NEWTON, max_iterations=max_iterations)
-    at = bordered_newton(linearise, rounding_step, limits, Z, border, but_times(problem.m))
-    return Point(at.Z, at.at.stride, problem, at.direction, at.ok)
+    found = bordered_newton(linearise, rounding_step, limits, Z, border, but_times(problem.m))
+    # As if the last step, which is rounding or nearly, changed nothing but the point.
+    return replace(found, at=replace(found.at, Z=found.Z))
 
 
 def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) -> Point:
@@ -131,15 +112,15 @@ def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) ->
 
 def _stop_reasons(point: Point) -> np.ndarray:
     """Why tracks stop at their points; empty where they go on."""
-    q, angle = point.q, point.Z[0]
+    q, angle = point.at.q, point.Z[0]
     slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
-    vanished = rate_of_steps(point.Z[1 : point.m]) > MOST_RATE
-    early = np.diff(point.times, axis=0).min(axis=0, initial=0.0) < -0.5
+    vanished = rate_of_steps(point.Z[1 : point.at.m]) > MOST_RATE
+    early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
     tests = {
         "end of the window": slope,
-        "a fall": ~no_step & (fall_margin(point.Z, point.stride.steps) > 0),
+        "a fall": ~no_step & (fall_margin(point.Z, point.at.stride.steps) > 0),
         "zero step length": no_step | vanished,
         "heelstrike before kneestrike": early,
     }
@@ -206,7 +187,7 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
 
 def _trace(point: Point) -> np.ndarray:
     """Sum of the multipliers, shape (n,)."""
-    return np.trace(point.jacobians, axis1=1, axis2=2)
+    return np.trace(point.at.jacobians, axis1=1, axis2=2)
 
 
 def _of_several(fair: np.ndarray, error: np.ndarray, point: Point, trace: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -278,7 +259,7 @@ class _Branches(Tracks):
         self.side[tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
         self.trace[tracks], why = _trace(point), _stop_reasons(point)
         if self.problem.steps > 1:
-            why[np.abs(point.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
+            why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
@@ -308,7 +289,7 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
         Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
     tangent = point.direction * np.sign((point.direction * direction).sum(axis=0))
-    return np.linalg.det(bordered_matrix(point.derivative, tangent))
+    return np.linalg.det(bordered_matrix(point.at.derivative, tangent))
 
 
 def _are_steps(problem: Problem, tracks: _Branches, which: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.defining import foot_radius, log_froude_by_Z, newton_step
 from gaitsweep.tasks.continuation.extremes import Points, classify
-from gaitsweep.tasks.continuation.pseudo_arclength import Corrected
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step.problem import Lanes
@@ -199,7 +199,7 @@ def _is_end(kind: str) -> bool:
     return kind.startswith("end_")
 
 
-def _walks(problem: Lanes, kind: str, step: Corrected, near: np.ndarray) -> np.ndarray:
+def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
     walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
     if not len(lanes):

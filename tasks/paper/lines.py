@@ -205,9 +205,9 @@ class Line:
             "stance_angle": angle,
             "period": period,
             "knee_share": times[0] / times[-1],
-            "closing": nodes.stride.closing[-1] / nodes.stride.y[0],
-            "short": ~(gait_ratio(nodes.stride) < 0.5),
-            "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
+            "closing": nodes.at.stride.closing[-1] / nodes.at.stride.y[0],
+            "short": ~(gait_ratio(nodes.at.stride) < 0.5),
+            "spectral_radius": np.abs(multipliers(nodes.at.stride.jacobian, m)).max(axis=1),
             "speed": step_length(walker, angle) / period,
         }
 

@@ -1,7 +1,6 @@
 """Branches, their folds, flips and ends, against what was computed before and against themselves."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -14,10 +13,11 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar, solve
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.continuation.tracking import Point, correct, follow
+from gaitsweep.tasks.continuation.tracking import correct, follow
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
 from gaitsweep.tasks.fixed_points.search import search
@@ -123,8 +123,8 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
 
 
 def test_tangents_point_along_the_branch():
-    problem, stride = Problem(CATALOGUE["B"]), SimpleNamespace(y=np.ones((1, 1)))
-    point = Point(np.zeros((2, 1)), stride, problem, np.array([[0.6], [-0.8]]), np.ones(1, bool))
+    Z, one = np.zeros((2, 1)), np.ones(1)
+    point = Point(Z, np.array([[0.6], [-0.8]]), one > 0, one, one, Z, None)
     for along in ([1.0, 0.0], [-1.0, 0.0], [0.0, 2.0]):
         tangent = point.oriented(np.array(along)[:, None]).direction[:, 0]
         assert tangent @ along > 0 and np.abs(tangent).tolist() == [0.6, 0.8]
@@ -169,7 +169,7 @@ def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
     Z = found[0].Z[:, ::20]
     at, point = evaluate(problem, Z), correct(problem, Z, None, max_iterations=1)
     for kind in ("flip", "neimark_sacker", "release_hyperextension", "end_kneestrike_at_heelstrike"):
-        np.testing.assert_allclose(scalar(kind, point), scalar(kind, at), rtol=1e-6, atol=1e-10)
+        np.testing.assert_allclose(scalar(kind, point.at), scalar(kind, at), rtol=1e-6, atol=1e-10)
 
 
 def test_special_points_are_solved_with_derivatives_of_points_nearby(monkeypatch):

@@ -217,7 +217,7 @@ def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip():
     for side, order in enumerate((slice(1, None), slice(None, 0, -1))):  # the flip as its first end, and as its last
         Z, why = branch.Z[:, order], (HALVED, "") if side == 0 else ("", HALVED)
         cut = type(branch)(several.m, Z, branch.tangent[:, order], np.zeros(len(Z.T)), why, steps=2)
-        other = correct(problem, flip.Z + 0.04 * np.append(np.arange(len(flip.w)) < problem.m, 1)[:, None], None)
+        other = correct(problem, flip.Z + 0.04 * np.append(np.arange(len(flip.w)) < problem.m, 1)[:, None], None).at
         ended = begun_at_flips(several, cut, [other, flip])
         assert ended.why[side] == "branch_point" and 0 < ended.end_errors[side] < 1e-12
         end, beside = ((0, 1), (-1, -2))[side]

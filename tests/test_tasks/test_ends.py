@@ -89,7 +89,8 @@ def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypa
         stray = other + off
 
         def elsewhere(part, segment, test, stray=stray):
-            return replace((yield from locate_root(part, segment, test)), Z=stray)
+            found = yield from locate_root(part, segment, test)
+            return replace(found, Z=stray, at=replace(found.at, Z=stray))
 
         monkeypatch.setattr(locate, "locate_root", elsewhere)
         monkeypatch.setattr(Branch, "lies_between", lies_between)
