@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from gaitsweep import gaits, simulate
-from gaitsweep.pipeline.cli import commands, film
+from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.report.figures import film
 from gaitsweep.pipeline.report.figures.body import Body
 
 GAIT = ["--walker", "physical", "--slope", "0.036"]
@@ -36,7 +37,7 @@ def test_poses_join_from_step_to_step_and_advance_by_the_step_length():
     motion, body = simulate("physical", 0.036, state, 3, motion=True), Body.of(found.attrs)
     period, angle = float(found["period"]), state[0]
     at = np.array([0.0, period * (1 - 1e-9), period * (1 + 1e-9), 2 * period * (1 + 1e-9)])
-    first, before, after, second = film._poses(motion, body, at)
+    first, before, after, second = film.poses(motion, body, at)
     length = 2 * (body.length * np.sin(angle) + body.radius * angle)
     assert after.hip == pytest.approx(before.hip, abs=1e-6) and (before.step, after.step) == (0, 1)
     assert after.foot - first.foot == pytest.approx(length, rel=1e-6)
@@ -48,8 +49,8 @@ def test_the_leg_that_stands_first_is_heavy_in_every_step():
     found = gaits("D", 0.009).sel(gait="long")
     drawn, body = [], Body.of(found.attrs)
     for step, stance in ((0, 0.2), (1, 0.2)):
-        axes = film._stage(Figure(), body, -1, 1, 0.0)
-        film._draw(axes, body, film.Pose(complex(body.hip(stance)), 0.0, stance, -stance, -stance, step), 0.0)
+        axes = film.stage(Figure(), body, 0.0, (-1, 1), (-1, 1))
+        film.draw(axes, body, film.Pose(complex(body.hip(stance)), 0.0, stance, -stance, -stance, step), 0.0)
         heavy = max(axes.lines, key=lambda line: line.get_linewidth())
         drawn.append(heavy.get_xdata()[-1] < heavy.get_xdata()[0])
     # Seen from the hip the first leg stands to the right; a step later it is the one that swings, to the left.
@@ -70,7 +71,7 @@ def _fallen():
     found = gaits("D", 0.009).sel(gait="long")
     state = [float(found[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
     motion = simulate("D", 0.009, state, 6, motion=True, pushes={0: [0.6 * state[1]] * 2})
-    return film._poses(motion, Body.of(found.attrs), np.linspace(0, film._lengths(motion).sum(), 500))
+    return film.poses(motion, Body.of(found.attrs), np.linspace(0, film.lengths(motion).sum(), 500))
 
 
 def test_a_strip_is_a_picture_that_is_the_same_each_time(tmp_path):

@@ -1,7 +1,7 @@
 """Geometry of a walker's legs, and drawings of walkers to scale."""
 
 import textwrap
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,11 @@ class Body:
         """Distance from the hip to the foot centre, leg extended."""
         return float(self.thigh * np.cos(self.eps_T) + self.shank * np.cos(self.eps_S))
 
+    @property
+    def height(self) -> float:
+        """Distance from the hip to the ground, leg extended and upright."""
+        return self.length + self.radius
+
     def hip(self, stance: Any) -> Any:
         """Position of the hip as x + iy at a stance angle [rad], with the foot centre at x = −R θ."""
         return -self.radius * stance + 1j * self.radius + 1j * self.length * np.exp(1j * stance)
@@ -64,7 +69,7 @@ class Body:
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
 
-def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
+def _draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
     """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""
     knee = body.knee(hip, thigh)
     foot = body.foot(knee, shank)
@@ -80,6 +85,17 @@ def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, *
         axes.plot(foot.real, foot.imag, "o", color=line.get("color", INK), ms=2 + line.get("lw", 1))
 
 
+def draw_pose(
+    axes: Axes, body: Body, hip: complex, angles: Sequence[float], stance: dict[str, Any], swing: dict[str, Any],
+    size: float,
+) -> None:  # fmt: skip
+    """Draw both legs, at the angles of stance leg, swing thigh and swing shank [rad], and the hip of some size [pt]."""
+    leg, thigh, shank = angles
+    _draw_leg(axes, body, hip, leg, leg, **stance)
+    _draw_leg(axes, body, hip, thigh, shank, **swing)
+    axes.plot(hip.real, hip.imag, "o", color=INK, ms=size, zorder=5)
+
+
 def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
     """Bodies and parameters of the study's first walkers, as far as the archive holds them."""
     bodies = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:_MAX_WALKERS]}
@@ -90,7 +106,7 @@ def _alike(bodies: Mapping[str, tuple[Body, dict[str, Any]]]) -> dict[str, tuple
     """Bodies that differ in a picture, under the names of all walkers that look alike."""
     looks: dict[tuple[float, ...], list[str]] = {}
     for name, (body, table) in bodies.items():
-        leg, mass = body.length + body.radius, sum(_number(table, key) for key in ("m_t", "m_s", "m_h")) or 1.0
+        leg, mass = body.height, sum(_number(table, key) for key in ("m_t", "m_s", "m_h")) or 1.0
         lengths = [
             round(_number(table, key) / leg, 2) for key in ("l_t", "R", "w_t", "c_t", "r_t", "w_s", "c_s", "r_s")
         ]
@@ -142,13 +158,12 @@ def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mappi
     """Draw one walker with its legs apart, the front leg darker."""
     spread = 0.26
     hip = complex(body.hip(spread))
-    height = body.length + body.radius
+    height = body.height
     ends = [body.foot(body.knee(hip, a), a) for a in (spread, -spread)]
     ground = min(e.imag for e in ends) - body.radius
     axes.axhline(ground, color=MUTED, lw=0.8)
-    draw_leg(axes, body, hip, spread, spread, color=MUTED, lw=1.2)
-    draw_leg(axes, body, hip, -spread, -spread, color=INK, lw=1.8)
-    axes.plot(hip.real, hip.imag, "o", color=INK, ms=4, zorder=5)
+    back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
+    draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
     thigh, shank = _centres_of_mass(body, table, hip, -spread)
     masses = {
         "thigh": (thigh, _number(table, "m_t"), _number(table, "r_t")),
@@ -191,13 +206,13 @@ def conditions(source: Source) -> Sketch | None:
     sketch, rows = _sketch(bodies, 290), []
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         hip = complex(body.hip(0.0))
-        knee, height = body.knee(hip, 0.0), body.length + body.radius
+        knee, height = body.knee(hip, 0.0), body.height
         thigh, shank = _centres_of_mass(body, table, hip, 0.0)
         masses = np.array([2 * _number(table, "m_t"), 2 * _number(table, "m_s"), _number(table, "m_h")])
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
-        draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
+        _draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
             axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
         for at, size in ((thigh, 5), (shank, 5)):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from gaitsweep.pipeline.report.figures.body import Body, draw_leg
+from gaitsweep.pipeline.report.figures.body import Body, draw_pose
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, evenly, set_heading, write_at
 from gaitsweep.pipeline.report.source import Source
@@ -123,21 +123,17 @@ def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:
 def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 4) -> None:
     """Draw the walker at even times of two steps, each below its time in the graph."""
     body, frame, period = step.body, step.frame, step.period
-    height = body.length + body.radius
+    height = body.height
     apart = 1.15 * height
     edges = -0.7 * apart, (2 * moments - 0.3) * apart
     axes.plot(edges, [0, 0], color=MUTED, lw=0.8)
+    legs = {"color": LINE, "lw": 2.0, "zorder": 4}, {"color": INK, "lw": 0.8, "zorder": 3}
     for number in (0, 1):
         for k in range(moments):
             t = period * (k + 0.5) / moments
-            st, th, sh = (float(np.interp(t, frame["time"], frame[c])) for c in ("theta_st", "theta_th", "theta_sh"))
-            hip = complex(body.hip(st))
-            hip += (number * moments + k) * apart - hip.real
-            heavy = {"color": LINE, "lw": 2.0, "zorder": 4}
-            light = {"color": INK, "lw": 0.8, "zorder": 3}
-            draw_leg(axes, body, hip, st, st, **(heavy if number == 0 else light))
-            draw_leg(axes, body, hip, th, sh, **(light if number == 0 else heavy))
-            axes.plot(hip.real, hip.imag, "o", color=INK, ms=2.6, zorder=5)
+            angles = [float(np.interp(t, frame["time"], frame[c])) for c in ("theta_st", "theta_th", "theta_sh")]
+            hip = complex((number * moments + k) * apart, complex(body.hip(angles[0])).imag)
+            draw_pose(axes, body, hip, angles, *(legs if number == 0 else legs[::-1]), 2.6)
     axes.set_xlim(*edges)
     axes.set_ylim(-0.06 * height, 1.08 * height)
     axes.set_aspect("equal")
