@@ -1,13 +1,12 @@
 """`gaitsweep status`: progress of the current or last run."""
 
 import argparse
-import fcntl
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.cli import kinds, studies
+from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine.progress import duration, last_state, sentence
 from gaitsweep.pipeline.paths import sidecar_path
 
@@ -30,19 +29,8 @@ def state_of(path: Path) -> dict[str, Any] | None:
     last = last_state(sidecar_path(path, ".events.jsonl"))
     if last is None:
         return None
-    last["running"] = False
-    lock = sidecar_path(path, ".journal-lock")
-    if not lock.is_file():  # another one might be waited for
-        return last
-    try:
-        with open(lock, encoding="utf-8") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except OSError:
-                last |= {"running": True, "holder": json.load(file)}
-    except (OSError, ValueError):
-        pass
-    return last
+    holder = locks.holder(path)
+    return {**last, "running": holder is not None, **({"holder": holder} if holder else {})}
 
 
 def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
@@ -57,14 +45,10 @@ def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
 
 
 def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
-    holder = run_state.get("holder", {})
-    condition = (
-        f"running as process {holder.get('pid')} on {holder.get('host')}"
-        if run_state["running"]
-        else "finished"
-        if run_state.get("over")
-        else "stopped"
-    )
+    condition = "finished" if run_state.get("over") else "stopped"
+    if run_state["running"]:
+        holder = run_state.get("holder", {})
+        condition = f"running as process {holder['pid']} on {holder['host']}" if holder else "running"
     elapsed, done = duration(run_state["elapsed"]), run_state["cached"] + run_state["done"]
     if condition == "finished":
         yield f"{path}: finished: {f'{done:,} points in ' if done else 'in '}{elapsed}"

@@ -38,10 +38,10 @@ def lock_archive(path: Path) -> Iterator[None]:
             else:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError) as error:
-            holder = _holder(file)
+            known = _holder(file)
             name = "its process is not known yet."
-            if {"pid", "host", "started"} <= holder.keys():
-                name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
+            if {"pid", "host", "started"} <= known.keys():
+                name = f"process {known['pid']} on {known['host']}, started {known['started']}."
             raise BusyError(f"{path} is held by another run: {name}") from error
         except OSError as error:  # as on some network disks
             raise ArchiveError(f"{path} cannot be locked: its disk has no locks; choose another folder.") from error
@@ -53,6 +53,22 @@ def lock_archive(path: Path) -> Iterator[None]:
         json.dump({"pid": os.getpid(), "host": platform.node(), "started": started, "drafts": paths.SECRET}, file)
         file.flush()
         yield
+
+
+def holder(path: Path) -> dict[str, Any] | None:
+    """Who runs a study into an archive, as far as is known; None if nobody does."""
+    lock = sidecar_path(path, ".journal-lock")
+    if not lock.is_file():  # another one might be waited for
+        return None
+    try:
+        with open(lock, encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except (BlockingIOError, PermissionError):
+                return _holder(file)
+    except OSError:
+        pass
+    return None
 
 
 def _holder(file: Any) -> dict[str, Any]:

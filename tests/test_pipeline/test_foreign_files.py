@@ -161,6 +161,13 @@ def test_a_state_is_read_of_files_only(tmp_path):
     assert status.state_of(tmp_path / "s.nc") == {"event": "state", "over": False, "running": False}
 
 
+def test_a_run_that_has_not_yet_said_its_name_is_seen(tmp_path):
+    (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
+    with lock_archive(tmp_path / "s.nc"):
+        (tmp_path / "s.journal-lock").write_text("")
+        assert status.state_of(tmp_path / "s.nc") == {"event": "state", "over": False, "running": True}
+
+
 @contextlib.contextmanager
 def files_end_at(size):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
