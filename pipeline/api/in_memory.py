@@ -26,7 +26,7 @@ from gaitsweep.pipeline.study.model import Axis, Study
 from gaitsweep.tasks.accuracy import always
 from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
-#: Atlases and points of short lines kept for later calls [byte]: points of long ones are cheaper to compute again.
+#: Atlases, charts and points of short lines kept for later calls [byte]: other points are cheaper to compute again.
 _REMEMBERED = Memory(512 << 20)
 _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
@@ -55,37 +55,9 @@ class _Line:
         """The points of that study."""
         return self.graph.chunk_node(self.graph.grid.chunk(0))
 
-    @functools.cached_property
-    def atlas(self) -> Node:
-        """The atlas of that study."""
-        return self.graph.line_node(0, "atlas")
 
-    @property
-    def key(self) -> Hashable:
-        """What its points are remembered by."""
-        return self.node.key.key, self.graph.variables
-
-    def points(self) -> Points:
-        """Its points; as in a run, that a task raises is their status."""
-        points: Points | None = _REMEMBERED.get(self.key)
-        if points is not None:
-            return points
-        try:
-            if (atlas := _REMEMBERED.get(self.atlas.key.key)) is None:
-                atlas = dispatch.resolve(self.graph.function(self.atlas))(self.graph.params(self.atlas), [])
-                _remember(self.atlas.key.key, atlas, atlas)
-        except Exception as error:
-            return self._failed(of_atlas(_raised(error)))
-        try:
-            points = _computed(self.graph, self.node, [atlas])
-        except Exception as error:
-            return self._failed(_raised(error))
-        if self.graph.method is Method.ALONE:
-            _remember(self.key, points, points.values)
-        return points
-
-    def _failed(self, reason: str) -> Points:
-        return Points.of_ending(self.node.points, "raised", reason, self.graph.variables)
+class _RaisedError(Exception):
+    """The sentence of points that a task, or one that they need, has raised."""
 
 
 def _over(base: Study, slope: np.ndarray, keys: Mapping[str, np.ndarray], check: dict[str, Any]) -> Study:
@@ -209,9 +181,13 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
     while left:
         block = left[:_BLOCK]
         del left[:_BLOCK]  # with their graphs
-        _survey([one for one in block if one.graph.method is Method.ALONE and one.key not in _REMEMBERED])
+        _survey(block)
         for one in block:
-            yield one.at, one.points().take(one.row)
+            try:
+                points = _result(one.graph, one.node)
+            except _RaisedError as reason:  # as in a run, this is the status of its points
+                points = Points.of_ending(one.node.points, "raised", str(reason), one.graph.variables)
+            yield one.at, points.take(one.row)
 
 
 def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, list[_Line]]:
@@ -229,16 +205,12 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
     if method_of(study) is not Method.PLANE:
         return lines
     graph, left = Graph(study, in_memory=True), []
-    charts: dict[str, Any] = {}
     for k in range(graph.grid.chunks):
-        node = graph.chunk_node(chunk := graph.grid.chunk(k))
+        chunk = graph.grid.chunk(k)
         own = [lines[number] for number in by_number[chunk.lines].tolist()]
         try:
-            if node.needs[0] not in charts:
-                made = graph.line_node(int(chunk.lines[0]), "charts")
-                charts = {node.needs[0]: dispatch.resolve(graph.function(made))(graph.params(made), [])}
-            points = _computed(graph, node, [charts[node.needs[0]]])
-        except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
+            points = _result(graph, graph.chunk_node(chunk))
+        except _RaisedError:  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue
         rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
@@ -246,21 +218,47 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
     return left
 
 
-def _computed(graph: Graph, node: Node, inputs: list[Any]) -> Points:
-    return points_of(dispatch.resolve(graph.function(node)), graph.params(node), inputs)[0]
+def _result(graph: Graph, node: Node) -> Any:
+    """Result of a node, unless it is remembered, after those of the nodes that it needs.
+
+    Raises
+    ------
+    _RaisedError
+        If its task, or one of theirs, raises.
+    """
+    key = _key(graph, node)
+    if (result := _REMEMBERED.get(key)) is not None:
+        return result
+    line = int(node.chunk.lines[0]) if node.chunk else node.line or 0
+    names = [name for name, own in graph.line_keys(line).items() if own.key in node.needs] if node.needs else []
+    inputs = [_result(graph, graph.line_node(line, name)) for name in names]
+    try:
+        function, params = dispatch.resolve(graph.function(node)), graph.params(node)
+        result = points_of(function, params, inputs)[0] if node.chunk else function(params, inputs)
+    except Exception as error:
+        reason = f"It raised {described(error)}."
+        raise _RaisedError(reason if node.chunk else of_atlas(reason)) from error
+    if node.chunk is None or graph.method is Method.ALONE:
+        _remember(key, result)
+    return result
 
 
-def _raised(error: Exception) -> str:
-    return f"It raised {described(error)}."
+def _key(graph: Graph, node: Node) -> Hashable:
+    """What a result is remembered by: points of other variables are others."""
+    return (node.key.key, graph.variables) if node.chunk else node.key.key
 
 
-def _remember(key: Hashable, result: Points | Arrays, arrays: Arrays) -> None:
+def _remember(key: Hashable, result: Points | Arrays) -> None:
+    arrays = result.values if isinstance(result, Points) else result
     _REMEMBERED.put(key, result, sum(np.asarray(array).nbytes for array in arrays.values()))
 
 
 def _survey(lines: list[_Line]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
-    unknown = [one for one in lines if one.atlas.key.key not in _REMEMBERED]
+    alone = (one for one in lines if one.graph.method is Method.ALONE)
+    unknown = [
+        one for one in alone if not any(key in _REMEMBERED for key in (_key(one.graph, one.node), *one.node.needs))
+    ]
     if len(unknown) < 2:
         return
     params = {"lines": [one.line for one in unknown], "slope": np.empty(0), "want": ()}
@@ -269,7 +267,7 @@ def _survey(lines: list[_Line]) -> None:
     except Exception:  # each is tried alone, and its own error becomes its points' reason
         return
     for one, (atlas, _) in zip(unknown, results, strict=True):
-        _remember(one.atlas.key.key, dict(atlas), atlas)
+        _remember(one.node.needs[0], dict(atlas))
 
 
 def _dataset(

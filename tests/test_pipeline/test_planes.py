@@ -3,6 +3,7 @@
 import contextlib
 import math
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,15 +11,17 @@ import xarray as xr
 
 import gaitsweep
 from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import Method, seconds_over_plane
 from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study.parse import read
-from gaitsweep.tasks import solve_points
+from gaitsweep.tasks import solve_planes, solve_points
 
 STUDY = """
 name = "plane"
@@ -209,6 +212,18 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
         np.testing.assert_array_equal(answer[name].values, plane[name].values)
     words = (data.reason_text.values[data.reason.values] for data in (answer, plane))
     np.testing.assert_array_equal(*words)
+
+
+def test_charts_are_made_once_for_all_that_is_asked_of_a_plane(monkeypatch):
+    monkeypatch.setattr(in_memory, "_REMEMBERED", Memory(1 << 30))
+    made = Mock(side_effect=solve_planes.charts)
+    monkeypatch.setattr(solve_planes, "charts", made)
+    m_s, slopes = np.linspace(0.08, 0.12, 64)[:, None], np.array([0.008, 0.009, 0.01])
+    first = gaitsweep.gaits("B", slopes, m_s=m_s, variables=["period"])
+    assert made.call_count == 1
+    more = gaitsweep.gaits("B", slopes, m_s=m_s, variables=["period", "speed"])
+    assert made.call_count == 1
+    np.testing.assert_array_equal(more.period.values, first.period.values)
 
 
 def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
