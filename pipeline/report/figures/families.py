@@ -1,6 +1,7 @@
 """Gait families: stance angle against slope (the paper's figures 5 and 11), and residuals of the power laws."""
 
 import itertools
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,79 +32,79 @@ from gaitsweep.pipeline.report.words import plain, shorten
 
 def loglog(source: Source) -> Sketch | None:
     """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
-    sketch = Sketch(350)
-    (axes,) = sketch.panels
-    set_log(axes, "xy")
-    lines = [line for line in source.lines if "stance_angle" in line.data]
-    names = _line_titles(source, lines)
-    if not (labels := _draw_families(sketch, source, lines, names)):
+    if not (drawn := _draw_families(source, log=True)):
         return None
+    sketch, lines, names = drawn
+    (axes,) = sketch.panels
     fitted = _draw_power_laws(source, axes, lines)
     crossings = _draw_fitted_lines(source, axes, lines, names)
     measured.draw(sketch, axes, source, "stance_angle")
     printed = landmarks.rows(source)
     has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     if len(lines) > 1:
-        end_labels(axes, labels)
+        label_lines(sketch, lines, names, "left")
     sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
     return _finish(sketch, names, fitted=fitted, crossings=crossings, printed=sentence)
 
 
 def linear(source: Source) -> Sketch | None:
     """Plot stance angle against slope on linear axes."""
-    sketch = Sketch(350)
-    (axes,) = sketch.panels
-    lines = [line for line in source.lines if "stance_angle" in line.data]
-    names = _line_titles(source, lines)
-    if not _draw_families(sketch, source, lines, names):
+    if not (drawn := _draw_families(source)):
         return None
+    sketch, lines, names = drawn
+    (axes,) = sketch.panels
     measured.draw(sketch, axes, source, "stance_angle")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
-    label_lines(axes, sketch.pieces, [line.label for line in lines], names)
+    if 1 < len(lines) <= len(COLOURS):
+        label_lines(sketch, lines, names)
     return _finish(sketch, names)
 
 
-def _draw_families(
-    sketch: Sketch, source: Source, lines: list[Line], names: list[str]
-) -> list[tuple[float, float, str, str]]:
-    """Draw every gait of every line; where each begins, with the name of its line and its colour."""
-    (axes,), labels = sketch.panels, []
+def _draw_families(source: Source, log: bool = False) -> tuple[Sketch, list[Line], list[str]] | None:
+    """Draw every gait of every line; the sketch, the lines and their names, or None without gaits."""
+    sketch, lines = Sketch(350), [line for line in source.lines if "stance_angle" in line.data]
+    names, tips = _line_titles(source, lines), TIPS | {"spectral_radius": "max |λ|"}
+    if log:
+        set_log(sketch.panels[0], "xy")
     for k, line in enumerate(lines):
         curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
-        for gait in source.gaits:
-            starts = []
-            for frame in curves:
-                points = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
-                if points.empty:
-                    continue
-                draw_gait(axes, frame, gait, k, k)
-                starts.append(tuple(points.loc[points["slope"].idxmin(), ["slope", "stance_angle"]]))
-                tips = TIPS | {"spectral_radius": "max |λ|"}
-                sketch.mark_gaits(axes, points, f"{gait} step · {names[k]}", line.command, tips, group=k)
-                sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
-            if starts:
-                labels.append((*min(starts), names[k], colour(k)))
-    return labels
+        for gait, curve in itertools.product(source.gaits, curves):
+            draw_curve(sketch, curve, gait, line, k, names[k], tips)
+    return (sketch, lines, names) if sketch.pieces else None
+
+
+def draw_curve(
+    sketch: Sketch, curve: pd.DataFrame, gait: str, line: Line, k: int, name: str, tips: Mapping[str, str],
+    x: str = "slope", y: str = "stance_angle",
+) -> None:  # fmt: skip
+    """Draw a gait of a curve of line k, called so, if the curve has it: with the points that it lacks, as gaps."""
+    points = curve[(curve["gait"] == gait) & curve[y].notna()]
+    if len(points):
+        (axes,) = sketch.panels
+        draw_gait(axes, curve, gait, k, k, x, y)
+        sketch.mark_gaits(axes, points, f"{gait} step · {name}", line.command, tips, x, y, group=k)
+        sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
 
 
 def label_lines(
-    axes: Axes,
-    pieces: list[pd.DataFrame],
-    lines: list[str],
-    names: list[str],
+    sketch: Sketch,
+    lines: Sequence[Line],
+    names: Sequence[str],
+    side: str = "right",
     x: str = "slope",
     y: str = "stance_angle",
 ) -> None:
-    """Write the name of each line at the right end of one of its curves; a line alone needs none."""
-    ends = []
+    """Write the name of each line at the right end of one of its curves, or at the left end of each of its gaits."""
+    (axes,), ends = sketch.panels, []
+    data = pd.concat(sketch.pieces, ignore_index=True)
+    data = data[np.isfinite(data[x]) & np.isfinite(data[y])]
     for k, (line, name) in enumerate(zip(lines, names, strict=True)):
-        rows = pd.concat([piece[piece["line"] == line] for piece in pieces], ignore_index=True)
-        rows = rows[np.isfinite(rows[x]) & np.isfinite(rows[y])]
-        if len(rows):
-            ends.append((*rows[[x, y]].iloc[int(rows[x].argmax())], name, colour(k)))
-    if 1 < len(lines) <= len(COLOURS):
-        end_labels(axes, ends, "right")
+        own = data[data["line"] == line.label]
+        for _, rows in own.groupby("gait" if side == "left" else "line", sort=False):
+            end = rows.loc[rows[x].idxmin() if side == "left" else rows[x].idxmax()]
+            ends.append((end[x], end[y], name, colour(k)))
+    end_labels(axes, ends, side)
 
 
 def _finish(sketch: Sketch, names: list[str], **sentences: Any) -> Sketch:

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 
 from gaitsweep.pipeline.report.figures import measured
-from gaitsweep.pipeline.report.figures.families import label_lines
+from gaitsweep.pipeline.report.figures.families import draw_curve, label_lines
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import draw_gait, draw_guide, set_heading, set_log, thin
-from gaitsweep.pipeline.report.source import RATES, Source
+from gaitsweep.pipeline.report.figures.style import COLOURS, draw_guide, set_heading, set_log, thin
+from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import WORDS, spaced, with_unit
 
 
@@ -58,19 +58,15 @@ def draw(name: str, source: Source) -> Sketch | None:
         for frame in line.curves(*quantity.reads):
             curve = thin(frame, max(60, 700 // len(lines)))
             curve = curve.assign(value=quantity.value(curve))
-            for gait in (g for g in source.gaits if (curve["gait"] == g).any()):
-                part = curve[(curve["gait"] == gait) & curve["value"].notna()]
-                # With the points that the gait lacks, so that no line crosses a gap.
-                draw_gait(axes, curve, gait, k, k, quantity.abscissa, "value")
-                label, x = f"{gait} step · {line.label}", quantity.abscissa
-                sketch.mark_gaits(axes, part, label, line.command, tips, x, "value", group=k)
-                sketch.pieces.append(part.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
-    if not any(len(piece) for piece in sketch.pieces):
+            for gait in source.gaits:
+                draw_curve(sketch, curve, gait, line, k, line.label, tips, quantity.abscissa, "value")
+    if not sketch.pieces:
         return None
     _name_axes(sketch, source, quantity)
     data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
     sketch.gait_keys(data)
-    label_lines(axes, sketch.pieces, names, names, quantity.abscissa, "value")
+    if 1 < len(lines) <= len(COLOURS):
+        label_lines(sketch, lines, names, x=quantity.abscissa, y="value")
     for at, words in quantity.guides.items():
         draw_guide(axes, float(at), words)
     # Shares of several losses are drawn, which no measurement of one of them can be compared with.
