@@ -2,7 +2,6 @@
 
 import argparse
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import StudyError, unwritten
-from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.single_point import led, state_of
 
 #: Formats of films and of strips, by the ending of the file.
@@ -27,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
     for name, low, high in (("steps", 1, 50), ("push", -10, 10), ("slow", 0.1, 100)):
         if not low <= getattr(options, name) <= high:  # nan
             raise StudyError(f"`--{name}` must lie in [{low}, {high}]; got {getattr(options, name)}.")
-    walker, keys = led(files.walker(options.walker, Path()), options.set)
+    walker, keys = led(options.walker, options.set)
     state = state_of(walker, options.slope, keys, options.gait)
     push = {0: [options.push * state[1]] * 2} if options.push else None
     motion = simulate(walker, options.slope, state, options.steps, motion=True, pushes=push, **keys)

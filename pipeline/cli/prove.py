@@ -13,7 +13,7 @@ from gaitsweep.pipeline.archive import read
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.statuses import FOUND
-from gaitsweep.pipeline.study import files, parse, slopes
+from gaitsweep.pipeline.study import parse, slopes
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led
 from gaitsweep.tasks.registry import GAITS
@@ -58,9 +58,9 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     slopes.check(float(slope))
     if gait is not None and gait not in GAITS:
         raise Location("", "gait").unknown(gait, GAITS)
-    known, _ = led(files.walker(options.walker, Path()), options.set)
+    known, _ = led(options.walker, options.set)
     ask("check_walker", {"walker": known})
-    table, changes = led(files.walker(options.walker, Path(), number=str), options.set, str)  # with every digit
+    table, changes = led(options.walker, options.set, str)  # with every digit
     wanted = {"set": changes, "gait": gait, "accuracy": options.accuracy}
     answer: dict[str, Any] = ask("prove", {"walker": table, "slope": slope, **wanted})
     return answer

@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import xarray as xr
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.single_point import led, state_of
 
 _STATE = ("stance_angle", "stance_rate", "thigh_rate")
@@ -26,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
         if step in pushes:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
-    walker, keys = led(files.walker(options.walker, Path()), options.set)
+    walker, keys = led(options.walker, options.set)
     state = options.state or state_of(walker, options.slope, keys, options.gait or "long")
     found = simulate(walker, options.slope, state, options.steps, pushes=pushes, **keys)
     kinds.show(options, {name: _plain(values) for name, values in found.variables.items()}, _lines(found))

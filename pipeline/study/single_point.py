@@ -57,7 +57,7 @@ def solve(
     Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
-    given, changes = led(files.walker(definition, Path()), keys)
+    given, changes = led(definition, keys)
     walker = files.changed(given, tuned=tuned)
     params = {"walker": walker, "slope": slope, "set": changes, "all": every, "steps": steps}
     if limits:
@@ -88,16 +88,16 @@ def state_of(walker: str | dict[str, Any], slope: float, keys: Mapping[str, Any]
 
 
 def led(
-    walker: str | dict[str, Any], keys: Mapping[str, Any], number: Callable[[str], Any] = float
+    definition: str | dict[str, Any], keys: Mapping[str, Any], number: Callable[[str], Any] = float
 ) -> tuple[str | dict[str, Any], dict[str, Any]]:
     """A walker with the other one that `toward` among its keys names, and the other keys.
 
     Raises
     ------
     StudyError
-        If that is no walker, or nothing says how far the walker is detuned.
+        If one is no walker, or nothing says how far the walker is detuned.
     """
-    changes, place = dict(keys), Location("", "toward")
+    walker, changes, place = files.walker(definition, Path(), number=number), dict(keys), Location("", "toward")
     toward = changes.pop("toward", None)
     if toward is None:
         return walker, changes
