@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,11 +13,11 @@ import numpy as np
 from gaitsweep.pipeline.archive import attributes, chunks, layout
 from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
-from gaitsweep.pipeline.grid.grid import Chunk
+from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.outcomes import count
-from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, STATUS_NAMES, of_atlas
+from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, STATUS_NAMES, of_atlas
 from gaitsweep.pipeline.store.packing import Packed, pack_values
-from gaitsweep.pipeline.store.record import Head, has_multipliers, sentence_number, unpacked
+from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack, unpacked
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.registry import GAITS, STATUSES, VARIABLES, Variable
@@ -39,61 +40,61 @@ class PointWriter:
         self.dtypes: dict[str, np.dtype] = {}
         self.chunk = self.grid.extent
         self._same = functools.lru_cache(256)(self._pack_same)
+        self._unfinished = functools.lru_cache(256)(self._pack_ending)
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         others_wanted = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
         self._is_solved = np.array([others_wanted or not GAITS[c].startswith("other") for c in self.columns])
         self._texts: dict[int, str] = {}
-        for chunk in self._chunks():
-            self._survey(chunk)
+        for chunk, key in self._chunks():
+            self._survey(chunk, key)
         self.sentences = Sentences(self._texts)
         self.columns = self.columns[: max(np.flatnonzero(self._is_solved), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _chunks(self) -> Iterator[Chunk]:
+    def _chunks(self) -> Iterator[tuple[Chunk, str]]:
         for number in range(self.grid.chunks):
             self.check()
-            yield self.grid.chunk(number)
+            yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk).key
 
-    def _survey(self, chunk: Chunk) -> None:
+    def _survey(self, chunk: Chunk, key: str) -> None:
         """Count the points of a chunk, and note its sentences and the gaits that it has."""
-        key = self.plan.graph.chunk_key(chunk).key
-        if key not in self.plan.store:
-            status, reason = self._ending(chunk)
-            self._count({(ALL_STATUSES[status],) * len(self.columns): chunk.points}, {sentence_number(reason): reason})
-            self._add_failure(reason, chunk.points, chunk, 0)
-            return
-        head = self.plan.store.chunk(key)
-        self._count(head.rows(self.columns), head.sentences(self.columns))
-        if head.has_failed(self.columns):
-            self._count_failures(chunk, key)
-
-    def _count(self, rows: dict[tuple[int, ...], int], sentences: dict[int, str]) -> None:
+        head = self.plan.store.chunk(key) if key in self.plan.store else Head(self._record(chunk, key)[0])
+        rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
         self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), solved).any(axis=0)
         self._texts |= sentences
+        if head.has_failed(self.columns):
+            is_one = len(rows) == len(sentences) == 1  # as where nothing was computed
+            only = ((sentence, chunk.points, 0) for sentence in sentences.values())
+            for reason, points, first in only if is_one else self._failures(chunk, key):
+                line, k = divmod(first, chunk.points // len(chunk.lines))
+                slope = float(self.study.slope[chunk.slopes][k])
+                example = f"{line_description(self.study, int(chunk.lines[line]))} slope={slope!r}"
+                self.written.add_failure(reason, points, example)
 
-    def _count_failures(self, chunk: Chunk, key: str) -> None:
-        points = unpacked(*self.plan.store.get(key))
+    def _failures(self, chunk: Chunk, key: str) -> Iterator[tuple[str, int, int]]:
+        """Reasons for which points of a chunk failed, how many, and the first of them."""
+        points = unpacked(*self._record(chunk, key))
         failed = ~np.isin(points.values["status"][:, self.columns], ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
         reasons = points.values["reason"][:, self.columns][rows, failed[rows].argmax(axis=1)]
         for number in np.unique(reasons):
             own = rows[reasons == number]
-            self._add_failure(points.sentences[int(number)], len(own), chunk, int(own[0]))
+            yield points.sentences[int(number)], len(own), int(own[0])
 
-    def _add_failure(self, reason: str, points: int, chunk: Chunk, first: int) -> None:
-        line, k = divmod(first, chunk.points // len(chunk.lines))
-        slope = float(self.study.slope[chunk.slopes][k])
-        example = f"{line_description(self.study, int(chunk.lines[line]))} slope={slope!r}"
-        self.written.add_failure(reason, points, example)
-
-    def _ending(self, chunk: Chunk) -> tuple[str, str]:
-        """Status and reason of the points of a chunk that is not stored."""
+    def _record(self, chunk: Chunk, key: str) -> tuple[bytes, bytes]:
+        """Record of a chunk; of one that is not stored, why it is not."""
+        if key in self.plan.store:
+            return self.plan.store.get(key)
         atlas = None if len(chunk.lines) > 1 else self.plan.outcome_of_line(int(chunk.lines[0]))
         if atlas is None or atlas.status == "ok":
-            return "not_attempted", NOT_ATTEMPTED
-        return atlas.status, of_atlas(atlas.reason)
+            return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
+        return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
+
+    def _pack_ending(self, shape: Shape, ending: str, reason: str) -> tuple[bytes, bytes]:
+        points = Points.of_ending(math.prod(shape.sizes), ending, reason, self.plan.graph.variables)
+        return pack(points, Packing(shape, self.grid.multipliers, self.study.gaits))
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
@@ -124,24 +125,16 @@ class PointWriter:
     def fill(self, draft: Path) -> None:
         """Write the values chunk by chunk."""
         with chunks.Chunks(draft) as out:
-            for chunk in self._chunks():
+            for chunk, key in self._chunks():
                 start = tuple(span.start for span in chunk.box)
-                for name, g, packed in self._pieces(chunk):
+                for name, g, packed in self._pieces(chunk, key):
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
                     out.write(name, corner, packed.data)
                     self.sums[name] += layout.chunk_checksum(packed.checksum, corner)
 
-    def _pieces(self, chunk: Chunk) -> Iterator[tuple[str, int, Packed]]:
+    def _pieces(self, chunk: Chunk, key: str) -> Iterator[tuple[str, int, Packed]]:
         """Pieces of a chunk: name, number of the gait in the archive, and packed values."""
-        key = self.plan.graph.chunk_key(chunk).key
-        if key not in self.plan.store:
-            status, reason = self._ending(chunk)
-            number = self.sentences.renumbered(np.array(sentence_number(reason), np.uint64))
-            states = {"status": ALL_STATUSES[status], "reason": int(number)}
-            for name, g in itertools.product(self.dtypes, range(len(self.columns))):
-                yield name, g, self._same(name, states.get(name, VARIABLES[name].absent), chunk.shape.sizes)
-            return
-        data, payload = self.plan.store.get(key)
+        data, payload = self._record(chunk, key)
         with self.plan.store.reading():
             head, view = Head(data), memoryview(payload)
             reasons = self.sentences.renumbered(head.unpack(view, "reason"))
@@ -151,12 +144,12 @@ class PointWriter:
                     yield name, g, pack_values(np.ascontiguousarray(values), self.chunk)
                 else:
                     piece = head.piece(view, name, column)
-                    yield name, g, piece or self._same(name, VARIABLES[name].absent, chunk.shape.sizes)
+                    yield name, g, piece or self._same(name, chunk.shape.sizes)
 
-    def _pack_same(self, name: str, value: float, sizes: tuple[int, ...]) -> Packed:
-        """Piece of a chunk in which all values are the same."""
+    def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
+        """Piece of a chunk that holds no gait."""
         more = (self.grid.multipliers,) if has_multipliers(name) else ()
-        return pack_values(np.full((*sizes, *more), value, self.dtypes[name]), (*self.chunk, *more))
+        return pack_values(np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]), (*self.chunk, *more))
 
 
 def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
