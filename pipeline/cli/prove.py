@@ -56,8 +56,7 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     """Proofs of a walker's gaits at one slope, and the search for them; numbers are the decimals written."""
     slope, gait = options.slope, options.gait
     slopes.check(float(slope))
-    if gait is not None and gait not in GAITS:
-        raise Location("", "gait").unknown(gait, GAITS)
+    Location("", "gait").check_names([] if gait is None else [gait], GAITS)
     known, _ = led(options.walker, options.set)
     ask("check_walker", {"walker": known})
     table, changes = led(options.walker, options.set, str)  # with every digit

@@ -141,7 +141,7 @@ def walker(
         if table.endswith(".toml"):
             table, folder = _walker_file(table, folder, location, number)
         else:
-            found = location.added(extensions.find, "walkers", table, dict)
+            found = location.blamed(extensions.find, "walkers", table, dict)
             if found is None:
                 raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
             table = found
@@ -194,10 +194,7 @@ def _walker_file(
     path = folder / name
     if not os.path.lexists(path) and name in (file.name for file in _WALKERS.glob("*.toml")):
         path = _WALKERS / name
-    try:
-        _, table = read_toml(path, name, number)
-    except StudyError as error:
-        raise location.error(str(error)) from error
+    _, table = location.blamed(read_toml, path, name, number)
     if not isinstance(table.get("walker"), dict):
         raise location.error(f"{clip(name)} has no [walker] table")
     return table["walker"], path.parent

@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from numbers import Integral
 from typing import Any
 
@@ -40,11 +40,23 @@ class Location:
         hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")
 
-    def added(self, find: Callable[..., Any], *what: Any) -> Any:
-        """What another package adds; an error of what it adds is one at this place."""
+    def check_names(self, names: Iterable[object], known: Collection[str], kind: str = "name") -> None:
+        """Check that names, or keys, are known.
+
+        Raises
+        ------
+        StudyError
+            If one is not, with the nearest known one.
+        """
+        for name in names:
+            if name not in known:
+                raise self.unknown(str(name), known, kind)
+
+    def blamed(self, find: Callable[..., Any], *what: Any) -> Any:
+        """What a function finds in a file or of another package; an error of theirs is one at this place."""
         try:
             return find(*what)
-        except ExtensionError as error:
+        except (ExtensionError, StudyError) as error:
             raise self.error(str(error)) from error
 
     def number(self, value: object) -> float:

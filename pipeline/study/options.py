@@ -25,9 +25,8 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     known = OPTIONS.get(kind, {})
     if options and not known:
         raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
+    place.check_names(options, known, "key")
     for name, value in options.items():
-        if name not in known:
-            raise place.unknown(name, known, "key")
         _check(value, known[name].holds, tuple(a for a in axes if a != "slope"), place.at(name))
     # An option at its default counts as left out.
     if "violation_limits" in options:
@@ -58,9 +57,8 @@ def violation_limits(limits: object, place: Location) -> dict[str, float]:
     if not isinstance(limits, Mapping):
         raise place.at("violation_limits").wrong("must be a table of limits by the names of violations", limits)
     changed = {}
+    place.at("violation_limits").check_names(limits, VIOLATIONS, "violation")
     for name, value in limits.items():
-        if name not in VIOLATIONS:
-            raise place.at("violation_limits").unknown(str(name), VIOLATIONS, "violation")
         limit = place.at("violation_limits", name).number(value)
         if limit < 0:
             raise place.at("violation_limits", name).wrong("must be at least 0", value)
@@ -114,9 +112,7 @@ def _check(value: Any, what: str, keys: tuple[str, ...], place: Location) -> Non
         if not fits(value, place):
             raise place.wrong(bound, value)
     names = _names(what, keys)
-    for name in value if what in ("kinds", "keys") else [value] if names else []:
-        if name not in names:
-            raise place.unknown(str(name), names)
+    place.check_names(value if what in ("kinds", "keys") else [value] if names else [], names)
 
 
 #: Whole numbers that options hold: the largest and the least.

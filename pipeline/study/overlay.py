@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.tasks.registry import GAITS, SI_UNITS, VARIABLES
@@ -52,11 +51,11 @@ def read(
     if not isinstance(name, str) or not name or Path(name).is_absolute():
         raise location.wrong("must be a path relative to the study", name)
     shown = clip(name, 200)
+    text = location.blamed(files.read_text, folder / name, shown, _MAX_MIB)
     try:
-        rows = list(csv.reader(files.read_text(folder / name, shown, _MAX_MIB).splitlines(), strict=True))
-    except (StudyError, csv.Error) as error:
-        known = error if isinstance(error, StudyError) else files.unreadable(shown, error)
-        raise location.error(str(known)) from error
+        rows = list(csv.reader(text.splitlines(), strict=True))
+    except csv.Error as error:
+        raise location.error(str(files.unreadable(shown, error))) from error
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows) > _MAX_ROWS:
         raise location.error(f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}")

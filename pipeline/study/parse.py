@@ -7,7 +7,7 @@ nearest known key, the file and the place in it.
 import importlib.util
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -104,8 +104,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     kind = table.get("kind", "grid")
     if not isinstance(kind, str):
         raise top.at("kind").wrong(f"must be one of {', '.join(kinds())}", kind)
-    if kind not in kinds():
-        raise top.at("kind").unknown(kind, kinds())
+    top.at("kind").check_names([kind], kinds())
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
     own = table.get("accuracy"), top.at("accuracy")
     value, place = own if asked is None else (asked, Location("", "accuracy"))
@@ -176,27 +175,21 @@ def _measurements(value: object, study: Study, location: Location) -> dict[str, 
     needed += ["walker"] if len(study.walkers) > 1 else []
     place = location.at("overlay", "file")
     columns = overlay.read(entry.get("file"), study.path.parent, of_axes, needed, units.is_si(study), place)
-    for name in columns.get("walker", ()):
-        if name not in study.names:
-            raise place.unknown(str(name), study.names, "walker")
+    place.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
 
 
-def _table(value: object, known: Iterable[str], location: Location) -> dict[str, Any]:
+def _table(value: object, known: Collection[str], location: Location) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise location.wrong("must be a table", value)
-    for key in value:
-        if key not in known:
-            raise location.unknown(key, known, "key")
+    location.check_names(value, known, "key")
     return value
 
 
-def _names(value: object, known: Iterable[str], location: Location) -> tuple[str, ...]:
+def _names(value: object, known: Collection[str], location: Location) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value) or not value:
         raise location.wrong("must be a list of names", value)
-    for name in value:
-        if name not in known:
-            raise location.unknown(name, known)
+    location.check_names(value, known)
     return tuple(dict.fromkeys(value))
 
 
@@ -230,9 +223,7 @@ def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...
     """Axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
-    for key in value:
-        if key not in axis_keys():
-            raise location.unknown(key, axis_keys(), "key")
+    location.check_names(value, axis_keys(), "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
     slope, tolerance = value["slope"], 0.0
@@ -342,7 +333,7 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
         without = accuracies.OF_INTEGRATION if asked else ()
         return tuple(v.name for v in VARIABLES.values() if v.group not in left and v.name not in without)
     if isinstance(value, list):
-        location.added(registry.admit, [name for name in value if isinstance(name, str)])
+        location.blamed(registry.admit, [name for name in value if isinstance(name, str)])
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     requested = {*_names(value, (*VARIABLES, *groups), location), *accuracies.always(asked)}
     wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
@@ -359,11 +350,11 @@ def _want(value: object, kind: str, asked: float, location: Location) -> dict[st
         place = location.at(key)
         names[key] = _free_names(table.get(key, []), place)
         for name in names[key]:
-            plot = place.added(extensions.find, key, name, Plot) if key == "figures" and name not in known else None
+            plot = place.blamed(extensions.find, key, name, Plot) if key == "figures" and name not in known else None
             if plot:
                 READS[name] = variables(list(plot.reads), place)
-            elif name not in known:
-                raise place.unknown(name, known)
+            else:
+                place.check_names([name], known)
             if NEEDED_KINDS.get(name, kind) != kind:
                 raise place.error(f"`{name}` needs a study of kind `{NEEDED_KINDS[name]}`; this one is `{kind}`")
             if kind == "design" and name in registry.OVER_LINES:

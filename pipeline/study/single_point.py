@@ -77,8 +77,7 @@ def state_of(walker: str | dict[str, Any], slope: float, keys: Mapping[str, Any]
     NoGaitError
         If the walker has no such gait.
     """
-    if label not in GAITS:
-        raise Location("", "gait").unknown(label, GAITS)
+    Location("", "gait").check_names([label], GAITS)
     answer = solve(walker, slope, keys, every=False)
     for gait in answer["gaits"]:
         if gait["gait"] == label:
