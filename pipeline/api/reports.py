@@ -48,7 +48,7 @@ def report(
         If a file is not an archive of gaitsweep, or the folder cannot be written.
     """
     several = [archives] if isinstance(archives, str | Path) else archives
-    return write([_path(archive) for archive in several], _path(folder), only, bundle)
+    return write([archive_path(archive) for archive in several], archive_path(folder), only, bundle)
 
 
 def write(
@@ -99,9 +99,8 @@ def figure(archive: str | Path, name: str) -> "Figure":
     from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, sketch, style
 
     known = [*FIGURES, *extensions.names("figures")]
-    if name not in known:
-        raise Location("").unknown(str(name), known, "figure")
-    path = _path(archive)
+    Location("").check_names([name], known, "figure")
+    path = archive_path(archive)
     read_source = source.read(path)
     try:
         with style():
@@ -120,7 +119,8 @@ def figure(archive: str | Path, name: str) -> "Figure":
     return drawn
 
 
-def _path(archive: str | Path) -> Path:
+def archive_path(archive: str | Path) -> Path:
+    """Path of an archive that is named in Python; ArchiveError if it is no path."""
     if not isinstance(archive, str | Path):
         raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     return Path(archive)

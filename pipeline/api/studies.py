@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.api.reports import archive_path
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
 from gaitsweep.pipeline.archive.unfold import dataset
@@ -50,9 +51,7 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
     ArchiveError
         If the file is not an archive of gaitsweep, or does not have the table.
     """
-    if not isinstance(archive, str | Path):
-        raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
-    path = Path(archive)
+    path = archive_path(archive)
     with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
         tables = layout.tables(file)
         if table is None:

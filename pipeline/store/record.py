@@ -229,12 +229,11 @@ class Head:
         """Whether these variables and gaits were solved."""
         return self.columns.keys() >= set(variables) and self._gaits >= set(gaits)
 
-    def rows(self, columns: Iterable[int] | None = None) -> dict[tuple[int, ...], int]:
-        """Count the points by their row of `status`, of some gaits or of all."""
+    def rows(self, columns: Iterable[int]) -> dict[tuple[int, ...], int]:
+        """Count the points by their row of `status` of some gaits."""
         states, n = self._rows
-        chosen = states if columns is None else states[:, list(columns)]
         counts: dict[tuple[int, ...], int] = {}
-        for row, k in zip(map(tuple, chosen.tolist()), n.tolist(), strict=True):
+        for row, k in zip(map(tuple, states[:, list(columns)].tolist()), n.tolist(), strict=True):
             counts[row] = counts.get(row, 0) + k
         return counts
 

@@ -337,7 +337,9 @@ def test_a_record_gives_back_what_went_in(name):
     assert np.isnan(found.values["multiplier_real"][..., 3]).all()
     texts = np.vectorize(found.sentences.get)(found.values["reason"])
     np.testing.assert_array_equal(texts, result["reasons"][result["reason"]])
-    assert contents.rows() == {(0, 0, 1, 1): lines * slopes} and contents.rows([0, 2]) == {(0, 1): lines * slopes}
+    assert contents.rows(range(4)) == {(0, 0, 1, 1): lines * slopes} and contents.rows([0, 2]) == {
+        (0, 1): lines * slopes
+    }
     assert list(contents.sentences([0]).values()) == ["It converged."] and len(contents.sentences()) == 2
     np.testing.assert_array_equal(contents.lines, digests)
     assert contents.holds(["branch"], ["long"]) and not contents.holds(["period"], ["long"])

@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells
-from gaitsweep.pipeline.report.figures.style import choose_rows, hatch, on_map
+from gaitsweep.pipeline.report.figures.style import add_bar, choose_rows, hatch, on_map
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, axis_values, plain, shorten, spaced, with_unit
 
@@ -70,7 +69,7 @@ def design(source: Source) -> Sketch | None:
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(5))
-        _add_bar(sketch.figure, picture, list(column))
+        add_bar(picture, list(column), location="bottom").ax.xaxis.set_major_locator(MaxNLocator(4))
     ends = [(spaced(c), table[c].min(), table[c].max()) for c in MAPPED]
     ranges = "; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends)
     return sketch.finish(
@@ -124,14 +123,6 @@ def _fits(curve: np.ndarray, z: pd.DataFrame) -> bool:
     spans = np.ptp(sides, axis=1)
     distance = np.abs(curve[len(curve) // 2] - sides.T).min(axis=0) / spans
     return bool((np.ptp(curve, axis=0) / spans).max() > _LABELLED and distance.min() > 0.25 * _LABELLED)
-
-
-def _add_bar(figure: Figure, picture: Any, column: list[Axes]) -> None:
-    """Draw the colour scale of a column of maps below it."""
-    bar = figure.colorbar(picture, ax=column, location="bottom", shrink=0.9, aspect=24)
-    bar.ax.xaxis.set_major_locator(MaxNLocator(4))
-    bar.outline.set_visible(False)
-    bar.ax.grid(False)
 
 
 def _named(source: Source, down: str, along: str) -> str:

@@ -13,7 +13,16 @@ from matplotlib.patches import Rectangle
 from gaitsweep.pipeline.report.figures import fields
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells, parameters
-from gaitsweep.pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, hatch, set_heading, set_log
+from gaitsweep.pipeline.report.figures.style import (
+    INK,
+    RASTER,
+    SHAPES,
+    add_bar,
+    choose_rows,
+    hatch,
+    set_heading,
+    set_log,
+)
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
@@ -68,10 +77,7 @@ def heatmap(source: Source) -> Sketch | None:
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
     for axes in panels[-1]:
         axes.set_xlabel(x_title)
-    bar = sketch.figure.colorbar(picture, ax=sketch.panels, shrink=0.9, aspect=24)
-    bar.outline.set_visible(False)
-    bar.ax.grid(False)
-    bar.set_label(quantity)
+    add_bar(picture, sketch.panels).set_label(quantity)
     return sketch.finish(
         quantity=spaced(variable),
         Quantity=quantity.capitalize(),

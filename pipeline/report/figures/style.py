@@ -170,6 +170,14 @@ def hatch(axes: Axes) -> None:
     axes.patch.set(visible=True, facecolor="none", edgecolor=MUTED, hatch="////", linewidth=0)
 
 
+def add_bar(picture: Any, axes: Sequence[Axes], **how: Any) -> Any:
+    """Add the colour scale of a picture beside some axes, without a frame."""
+    bar = axes[0].figure.colorbar(picture, ax=axes, shrink=0.9, aspect=24, **how)
+    bar.outline.set_visible(False)
+    bar.ax.grid(False)
+    return bar
+
+
 def on_map(level: float, low: float, high: float) -> str:
     """Ink of a contour on the colour map: light on its dark half, dark on its light half."""
     return "#ffffff" if level < low + 0.55 * (high - low) else "#101418"
