@@ -181,7 +181,21 @@ def _deflate(
 
 
 def deflated(problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coarse iterates (m + k, n) of guesses at one slope that known solutions repel, and which are near another."""
+    """Improve guesses at one slope that known solutions repel.
+
+    Parameters
+    ----------
+    problem : Problem
+    guesses, known : ndarray, shapes (m + k, n) and (m + k, j)
+    slope : float [rad]
+
+    Returns
+    -------
+    w : ndarray, shape (m + k, n)
+        Coarse iterates.
+    converged : ndarray of bool, shape (n,)
+        Whether each is near another solution.
+    """
     q = np.full(guesses.shape[1], np.log(slope))
     return newton(problem, guesses, q, coarse=True, enough=_CONVERGING, max_iterations=_MAX_ITERATIONS, known=known)
 

@@ -20,7 +20,7 @@ from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_planes import charted
+from gaitsweep.tasks.solve_planes import charts
 from gaitsweep.tasks.solve_planes import lines as lines_of_plane
 from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step.problem import Lanes
@@ -92,8 +92,14 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if possible:
             each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
             request: dict[str, Any] = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT}
-            request |= {"plane": params["plane"], "slope_from": at_slope, "slope_to": at_slope, "slopes": 1}
-            gaits[:, possible] = _long(lines_of_plane(request, [charted(request)])[0][1])
+            request |= {
+                "plane": params["plane"],
+                "slope_from": at_slope,
+                "slope_to": at_slope,
+                "slopes": 1,
+                "whole": True,
+            }
+            gaits[:, possible] = _long(lines_of_plane(request, [charts(request, [])])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):

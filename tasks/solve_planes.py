@@ -44,8 +44,8 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`, one of the plane; `plane`, with its `keys`, `low`, `high`, for each whether lines are spread by its
-        logarithm, `log`, and about how many `lines` it is for, or a half of it as this task returns it; `slope_from`,
-        `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as `tasks.solve_points:points` has them.
+        logarithm, `log`, and about how many `lines` it is for, or a half of it as this task returns it; whether all
+        charts are wanted at once, `whole`; `slope_from`, `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as `tasks.solve_points:points` has them.
     inputs : list
         Empty.
 
@@ -55,11 +55,6 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows. A plane of
         many lines that they do not describe whole has two `halves` instead, by name what differs from `plane` in each.
     """
-    return charted(params, _MANY_LINES)
-
-
-def charted(params: Mapping[str, Any], many: float = math.inf) -> Arrays:
-    """Return what `charts` does; planes of as `many` lines may be halved."""
     plane, slopes = params["plane"], params["slopes"]
     family, box = _family(params["line"], plane)
     window = float(np.log(params["slope_from"])), float(np.log(params["slope_to"]))
@@ -69,6 +64,7 @@ def charted(params: Mapping[str, Any], many: float = math.inf) -> Arrays:
     def lines_in(part: Box) -> float:
         return spread.share(part) * plane["lines"]
 
+    many = math.inf if params.get("whole") else _MANY_LINES
     cells = make_cells(family, box, window, lines_in, slopes, plane.get("surveyed", 0.0), many)
     accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells.made)
     want = _names(params)

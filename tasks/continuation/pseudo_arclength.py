@@ -87,7 +87,7 @@ def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
     return np.concatenate([derivative, border[None]]).transpose(2, 0, 1)
 
 
-def solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _solve_bordered(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve linear systems, and find the directions in which all equations but the last stay satisfied.
 
     Parameters
@@ -164,7 +164,7 @@ def bordered_newton(
         system = linearise(active, Z[:, active])
         rows[:, active], value = equation(active, system, step[:, active], grown[active])
         matrix = bordered_matrix(system.derivative, rows[:, active])
-        change, along, solvable = solve_bordered(matrix, -np.vstack([system.residual, value]))
+        change, along, solvable = _solve_bordered(matrix, -np.vstack([system.residual, value]))
         size, before = np.where(solvable, np.abs(change[sized]).max(axis=0), np.inf), last_step[active]
         moving = size <= limits.max_step
         Z[:, active[moving]] += change[:, moving]

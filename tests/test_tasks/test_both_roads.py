@@ -99,7 +99,7 @@ def charted(line, keys, window, each=30, **params):
     """Parameters of lines over a plane, and its charts for a window of slopes."""
     asked = {"plane": plane_of(keys, each), "want": WANT, **params}
     ends = dict(zip(("slope_from", "slope_to"), window, strict=True))
-    return asked, solve_planes.charted({**asked, "line": line, **ends, "slopes": EACH})
+    return asked, solve_planes.charts({**asked, "line": line, **ends, "slopes": EACH, "whole": True}, [])
 
 
 def off(one, other, bounded_by):

@@ -79,7 +79,7 @@ def block(name, numbers):
 def charted(params):
     slope = params["slope"]
     window = {"slope_from": slope.min(), "slope_to": slope.max(), "slopes": len(slope)}
-    return solve_planes.charted({**params, **window, "line": params["lines"][0]})
+    return solve_planes.charts({**params, **window, "line": params["lines"][0], "whole": True}, [])
 
 
 def by_line(params, made=None):
