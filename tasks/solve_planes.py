@@ -45,7 +45,8 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`, one of the plane; `plane`, with its `keys`, `low`, `high`, for each whether lines are spread by its
         logarithm, `log`, and about how many `lines` it is for, or a half of it as this task returns it; whether all
-        charts are wanted at once, `whole`; `slope_from`, `slope_to` [rad] and about how many `slopes`; `want` and `accuracy` as `tasks.solve_points:points` has them.
+        charts are wanted at once, `whole`; `slope_from`, `slope_to` [rad] and about how many `slopes`; `want` and
+        `accuracy` as `tasks.solve_points:points` has them.
     inputs : list
         Empty.
 

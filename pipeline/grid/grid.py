@@ -19,7 +19,7 @@ _FEWEST = 4  # points in a chunk of dear ones
 _TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
 _LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
 _PLANE_POINTS = 512, 4096  # points in a chunk of a plane, the latter about a quarter of a second of work
-_PLANE_CHUNKS = 16  # chunks in a plane, so that workers share it and its first charts serve some
+_PLANE_CHUNKS = 16  # chunks of a study over planes, so that workers share it and its first charts serve some
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Grid:
         slopes = len(self.study.slope)
         if self.method is Method.PLANE and self.study.plane:
             fewest, most = (points // slopes for points in _PLANE_POINTS)
-            lines = max(_LINES, fewest, self.study.plane.lines // _PLANE_CHUNKS)
+            lines = max(_LINES, fewest, self.study.lines // _PLANE_CHUNKS)
             tile = _tile(self.study.plane.axes, min(lines, most))
             return {**dict.fromkeys(self.lines, 1), **tile, "slope": slopes}
         if self.method.is_of_lines:
