@@ -83,21 +83,21 @@ def slopes(random, branches, window):
     return np.exp(np.sort([*near, *random.uniform(low, high, EACH - len(near))])), len(near)
 
 
-def plane_of(keys, each=30):
-    """A plane of keys with their ranges, which has as many values of each."""
+def plane_of(keys, lines=900):
+    """A plane of keys with their ranges, of so many lines that charts are not made in vain."""
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     return {
         "keys": list(keys),
         "low": low,
         "high": high,
         "log": [False] * len(keys),
-        "lines": each ** len(keys),
+        "lines": lines,
     }
 
 
-def charted(line, keys, window, each=30, **params):
+def charted(line, keys, window, many=900, **params):
     """Parameters of lines over a plane, and its charts for a window of slopes."""
-    asked = {"plane": plane_of(keys, each), "want": WANT, **params}
+    asked = {"plane": plane_of(keys, many), "want": WANT, **params}
     ends = dict(zip(("slope_from", "slope_to"), window, strict=True))
     return asked, solve_planes.charts({**asked, "line": line, **ends, "slopes": EACH, "whole": True}, [])
 
@@ -110,10 +110,10 @@ def off(one, other, bounded_by):
     return np.max(each, axis=0) / bounded_by
 
 
-def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, each=30):
+def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, many=900):
     """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits.
 
-    The plane has as many values of `each` key, and other keys are `fixed`. Every fourth line is a corner of the plane.
+    Charts are made as for so `many` lines, and other keys are `fixed`. Every fourth line is a corner of the plane.
     Charts are made for a window of slopes, whatever slopes the lines have.
     """
     walker, keys, window = family
@@ -121,7 +121,7 @@ def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, e
     drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
     drawn[3::4] = [{key: float(random.choice(side)) for key, side in keys.items()} for _ in drawn[3::4]]
     every = [{"walker": walker, "set": {**fixed, **one}} for one in drawn]
-    asked, made = charted(every[0], keys, window, each)
+    asked, made = charted(every[0], keys, window, many)
     surveyed = []
     for k in range(0, count, 24):
         surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [window[0]], "want": ALWAYS}, [])
@@ -184,7 +184,7 @@ def test_both_roads_agree(count, tell):
     """The short test takes the families whose lines are cheap, the long one 10,080 points and 300 references."""
     outcome = Outcome()
     for name in FAMILIES if count > 3 else ("B", "E", "E with offset", "A detuned"):
-        compare(outcome, FAMILIES[name], count, 50 if count > 3 else 1, FIXED.get(name, {}), each=60)
+        compare(outcome, FAMILIES[name], count, 50 if count > 3 else 1, FIXED.get(name, {}), many=3600)
     tell(str(outcome))
     assert not outcome.wrong
     assert outcome.by_patch > 0.6 * outcome.points and outcome.near >= 5 * (count > 3)
@@ -252,7 +252,7 @@ def test_nothing_is_wrong_in_random_cells(seeds, tell):
     for seed in seeds:
         try:
             family, fixed = drawn_cell(seed)
-            compare(outcome, family, 4, int(seed % 10 == 0), fixed, seed, 300 if len(family[1]) == 1 else 30)
+            compare(outcome, family, 4, int(seed % 10 == 0), fixed, seed, 300 if len(family[1]) == 1 else 900)
         except WalkerError:  # some walker of the cell cannot be
             continue
         drawn += 1
