@@ -289,22 +289,24 @@ class _Vanishing:
 def _newton(
     problem: Problem,
     kind: str,
-    Z: np.ndarray,
+    guess: np.ndarray,
     rows: np.ndarray,
     target: np.ndarray | float,
     limits: Newton,
     samples: int = 0,
 ) -> Point:
-    """Newton's method on the defining equations of n points Z, with the derivatives of their scalar, both (c, n)."""
+    """Newton's method on the defining equations from guesses, with the derivatives of their scalar, both (c, n)."""
 
     def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
-        return evaluate(problem.some(lanes), Z, samples)
+        # A lane that wanders off ends here: what it may come back to is another point.
+        near = np.abs(Z - guess[:, lanes]).max(axis=0) < _MAX_MOVE
+        return evaluate(problem.some(lanes), np.where(near, Z, np.nan), samples)
 
     def rounding(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
         return _ROUNDING_FACTOR * rounding_step(matrix, at)
 
     vanishing = _Vanishing(problem, kind, rows, target)
-    return replace(bordered_newton(linearise, rounding, limits, Z, vanishing), rows=vanishing.rows)
+    return replace(bordered_newton(linearise, rounding, limits, guess, vanishing), rows=vanishing.rows)
 
 
 def newton_step(

@@ -601,3 +601,15 @@ def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
     monkeypatch.setattr(extremes, "scalar", lambda kind, at, target: 3.074 - 2 * at)
     kind, node, Z, _ = extremes._crossings(SimpleNamespace(some=lambda lanes: None), nodes, "flip", 0.0)
     assert (kind, node.tolist()) == ("flip", [1]) and Z[0] == pytest.approx([1.537])
+
+
+def test_a_point_that_wanders_off_is_another_one_even_if_it_comes_back():
+    """An iterate lies beyond, the last one near the guess again: a node of a manifold was wrong."""
+    table = {"base": "A", "w_t": -0.015206657089326378, "m_t": 2.345, "r_t": 0.1582700766369134}
+    table |= {"c_t": 0.08634876080203595, "w_s": 0.023241879712544863, "m_s": 1.013, "r_s": 0.14756397195306775}
+    family = Family.of({"walker": table, "set": {}}, ("m_h",))
+    walkers = family.walkers(np.array([[1.230461021906968]]))
+    guess = np.array([-0.9349689, -1.0331377, -0.5184508, 2.9497147, -2.9689430])[:, None]
+    rows = np.array([1.0282389, -5.7727299, -1.9885476, -7.1496630, 0.5656257])[:, None]
+    found = solve(Lanes(walkers, common_structure(walkers)), "flip", guess, rows=rows)
+    assert not found.ok.any() and np.isinf(found.error).all() and np.array_equal(found.Z, guess)
