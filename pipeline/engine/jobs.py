@@ -276,9 +276,9 @@ class Jobs:
         self._pending.discard(key)
         self._failed.update(() if is_ok else (key,))
         lost = 0
-        for node in self._waiting.pop(key, ()):
+        for node in reversed(self._waiting.pop(key, [])):
             if is_ok or node.todo is not None:
-                self._ready.append(node)
+                self._ready.appendleft(node)
             else:
                 lost += node.points + self._arrived(node.key.key, False)
         if self._next and self._ready:  # what has become ready goes first: results are seen early
