@@ -181,7 +181,7 @@ def error_of(line, slope, gait):
 
 @pytest.mark.parametrize("count", [3, pytest.param(84, marks=pytest.mark.soak)])
 def test_both_roads_agree(count, tell):
-    """The short test takes the families whose lines are cheap, the long one 10,080 points and 300 references."""
+    """The short test takes the families whose lines are cheap, the long one 20,160 points and 600 references."""
     outcome = Outcome()
     for name in FAMILIES if count > 3 else ("B", "E", "E with offset", "A detuned"):
         compare(outcome, FAMILIES[name], count, 50 if count > 3 else 1, FIXED.get(name, {}), many=3600)
