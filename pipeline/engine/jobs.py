@@ -19,7 +19,7 @@ from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
 from gaitsweep.pipeline.store.record import Head, Packing, Points, joined, pack, rows_of, unpacked
-from gaitsweep.pipeline.store.store import Key, Outcome
+from gaitsweep.pipeline.store.store import Outcome
 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
 _MAX_SHARED = 300  # lines of a study whose results others may want: planes hardly have any in common
@@ -126,7 +126,9 @@ class Jobs:
         for made in self.graph.charts_of(node.chunk, self._halves_of):
             key = made.key.key
             yield key
-            if key not in self._failed and self.store.outcome(key) is None:
+            outcome = self.store.outcome(key)
+            is_missing = outcome is None or (self.plan.retry and outcome.status != "ok")
+            if is_missing and key not in self._failed:
                 if key not in self._pending:
                     self._pending.add(key)
                     self._ready.appendleft(made)
@@ -217,10 +219,14 @@ class Jobs:
         self.store.put_result(node.key, outcome, result["data"])
         lost = self._arrived(node.key.key, outcome.status == "ok")
         event = {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost}
-        if node.task == "charts" and self.study.plane:
-            box = node.box or self.study.plane.region
-            event["charted"] = 0 if self._halves_of(node) else box["lines"]
-        self.listen("task", event)
+        self.listen("task", {**event, **self._charted(node)})
+
+    def _charted(self, node: Node) -> dict[str, float]:
+        """How many lines charts are for, those that were not halved."""
+        if node.task != "charts" or not self.study.plane:
+            return {}
+        box = node.box or self.study.plane.region
+        return {"charted": 0 if self._halves_of(node) else box["lines"]}
 
     def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any] | None) -> None:
         """Store a chunk: what a job has computed of it, and lines that were in the store before."""
@@ -259,8 +265,9 @@ class Jobs:
         order = np.argsort(np.concatenate(places))
         return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.lines))
 
-    def copy(self, key: Key, data: bytes) -> None:
+    def copy(self, node: Node, data: bytes) -> None:
         """Store a result that another study has computed."""
+        key = node.key
         if self.error or key.key in self.store or key.key in self._failed:
             return
         try:
@@ -269,7 +276,7 @@ class Jobs:
             self.fail(error)
             return
         self._arrived(key.key, True)
-        self.listen("task", {"task": key.key.partition("-")[0], "seconds": 0.0, "outcome": "ok"})
+        self.listen("task", {"task": node.task, "seconds": 0.0, "outcome": "ok", **self._charted(node)})
 
     def _arrived(self, key: str, is_ok: bool) -> int:
         """Make nodes ready that waited for a result; if it failed they are dropped, and their points counted."""

@@ -157,7 +157,7 @@ class Scheduler:
             wanting = study.graph.line_keys(node.line)["charts"] if node.line is not None and node.box else node.key
             for other, wanted in self._wanted.items() if result.get("outcome") == "ok" else ():
                 if wanting.key in wanted and other is not study:
-                    other.copy(node.key, result["data"])
+                    other.copy(node, result["data"])
             self._recorded.notify_all()
         self._finish()
 

@@ -46,7 +46,7 @@ class Digests:
         if self.method is Method.PLANE and self.study.plane:
             # The results of a line of a plane depend on its charts.
             region = self.study.plane.region
-            mark = _mark(np.array([*region["low"], *region["high"], region["lines"]]))
+            mark = _mark(np.array([*region["low"], *region["high"], *region["log"], region["lines"]]))
             values.append(np.full(len(numbers), mark).view(float))
         # All slopes of a line are computed together, and kept in their order.
         values.append(np.full(len(numbers), _mark(self.study.slope)).view(float))

@@ -66,8 +66,8 @@ class Tuning:
         return None if any(self.at_faces()) else self._between(_PLACES, self.slopes)
 
     def outside(self) -> float | None:
-        """Return a value of the key near outside the faces at which walkers are tuned [the walker's units]."""
-        for side in (-1, 1):
+        """Return a value of the key near outside faces that are not, where walkers are tuned [the walker's units]."""
+        for side in () if any(self.at_faces()) else (-1, 1):
             places = side * np.array([1.0, _NEAR])
             # Some walkers outside cannot be.
             with contextlib.suppress(WalkerError):

@@ -111,6 +111,7 @@ def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
     """Its charts depend on the sides of the plane and about how many lines it has; a line has all its slopes."""
     assert [about(n) for n in (1, 181, 182, 362, 363)] == [1, 128, 256, 256, 512]
     other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 35")
+    spread = AXES.replace("n = 16", 'n = 16, spacing = "log"')
     digests = []
     whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
     for name, text, axes in (
@@ -118,6 +119,7 @@ def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
         ("two", whole, other_sides),
         ("three", whole, other_lines),
         ("four", fewer, AXES),
+        ("five", whole, spread),
     ):
         study = read(written(tmp_path / name, text.format(walker="B", axes=axes)))
         graph = Graph(study)

@@ -24,7 +24,7 @@ from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.store.record import Packing, Points, pack, unpacked
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study import parse
 
 TEXT = 'name = "{}"\nkind = "branch"\nwalker = "{}"\n[axes]\nslope = [0.01, 0.02]\n{} = [0.1, 0.2, 0.3]\n'
@@ -165,7 +165,9 @@ def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
     study.record(study.take()[0], result)
     assert study.is_over and not study.error
     lost = study.graph.line_keys(atlases[1].line)["branch"]
-    study.copy(lost, b"")  # another study has it, but here it has nothing to stand on
+    study.copy(
+        study.graph.line_node(atlases[1].line, "branch"), b""
+    )  # another study has it, but here it has nothing to stand on
     assert lost.key not in study.store
 
 
@@ -350,4 +352,32 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
             each = (spent + cost / 2) / (done + 128)
             assert stage["eta"] == pytest.approx(each * (256 - done) / 2, abs=0.06)
         for study in jobs:
+            assert study.listen._stages()["charts"] == {"done": 256, "todo": 256, "eta": 0.0}
             study.listen.close(True)
+
+
+@pytest.mark.parametrize("has_failed", ["plane", "half"])
+def test_charts_that_failed_are_tried_again_with_their_halves(tmp_path, has_failed):
+    """Another worker looks for jobs while they are: what was stored of them then is none of their halves."""
+    low, high = _box([0.1, 0.0], [0.4, 5.0], 128.0), _box([0.1, 5.0], [0.4, 10.0], 128.0)
+    halved = serialize.dump({f"halves/{name}": np.array([low[name], high[name]]) for name in low})
+    (tmp_path / "a.toml").write_text(PLANE.format("a"))
+    failed, made = Outcome("raised", "It raised."), []
+    with contextlib.closing(Store(tmp_path / "a")) as store:
+        plan = Plan(parse.read(tmp_path / "a.toml"), store, retry=True)
+        box = {**plan.study.plane.region, **low}
+        plane, half, *_ = plan.graph.charts_of(plan.graph.grid.chunk(0), lambda node: [] if node.box else [low])
+        assert half.box == box
+        if has_failed == "half":
+            store.put_result(plane.key, Outcome("ok", ""), halved)
+        store.put_result((half if has_failed == "half" else plane).key, failed, b"")
+        scheduler = Scheduler([Jobs(plan, Engine(2), lambda *_: None)], Engine(2), Signals())
+        while taken := scheduler._next():
+            scheduler._has_jobs()
+            number, request = taken
+            if request.packing:
+                break
+            made.append(request.params["plane"]["high"])
+            data = serialize.dump({}) if "halved" in request.params["plane"] else halved
+            scheduler._record(number, {"seconds": 1.0, "outcome": "ok", "reason": "", "data": data})
+    assert made[-1] == low["high"] and len(made) == 1 + (has_failed == "plane")

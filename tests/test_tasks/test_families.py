@@ -21,6 +21,7 @@ from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import measured, near_predictions
 from gaitsweep.tasks.families.pieces import Piece
 from gaitsweep.tasks.families.span import along, coordinate
+from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.polish import settle
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
@@ -585,6 +586,10 @@ def test_a_box_near_tuned_walkers_is_measured_from_them():
     """A is tuned at R = 0.2."""
     family, window = Family.of({"walker": "A", "set": {}}, ("R",)), (-4.5, -4.0)
     sides = [(0.21, 0.4), (0.1, 0.19), (0.24, 0.3), (0.3, 0.4), (0.5, 0.99)]  # beyond the last one no walker can be
+    assert (
+        Tuning(Family.of({"walker": "A", "set": {}}, ("detuning",)), Box(("detuning",), (0.0,), (0.5,)), 0).outside()
+        is None
+    )
     origins = []
     for low, high in sides:
         (cell,) = make_cells(family, Box(family.keys, (low,), (high,), log=True), window, lambda _: 1.0, 1).made
