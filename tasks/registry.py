@@ -56,7 +56,7 @@ TASKS = {
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
         Task("points", "gaitsweep.tasks.solve_points:points", 21, needs=("atlas",)),
-        Task("charts", "gaitsweep.tasks.solve_planes:charts", 6),
+        Task("charts", "gaitsweep.tasks.solve_planes:charts", 7),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
         Task("branch", "gaitsweep.tasks.follow_branches:branch", 18, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 10, needs=("atlas",)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -423,9 +423,10 @@ class _Way:
 
     def solved(self, points: np.ndarray, before: Chart | None) -> np.ndarray:
         """Gaits at points (n, 1 + d), shape (m + k, n)."""
-        w, fair = self.newton(points, before(points) if before else self.between(points))
+        guesses = before or self.between
+        w, fair = self.newton(points, guesses(points))
         if not fair.all():
-            w[:, ~fair] = self.carried(points[~fair])
+            w[:, ~fair] = self.carried(points[~fair], guesses)
         return w
 
     def between(self, points: np.ndarray) -> np.ndarray:
@@ -439,15 +440,15 @@ class _Way:
         every = Chart.of_corners(lines, np.array(of_lines).T)(points[:, 1:]).reshape(-1, len(position), len(points))
         return np.asarray(every[:, place, np.arange(len(points))])
 
-    def carried(self, points: np.ndarray) -> np.ndarray:
-        """Gaits carried to points along straight lines, as what they are off the guesses between the lines."""
+    def carried(self, points: np.ndarray, guesses: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Gaits carried to points (n, 1 + d) along straight lines, as what they are off guesses."""
         start = np.tile(self.maker.unit[0], (len(points), 1))
         start = np.column_stack([np.clip(points[:, 0], self.low, self.high), start])
-        gaits = Carried(self.piece.gaits(self.span.log_slope(start)) - self.between(start), _STRIDE)
+        gaits = Carried(self.piece.gaits(self.span.log_slope(start)) - guesses(start), _STRIDE)
 
         def correct(active: np.ndarray, share: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             at = start[active] + share[:, None] * (points - start)[active]
-            guess = self.between(at)
+            guess = guesses(at)
             w, fair = self.newton(at, guess + off)
             return w - guess, fair
 
@@ -455,4 +456,4 @@ class _Way:
         if not there.all():
             lost = (points - start)[~there, 1:]
             raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
-        return gaits.Z + self.between(points)
+        return gaits.Z + guesses(points)

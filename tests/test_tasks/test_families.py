@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.pipeline.graph.graph import halves
+from gaitsweep.pipeline.graph.graph import boxes
 from gaitsweep.tasks import interpolate, solve_planes
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
@@ -310,9 +310,9 @@ def test_nodes_begin_between_the_lines(name, monkeypatch):
     """On these lines the guesses are their own gaits, and hardly a node must be carried from the centre."""
     carried, carry = [], cells._Way.carried
 
-    def counted(way, points):
+    def counted(way, points, guesses):
         carried.append(len(points))
-        return carry(way, points)
+        return carry(way, points, guesses)
 
     def checked(way, points):
         for piece, unit in zip(way.group, way.maker.unit, strict=False):
@@ -562,12 +562,12 @@ def test_a_box_of_many_lines_is_halved_for_others(monkeypatch):
     monkeypatch.setattr(solve_planes, "is_interpolated", lambda *_: False)
     plane = {"keys": ["m_s"], "low": [0.0], "high": [0.08], "log": [False], "lines": 400}
     params = {"line": {"walker": "B", "set": {}}, "plane": plane, "slope_from": 0.01, "slope_to": 0.02, "slopes": 3}
-    low, high = halves(solve_planes.charts({**params, "want": ()}, []))
+    low, high = boxes(solve_planes.charts({**params, "want": ()}, []), "halves")
     assert asked == [""] and [low["high"], high["low"]] == [[0.02], [0.02]]
     np.testing.assert_allclose([low["lines"], high["lines"], low["surveyed"], high["surveyed"]], [100, 300, 1.5, 4.5])
     # Too few lines are left to survey more of them in vain.
     cells = solve_planes.charts({**params, "want": (), "plane": {**plane, **low, "surveyed": 7.0}}, [])
-    assert not halves(cells) and asked[1:] == ["few walkers"]
+    assert not boxes(cells, "halves") and asked[1:] == ["few walkers"]
 
 
 def test_lines_are_counted_as_they_are_spread(monkeypatch):
