@@ -53,8 +53,10 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows. A plane of
-        many lines that they do not describe whole has two `halves` instead, by name what differs from `plane` in each.
+        The charts as arrays, which `lines` reads. They predict gaits, and give those that `accuracy` allows. `alone`
+        has `low` and `high` of the boxes that they do not describe, whose lines are followed by themselves. A plane of
+        many lines that charts do not describe whole has two `halves` instead, by name what differs from `plane` in
+        each.
     """
     plane, slopes = params["plane"], params["slopes"]
     family, box = _family(params["line"], plane)
@@ -68,6 +70,8 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     many = math.inf if params.get("whole") else _MANY_LINES
     cells = make_cells(family, box, window, lines_in, slopes, plane.get("surveyed", 0.0), many)
     accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells.made)
+    alone = [cell.box for cell in cells.made if cell.why]
+    arrays |= {f"alone/{name}": np.array([getattr(part, name) for part in alone]) for name in ("low", "high")}
     want = _names(params)
     if is_interpolated(want, accuracy):
         for i, cell in enumerate(cells.made):

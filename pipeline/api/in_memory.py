@@ -14,7 +14,7 @@ from gaitsweep.pipeline.archive import attributes
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
-from gaitsweep.pipeline.graph.graph import Graph, Node, halves
+from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
 from gaitsweep.pipeline.graph.results import points_of
 from gaitsweep.pipeline.grid.method import Method, method_of
 from gaitsweep.pipeline.statuses import of_atlas
@@ -232,7 +232,7 @@ def _result(graph: Graph, node: Node) -> Any:
     line = int(node.chunk.lines[0]) if node.chunk else node.line or 0
     names = [name for name, own in graph.line_keys(line).items() if own.key in node.needs] if node.needs else []
     inputs = [_result(graph, graph.line_node(line, name)) for name in names]
-    for made in graph.charts_of(node.chunk, lambda _: halves(inputs[-1])) if node.chunk else ():
+    for made in graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves")) if node.chunk else ():
         inputs.append(_result(graph, made))
     try:
         function, params = dispatch.resolve(graph.function(node)), graph.params(node)

@@ -41,7 +41,7 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
     yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
     for name, layer in planned.graph.layers.items():
-        what = {"points": "point", "charts": "plane"}.get(name, "line" if layer.per_line else "study")
+        what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"

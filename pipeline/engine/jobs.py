@@ -1,21 +1,21 @@
 """The nodes of one study as jobs: which are ready, what a worker is asked, and how its answer is recorded."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.engine.account import Account
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.request import Request
-from gaitsweep.pipeline.graph.graph import Copies, Node, halves
+from gaitsweep.pipeline.graph.graph import Copies, Node
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
+from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
 from gaitsweep.pipeline.store.record import Head, Packing, Points, joined, pack, rows_of, unpacked
@@ -60,7 +60,6 @@ class Jobs:
         self._ready: deque[Node] = deque()
         self._pending: set[str] = set()  # keys of results that are to come
         self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
-        self._halves: dict[str, list[dict[str, Any]]] = {}  # of the boxes of charts, by key
         self._failed: set[str] = set()  # keys of tasks that failed, and of nodes that need them
 
     @property
@@ -87,7 +86,7 @@ class Jobs:
     def _from_source(self) -> Node | None:
         if self._ready:
             return self._ready.popleft()
-        node = next(self._source, None)
+        node = next((node for node in self._source if node.key.key not in self._pending), None)
         if node is None and not (self._is_last or self.running or self._pending):
             self._source, self._is_last = self.plan.over_study(), True
             node = next(self._source, None)
@@ -123,23 +122,14 @@ class Jobs:
     def _charts_of(self, node: Node) -> Iterator[str]:
         """Keys of the charts that a chunk needs; those after one that is still to come are not known."""
         assert node.chunk
-        for made in self.graph.charts_of(node.chunk, self._halves_of):
+        for made in self.plan.charts_of(node.chunk):
             key = made.key.key
             yield key
-            outcome = self.store.outcome(key)
-            is_missing = outcome is None or (self.plan.retry and outcome.status != "ok")
-            if is_missing and key not in self._failed:
+            if self.plan.is_missing(key) and key not in self._failed:
                 if key not in self._pending:
                     self._pending.add(key)
                     self._ready.appendleft(made)
                 return
-
-    def _halves_of(self, charts: Node) -> list[dict[str, Any]]:
-        key = charts.key.key
-        if key not in self._halves:
-            data = self.store.result(key)
-            self._halves[key] = halves(serialize.load(data)) if data else []
-        return self._halves[key]
 
     def take(self) -> tuple[Node, Request] | None:
         """Take the next job and its request; None if the study has ended, or this fails, which ends it."""
@@ -173,7 +163,8 @@ class Jobs:
     def seconds(self, node: Node) -> float:
         """Estimated time of a job, and of what depends on it [s]."""
         if node.chunk is None:
-            return costs.seconds(self.study, node.task) + self._after[node.task]
+            count = self.graph.charted(node) if node.task == "charts" else 1
+            return count * costs.seconds(self.study, node.task) + self._after[node.task]
         lines = node.lines * costs.seconds(self.study, "atlas")
         return lines + node.points * costs.seconds(self.study, "points") + self._after["points"]
 
@@ -221,12 +212,18 @@ class Jobs:
         event = {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost}
         self.listen("task", {**event, **self._charted(node)})
 
-    def _charted(self, node: Node) -> dict[str, float]:
-        """How many lines charts are for, those that were not halved."""
-        if node.task != "charts" or not self.study.plane:
+    def _charted(self, node: Node) -> dict[str, int]:
+        """How many lines charts are for, those that were not halved, and how many of these they leave alone."""
+        if node.task != "charts":
             return {}
-        box = node.box or self.study.plane.region
-        return {"charted": 0 if self._halves_of(node) else box["lines"]}
+        charted = 0 if self.plan.boxes(node, "halves") else self.graph.charted(node)
+        return {"charted": charted, "alone": self._alone([node])}
+
+    def _alone(self, charts: Iterable[Node], chunk: Chunk | None = None) -> int:
+        """How many lines, or how many of a chunk, charts leave alone."""
+        plane, spans = self.study.plane, dict(zip(self.graph.grid.sizes, chunk.box, strict=True)) if chunk else None
+        boxes = (box for made in charts for box in self.plan.boxes(made, "alone"))
+        return sum(plane.lines_in(box, spans) for box in boxes) if plane else 0
 
     def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any] | None) -> None:
         """Store a chunk: what a job has computed of it, and lines that were in the store before."""
@@ -245,6 +242,8 @@ class Jobs:
         counts, line = count(Head(record[0]).rows(self.plan.columns), STATUS_NAMES), int(chunk.lines[0])
         event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
         event["place"] = chunk.slopes.start
+        if node.lines and self.graph.method is Method.PLANE:
+            event["alone"] = min(node.lines, self._alone(self.plan.charts_of(chunk), chunk))
         self.listen("chunk", {**_event(node, result), **event})
 
     def _joined(

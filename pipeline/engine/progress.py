@@ -22,7 +22,9 @@ from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.errors import unread
 from gaitsweep.pipeline.graph.plan import Plan, Summary
 from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import ANSWERS
+from gaitsweep.pipeline.study.model import Study
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
@@ -46,11 +48,10 @@ class Progress:
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.expected: Counter[str] = Counter()  # how many count as measured at their planned costs
         self.costs = {name: costs.seconds(plan.study, name) for name, n in self.todo.items() if n}
-        if "charts" in self.costs and plan.study.plane:  # by their lines: the boxes that these need are not known
-            lines = plan.study.plane.region["lines"]
-            self.todo["charts"] *= lines
-            self.costs["charts"] /= lines
-            self.expected["charts"] = lines // 2  # the first ones may be unlike the others
+        self.lines_alone: _LinesAlone | None = None
+        if plan.graph.method is Method.PLANE and plan.study.plane:
+            half = plan.study.plane.lines // 2  # the first charts may be unlike the others
+            self.lines_alone, self.expected["charts"] = _LinesAlone(plan.study, half), half
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
         self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
@@ -87,7 +88,10 @@ class Progress:
             n = details.get("points", details.get("charted", 1))
             self.done[details["task"]] += n
             self.seconds[details["task"]] += details["seconds"]
-            self.done["atlas"] += details.get("lines", 0)
+            if self.lines_alone:
+                self.lines_alone.add(details)
+            else:
+                self.done["atlas"] += details.get("lines", 0)
             if event == "chunk" and n:
                 place = details.pop("place", 0)
                 self.measured[place] = self.measured.get(place, np.zeros(2)) + np.array([n, details["seconds"]])
@@ -137,7 +141,11 @@ class Progress:
         stages = {}
         for name, cost in self.costs.items():
             done, todo = self.done[name], self.todo[name]
-            if name == "points" and self.measured:
+            if self.lines_alone and name == "atlas":
+                done, todo = self.lines_alone.done, self.lines_alone.expected(todo)
+            if self.lines_alone and name != "charts":
+                mean_seconds = self.lines_alone.seconds(name)
+            elif name == "points" and self.measured:
                 mean_seconds = self._seconds_of_a_point()
             else:
                 expected = self.expected[name] or int(not done)
@@ -166,6 +174,48 @@ class Progress:
                 return
             self.file.write(json.dumps({"time": round(time.time(), 3), "event": event, **details}) + "\n")
             self.file.flush()
+
+
+class _LinesAlone:
+    """What is known of the lines that charts leave alone: how many they are, and their time beside that of points.
+
+    Parameters
+    ----------
+    study : Study
+    half : int
+        Lines that count as seen, a usual share of them alone.
+    """
+
+    def __init__(self, study: Study, half: int):
+        self.half, self.done = half, 0
+        self.charted, self.computed = np.zeros(2), np.zeros(2)  # lines, and how many of them are alone
+        # Least squares over chunks for the times of a point and of a line alone, which begin with one of each.
+        planned = np.array([costs.of_point(study, Method.PLANE), costs.of_line_alone(study)])
+        self.usual = costs.seconds(study, "atlas") / planned[1]
+        weights = np.array([float(len(study.slope)), 1.0]) ** 2
+        self.least, self.matrix, self.moment = planned / 4, np.diag(weights), weights * planned
+
+    def add(self, event: dict[str, Any]) -> None:
+        """Add the event of a chunk, or of charts."""
+        if "charted" in event:
+            self.charted += event["charted"], event["alone"]
+        elif "alone" in event:
+            self.computed += event["lines"], event["alone"]
+            self.done += event["alone"]
+            of_each = np.array([event["points"], event["alone"]])
+            self.matrix += np.outer(of_each, of_each)
+            self.moment += of_each * event["seconds"]
+
+    def expected(self, lines: int) -> int:
+        """About how many of some lines are alone."""
+        seen, alone = np.maximum(self.charted, self.computed)
+        share = (self.usual * self.half + alone) / (self.half + seen)
+        return round(float(alone + share * max(0.0, lines - seen)))
+
+    def seconds(self, name: str) -> float:
+        """Mean time of a point, or of a line alone [s]."""
+        points, lines = np.maximum(np.linalg.solve(self.matrix, self.moment), self.least).tolist()
+        return float(lines if name == "atlas" else points)
 
 
 class Display:

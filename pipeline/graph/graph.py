@@ -28,9 +28,9 @@ class Copies:
     rows: np.ndarray
 
 
-def halves(charts: Mapping[str, np.ndarray]) -> list[dict[str, Any]]:
-    """What tells the halves of a box from it, as the task `charts` returns them; none if it was not halved."""
-    own = {name.removeprefix("halves/"): value.tolist() for name, value in charts.items() if "halves/" in name}
+def boxes(charts: Mapping[str, np.ndarray], which: str) -> list[dict[str, Any]]:
+    """Parts of a box, as the task `charts` returns them: its two `halves`, or those whose lines are left `alone`."""
+    own = {name.removeprefix(f"{which}/"): value.tolist() for name, value in charts.items() if f"{which}/" in name}
     return [dict(zip(own, values, strict=True)) for values in zip(*own.values(), strict=True)]
 
 
@@ -148,6 +148,11 @@ class Graph:
         keys = self.line_keys(number)
         needs = tuple(keys[need].key for need in self.layers[name].needs)
         return Node(name, keys[name], needs, number)
+
+    def charted(self, charts: Node) -> int:
+        """Number of lines that charts are for."""
+        plane = self.study.plane
+        return plane.lines_in(charts.box or plane.region) if plane else 0
 
     def charts_of(self, chunk: Chunk, halves: Callable[[Node], Sequence[Mapping[str, Any]]]) -> Iterator[Node]:
         """Nodes of the charts that predict the gaits of a chunk, those of its plane first.

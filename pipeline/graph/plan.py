@@ -4,13 +4,14 @@ import functools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.graph.graph import Copies, Graph, Node
+from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.graph.graph import Copies, Graph, Node, boxes
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
-from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import ANSWERS
 from gaitsweep.pipeline.store.record import Head, unpacked
 from gaitsweep.pipeline.store.store import Key, Outcome, Store
@@ -32,6 +33,7 @@ class Plan:
     def __init__(self, study: Study, store: Store, retry: bool = False):
         self.study, self.store, self.retry, self.graph = study, store, retry, Graph(study)
         self.columns = [GAITS.index(gait) for gait in study.gaits]
+        self._boxes: dict[str, dict[str, list[dict[str, Any]]]] = {}  # by the keys of charts
 
     def nodes(self) -> Iterator[Node]:
         """Missing nodes over chunks and lines, inputs first; any leading part of them samples the study evenly."""
@@ -40,15 +42,14 @@ class Plan:
             for number in golden_ratio_order(self.study.batches):
                 yield from self._of_line(number)
             return
-        charted: set[str] = set()  # keys of charts of planes
+        planned: set[str] = set()  # keys of charts
         for number in golden_ratio_order(grid.chunks):
             chunk = grid.chunk(number)
             node = self._of_chunk(chunk)
-            if node and node.lines and graph.method is Method.PLANE:
-                made = graph.line_node(int(chunk.lines[0]), "charts")
-                if made.key.key not in charted:
-                    charted.add(made.key.key)
-                    yield from filter(None, [self._why(made)])
+            for charts in self.charts_of(chunk) if node and node.lines else ():
+                if charts.key.key not in planned:
+                    planned.add(charts.key.key)
+                    yield from filter(None, [self._why(charts)])
             if node:
                 yield node
             if graph.line_tasks:
@@ -76,12 +77,32 @@ class Plan:
         # The result of one may have come from another study since.
         yield from (node for node in missing if node.chunk or self._why(node))
 
+    def charts_of(self, chunk: Chunk) -> Iterator[Node]:
+        """Nodes of the charts of a chunk over a plane; the halves of one that is missing are not known."""
+        return self.graph.charts_of(chunk, lambda charts: self.boxes(charts, "halves"))
+
+    def boxes(self, charts: Node, which: str) -> list[dict[str, Any]]:
+        """Parts of the box of charts, as `graph.boxes` has them; none while they are missing."""
+        key = charts.key.key
+        if self.is_missing(key):
+            return []
+        if key not in self._boxes:
+            data = self.store.result(key)
+            arrays = serialize.load(data) if data else {}
+            self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
+        return self._boxes[key][which]
+
+    def is_missing(self, key: str) -> bool:
+        """Whether the result of a task is to be computed."""
+        outcome = self.store.outcome(key)
+        return outcome is None or (self.retry and outcome.status != "ok")
+
     def _why(self, node: Node) -> Node | None:
         """A node over a line with the reason why it runs; None if it does not."""
-        outcome = self.store.outcome(node.key.key)
-        if outcome is None:
-            return replace(node, why=self._new_or_changed(node.key))
-        return replace(node, why="retried") if self.retry and outcome.status != "ok" else None
+        key = node.key
+        if not self.is_missing(key.key):
+            return None
+        return replace(node, why="retried" if self.store.outcome(key.key) else self._new_or_changed(key))
 
     def _new_or_changed(self, key: Key) -> str:
         return "changed" if self.store.knows(key.kin) else "new"
@@ -171,7 +192,10 @@ class Plan:
 
 @dataclass
 class Summary:
-    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and the estimated work in core seconds."""
+    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and the estimated work in core seconds.
+
+    Of points, of lines that charts are for, and else of tasks.
+    """
 
     todo: dict[str, Counter[str]]
     cached: dict[str, int]
@@ -182,7 +206,7 @@ def summary(plan: Plan) -> Summary:
     """Count the work of a plan without storing it."""
     study, layers = plan.study, plan.graph.layers
     totals = {
-        name: {"points": study.points, "charts": study.planes}.get(name, study.batches if layer.per_line else 1)
+        name: study.points if name == "points" else study.batches if layer.per_line else 1
         for name, layer in layers.items()
     }
     todo: dict[str, Counter[str]] = {name: Counter() for name in layers}
@@ -193,7 +217,8 @@ def summary(plan: Plan) -> Summary:
         changes = False
         for node in plan.nodes():
             changes = True
-            todo[node.task][node.why] += node.points if node.chunk else 1
+            is_charts = node.task == "charts"
+            todo[node.task][node.why] += node.points if node.chunk else plan.graph.charted(node) if is_charts else 1
             if node.lines:
                 todo["atlas"][node.why] += node.lines
         for node in plan.over_study():

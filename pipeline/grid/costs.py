@@ -21,6 +21,8 @@ def starting(study: Study) -> float:
 def seconds(study: Study, name: str) -> float:
     """Processor time of a task over one line, or over the study, of a mean walker of the study; of `points`, of one.
 
+    Over a plane few lines have an atlas, and the time of charts is shared by its lines: these are means over all lines.
+
     Parameters
     ----------
     study : Study
@@ -35,9 +37,9 @@ def seconds(study: Study, name: str) -> float:
     if name == "points":
         return of_point(study, method)
     if name == "atlas" and method is Method.PLANE:
-        return ALONE * _total(study, COSTS["atlas side by side"])
+        return ALONE * of_line_alone(study)
     if name == "charts" and study.plane:
-        return len(study.plane.axes) * _total(study, COSTS["charts"])
+        return len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
     if name == "design":
         designs, cells = study.lines / study.batches, int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
@@ -62,6 +64,11 @@ def of_point(study: Study, method: Method) -> float:
         *sorted(wanted & {"violations", "proofs"}),
     )
     return _total(study, [POINTS[group] for group in groups])
+
+
+def of_line_alone(study: Study) -> float:
+    """Processor time of a line of a plane that charts do not describe [s], with its points."""
+    return _total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT)
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:

@@ -62,6 +62,15 @@ class Plane:
         keys, log = [axis.name for axis in self.axes], [axis.is_log for axis in self.axes]
         return {"keys": keys, "low": low, "high": high, "log": log, "lines": about(self.lines)}
 
+    def lines_in(self, box: Mapping[str, Any], spans: Mapping[str, slice] | None = None) -> int:
+        """Number of its lines, or of those of a chunk, in a box; those that two boxes share belong to the upper one."""
+        count = 1
+        for axis, low, high in zip(self.axes, box["low"], box["high"], strict=True):
+            values = axis.values[spans[axis.name]] if spans else axis.values
+            is_last = high >= axis.values.max()
+            count *= int(np.count_nonzero((values >= low) & (is_last | (values < high))))
+        return count
+
 
 def about(n: int) -> int:
     """The power of two nearest to a number, by its logarithm: grids that are refined a little share their charts."""

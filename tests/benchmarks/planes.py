@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.harness import what_more_take
-from gaitsweep.pipeline.graph.graph import Graph, halves
+from gaitsweep.pipeline.graph.graph import Graph, boxes
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.parse import parse
 from gaitsweep.tasks import solve_planes
@@ -76,7 +76,9 @@ def made(table: dict[str, Any]) -> Made:
     with mock.patch.object(cell, "survey_lines", side_effect=cell.survey_lines) as survey:
         begin = time.process_time()
         for chunk in (graph.grid.chunk(k) for k in range(graph.grid.chunks)):
-            for node in graph.charts_of(chunk, lambda node: halves(arrays[node.key])) if chunk.lines[0] in own else ():
+            for node in (
+                graph.charts_of(chunk, lambda node: boxes(arrays[node.key], "halves")) if chunk.lines[0] in own else ()
+            ):
                 if node.key not in arrays:
                     arrays[node.key] = solve_planes.charts(graph.params(node), [])
         seconds = time.process_time() - begin
@@ -91,11 +93,11 @@ def made(table: dict[str, Any]) -> Made:
     solved_by_charts, study = solve_planes.solve, graph.study
     with mock.patch.object(solve_planes, "solve", solve):
         solve_planes.lines({**params, "lines": [study.line(k) for k in own], "slope": study.slope}, [*arrays.values()])
-    boxes = [box for made_there in arrays.values() for box in cell.parts(made_there)]
+    own_boxes = [box for made_there in arrays.values() for box in cell.parts(made_there)]
     return Made(
         seconds,
-        len(boxes),
-        sum(len(cell.parts(box)) for box in boxes),
+        len(own_boxes),
+        sum(len(cell.parts(box)) for box in own_boxes),
         sum(len(call.args[0].lanes) for call in survey.call_args_list),
         len(own) * len(study.slope) - accepted,
     )

@@ -311,9 +311,10 @@ def _box(low, high, lines):
 
 @pytest.mark.parametrize("studies", ["a", "ab"])
 def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_path, studies):
-    """Whatever studies of a command want them; what is left is told by their lines."""
+    """Whatever studies of a command want them; what is left is told by their lines: of 20 values of m_h 10 are each."""
     low, high = _box([0.1, 0.0], [0.4, 5.0], 128.0), _box([0.1, 5.0], [0.4, 10.0], 128.0)
     halved = {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
+    alone = {"alone/low": np.array([[0.1, 7.5]]), "alone/high": np.array([[0.4, 10.0]])}
     engine, made, eta, inputs = Engine(2), [], [], set()
     with contextlib.ExitStack() as stack:
         jobs = []
@@ -338,21 +339,24 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
                 plane = request.params["plane"]
                 made.append(plane)
                 answer |= {"outcome": "ok", "reason": ""}
-                answer["data"] = serialize.dump({} if len(made) > 1 else halved)
+                answer["data"] = serialize.dump((halved, {}, alone)[len(made) - 1])
                 planned = told._stages()["charts"]["eta"]
             scheduler._record(number, answer)
             if not request.packing:
                 eta.append((planned, told._stages()["charts"]))
         assert 2 in inputs and [box["high"] for box in made] == [[0.4, 10.0], low["high"], high["high"]]
-        assert [stage["done"] for _, stage in eta] == [0, 128, 256] and eta[2][1]["eta"] == 0
+        assert [stage["done"] for _, stage in eta] == [0, 150, 300] and eta[2][1]["eta"] == 0
         cost = costs.seconds(jobs[0].study, "charts")
-        assert 2 * eta[0][0] == pytest.approx(cost, abs=0.1)  # on two workers
+        assert 2 * eta[0][0] == pytest.approx(300 * cost, abs=0.1)  # on two workers
         # As if half the plane had been measured as planned.
-        for (_, stage), spent, done in zip(eta[:2], (4.0, 8.0), (0, 128), strict=True):
-            each = (spent + cost / 2) / (done + 128)
-            assert stage["eta"] == pytest.approx(each * (256 - done) / 2, abs=0.06)
+        for (_, stage), spent, done in zip(eta[:2], (4.0, 8.0), (0, 150), strict=True):
+            each = (spent + 150 * cost) / (done + 150)
+            assert stage["eta"] == pytest.approx(each * (300 - done) / 2, abs=0.06)
+        # Of the lines above m_h = 7.5, 75, some are in chunks of others.
         for study in jobs:
-            assert study.listen._stages()["charts"] == {"done": 256, "todo": 256, "eta": 0.0}
+            atlas = study.listen._stages()["atlas"]
+            assert atlas == {"done": 75, "todo": 75, "eta": 0.0}
+            assert study.listen._stages()["charts"] == {"done": 300, "todo": 300, "eta": 0.0}
             study.listen.close(True)
 
 
