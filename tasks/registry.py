@@ -62,7 +62,7 @@ TASKS = {
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 10, needs=("atlas",)),
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 19, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 12, needs=("atlas",)),
-        Task("curve", "gaitsweep.tasks.follow_curves:curve", 16, needs=("atlas",)),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 17, needs=("atlas",)),
         Task("design", "gaitsweep.tasks.map_designs:design", 23),
         Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
