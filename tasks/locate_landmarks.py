@@ -10,8 +10,7 @@ import numpy as np
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED
 from gaitsweep.tasks.paper.kneed_chaos import corner_crises, crisis
 from gaitsweep.tasks.paper.lines import paper_of
-from gaitsweep.tasks.paper.published import HALF_UNITS
-from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, LANDMARKS, interval
 from gaitsweep.tasks.registry import LOSS_WINDOWS
 from gaitsweep.tasks.tables import Arrays, table
 

@@ -6,7 +6,9 @@ A version is bumped by hand when a task's results change; it is the only thing (
 parameters) that makes a stored result stale.
 """
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 from gaitsweep.tasks.options import FOLLOWED as FOLLOWED
 from gaitsweep.tasks.options import MAX_STEPS as MAX_STEPS
@@ -62,7 +64,7 @@ TASKS = {
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 10, needs=("atlas",)),
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 19, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 12, needs=("atlas",)),
-        Task("curve", "gaitsweep.tasks.follow_curves:curve", 16, needs=("atlas",)),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 17, needs=("atlas",)),
         Task("design", "gaitsweep.tasks.map_designs:design", 23),
         Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
@@ -77,38 +79,10 @@ TASKS = {
 #: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
 SHORT_LINE = 256
 
-#: Rates that complete the start of a step: a click on a gait's mark in a figure makes it walk.
-_START = ("stance_rate", "thigh_rate", "shank_rate")
-
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
-    "scaling": ("stance_angle", "period", "speed", "power", "branch", "piece"),
-    "transition": ("stance_angle", "branch", "piece"),
-    "loglog": ("stance_angle", "spectral_radius", *_START),
-    "linear": ("stance_angle", "spectral_radius", *_START),
-    "transition_ladder": ("stance_angle",),
-    "angles": ("trace",),
-    "multipliers": ("spectral_radius", "stance_angle", *_START),
-    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius", "stance_angle", *_START),
-    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius", "stance_angle", *_START),
-    "power": ("power", "speed", "spectral_radius", "stance_angle", *_START),
-    "heatmap": ("speed", "stance_angle", "period", "spectral_radius", *_START),
-    **dict.fromkeys(
-        (
-            "walker",
-            "conditions",
-            "locus",
-            "bifurcation",
-            "basin",
-            "design",
-            "census",
-            "cascade",
-            "curves",
-            "exponents",
-            "claims",
-        ),
-        (),
-    ),
+    name: tuple(read)
+    for name, read in tomllib.loads(Path(__file__).with_name("reads.toml").read_text(encoding="utf-8")).items()
 }
 
 #: Tasks over a whole study that a study's `fits` may name, and names that its `figures` may hold.

@@ -17,25 +17,9 @@ GAITS = ("long", "short", "other1", "other2")
 #: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
 STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_accurate": 9}
 
+_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
-SI_UNITS = {
-    "angle": "rad",
-    "rate": "rad s-1",
-    "angle_rate": "rad2 s-1",
-    "time": "s",
-    "frequency": "s-1",
-    "length": "m",
-    "mass": "kg",
-    "speed": "m s-1",
-    "energy": "J",
-    "power": "W",
-    "impulse": "N s",
-    "angular_impulse": "N m s",
-    "torque": "N m",
-    "acceleration": "m s-2",
-    "inertia": "kg m2",
-    "number": "1",
-}
+SI_UNITS: dict[str, str] = _TABLES["units"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +55,6 @@ class Variable:
 
 
 #: Variables of a grid study, and assumptions with their limits, in the order in which they are archived.
-_TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 VARIABLES = {
     name: Variable(name, tuple(about.pop("dims", ["gait"])), **about) for name, about in _TABLES["variables"].items()
 }

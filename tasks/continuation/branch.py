@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
+from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, TOO_MANY
+from gaitsweep.tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE, NOT_A_STEP
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, Guesses
 from gaitsweep.tasks.step.several_steps import from_largest
 
@@ -16,7 +17,7 @@ MIN_NODES = 3
 #: Nodes closer than this are the same: a fold's may differ from its neighbour by rounding only.
 _COINCIDENT = 1e-8
 #: Kinds that are no true ends: continuation was lost, or what lies beyond failed a check.
-LOST = ("no further point", "too many points", "not a step")
+LOST = (NO_FURTHER, TOO_MANY, NOT_A_STEP)
 #: Weight of the event times as coordinates of segments, relative to other coordinates.
 _WORTH_OF_TIMES = 0.02
 
@@ -135,7 +136,7 @@ class Branch:
         return Branch(self.m, Z, tangent, np.zeros(Z.shape[1]), why, errors, steps=self.steps)
 
     def part(self, nodes: np.ndarray) -> Branch:
-        """Branch of some nodes, with nothing measured yet; where it is cut there is `no further point`.
+        """Branch of some nodes, with nothing measured yet; where it is cut there is NO_FURTHER.
 
         Parameters
         ----------
@@ -143,7 +144,7 @@ class Branch:
             Rising.
         """
         ends = zip(self.why, self.end_errors, (nodes[0] == 0, nodes[-1] == len(self.q) - 1), strict=True)
-        low, high = ((why, error) if whole else ("no further point", 0.0) for why, error, whole in ends)
+        low, high = ((why, error) if whole else (NO_FURTHER, 0.0) for why, error, whole in ends)
         return self._of_nodes(self.Z[:, nodes], self.tangent[:, nodes], (low[0], high[0]), (low[1], high[1]))
 
     def ending(self, side: int, kind: str, error: float = 0.0) -> Branch:

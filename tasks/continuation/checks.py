@@ -12,6 +12,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
+from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER
 from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
@@ -39,7 +40,7 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     -------
     Branch
         Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
-        and the slope turns at folds alone. Where it was cut, and at a false end, there is `no further point`.
+        and the slope turns at folds alone. Where it was cut, and at a false end, there is NO_FURTHER.
     """
     if len(branch.q) == 1:
         return branch
@@ -98,11 +99,11 @@ def _too_long(branch: Branch) -> np.ndarray:
 
 
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
-    """The branch; ends whose own condition fails become `no further point`."""
+    """The branch; ends whose own condition fails become NO_FURTHER."""
     Z = branch.Z[:, [0, -1]]
     point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
     at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
         if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
-            branch = branch.ending(side, "no further point", branch.end_errors[side])
+            branch = branch.ending(side, NO_FURTHER, branch.end_errors[side])
     return branch

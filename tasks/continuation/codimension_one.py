@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -140,6 +139,55 @@ class Curve:
         return bool(step.outcome[0] == STRUCK and np.abs(step.times - times).max() < 1e-3)
 
 
+class _Followed(engine.Tracks):
+    """One curve in progress in a window of ln slope and key, whose edges are (2, 2).
+
+    `end` is the last point that it has within the window, and the tangent there, both (c, 1): that on the border. Where
+    the curve begins on the border and leaves there is none, both (c, 0).
+    """
+
+    def __init__(self, curve: Curve, first: engine.Point, direction: float, edges: np.ndarray):
+        self.curve, self.edges = curve, edges
+        tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
+        super().__init__(_CONTROL, first.Z, tangent, _FIRST_STEP)
+        self.end = self.Z[:, :0], self.tangent[:, :0]
+
+    def correct(self, _: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Point:
+        return self.curve.correct(guess, border)
+
+    def judge(
+        self, _: np.ndarray, point: engine.Point, guess: np.ndarray, error: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        # Beyond the window a step is fair if it leads to a point on the border: a shorter one may.
+        fair = not point.ok[0] or self._is_inside(point.Z) or self._ends(point)
+        return np.array([fair]), error / self.step
+
+    def reasons(self, _: np.ndarray, point: engine.Point, last: np.ndarray) -> np.ndarray:
+        return np.array(["" if self._is_inside(point.Z) else BORDER])
+
+    def _inside(self, Z: np.ndarray) -> np.ndarray:
+        """The nearest ln slope and key within the window, shape (2, 1)."""
+        return np.clip(Z[-2:], self.edges[:, :1], self.edges[:, 1:])
+
+    def _is_inside(self, Z: np.ndarray) -> bool:
+        return bool((self._inside(Z) == Z[-2:]).all())
+
+    def _ends(self, beyond: engine.Point) -> bool:
+        """Whether the curve's point on the border is found, between its last point and one beyond the window."""
+        edge, tangent = self._inside(beyond.Z), beyond.oriented(self.tangent).direction
+        out = np.flatnonzero(edge != beyond.Z[-2:])
+        shares = ((edge - self.Z[-2:]) / (beyond.Z - self.Z)[-2:])[out, 0]
+        share, component = min(zip(shares.tolist(), (out - 2).tolist(), strict=True))
+        if share < 1e-9:  # it begins there
+            return True
+        length = np.linalg.norm(beyond.Z - self.Z, axis=0)
+        guess = hermite(self.Z, self.tangent, beyond.Z, tangent, length, share)
+        guess[component] = edge[component]
+        at = self.curve.correct(guess, np.eye(len(guess))[component])
+        self.end = at.Z, at.oriented(self.tangent).direction
+        return bool(at.ok[0])
+
+
 def follow(curve: Curve, first: engine.Point, direction: float, window: Mapping[str, tuple[float, float]]) -> Track:
     """Follow a curve from a point on it up to the window's border, or until it closes.
 
@@ -152,42 +200,17 @@ def follow(curve: Curve, first: engine.Point, direction: float, window: Mapping[
     window : mapping
         `q` (ln slope) and `key`: least and largest value of each.
     """
-    edges = np.array([window["q"], np.array(window["key"]) / curve.scale])
-
-    def inside(Z: np.ndarray) -> np.ndarray:
-        return np.clip(Z, edges[:, :1], edges[:, 1:])
-
-    def correct(_: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Point:
-        return curve.correct(guess, border)
-
-    def judge(_: np.ndarray, point: Any, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.ones(1, bool), error / tracks.step
-
-    def reasons(_: np.ndarray, point: engine.Point, last: np.ndarray) -> np.ndarray:
-        return np.where((inside(point.Z[-2:]) == point.Z[-2:]).all(axis=0), "", BORDER)
-
-    tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
-    tracks = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP)
-    (track,) = tracks.follow(correct, judge, reasons, _MAX_POINTS)
+    tracks = _Followed(curve, first, direction, np.array([window["q"], np.array(window["key"]) / curve.scale]))
+    (track,) = tracks.follow(tracks.correct, tracks.judge, tracks.reasons, _MAX_POINTS)
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
         track.Z[:, -1], track.tangent[:, -1] = track.Z[:, 0], track.tangent[:, 0]
     if track.stop_reason != BORDER:
         return track
     # The last point lies beyond the window: that on the border takes its place.
-    Z, T, beyond = track.Z[:, :-1], track.tangent[:, :-1], track.Z[:, [-1]]
-    edge = inside(beyond[-2:])
-    out = np.flatnonzero(edge != beyond[-2:])
-    shares = ((edge - Z[-2:, -1:]) / (beyond - Z[:, -1:])[-2:])[out, 0]
-    share, component = min(zip(shares.tolist(), (out - 2).tolist(), strict=True))
-    if share < 1e-9:  # it begins there
-        return Track(Z, T, BORDER)
-    length = np.linalg.norm(beyond - Z[:, -1:], axis=0)
-    guess = hermite(Z[:, -1:], T[:, -1:], beyond, track.tangent[:, -1:], length, share)
-    guess[component] = edge[component]
-    at = curve.correct(guess, np.eye(len(guess))[component])
-    if not at.ok[0]:
-        return Track(Z, T, engine.NO_FURTHER)
-    return Track(np.hstack([Z, at.Z]), np.hstack([T, at.oriented(T[:, -1:]).direction]), BORDER)
+    Z, tangent = (
+        np.hstack([each[:, :-1], end]) for each, end in zip((track.Z, track.tangent), tracks.end, strict=True)
+    )
+    return Track(Z, tangent, BORDER)
 
 
 def follow_both_directions(
@@ -224,8 +247,8 @@ def turning(
     -------
     Z : ndarray, shape (c,)
     error : float
-        Of ln slope: Newton's last step, and how far the turning moves when the tangent's differences are taken over
-        twice the step.
+        Of ln slope: Newton's last step, how far the tangent shows that the turning lies from the point, and how far it
+        moves when the tangent's differences are taken over twice the step.
 
     Notes
     -----
@@ -241,13 +264,18 @@ def turning(
     def at(share: float) -> engine.Point:
         return curve.correct(hermite(*a, *b, length, share), chord).oriented(chord[:, None])
 
-    turn = at(bracketed_root(lambda share: float(at(share).direction[component, 0]), 0.0, 1.0, 1e-11))
+    try:
+        share = bracketed_root(lambda share: float(at(share).direction[component, 0]), 0.0, 1.0, 1e-11)
+    except ValueError:  # corrected anew, both points have it on one side: rounding, and the nearer one is the turning
+        share = float(abs(a[1][component]) > abs(b[1][component]))
+    turn = at(share)
     if not turn.ok[0]:
         return None
     Z, tangent = turn.Z[:, 0], turn.direction[:, 0]
     derivative = curve.system(Z, 2 * DIFFERENCE)[1]
     coarse = np.linalg.svd(derivative)[2][-1]
     coarse *= np.sign(coarse @ tangent)
-    moved = abs(coarse[component] - tangent[component]) * length / abs(b[1][component] - a[1][component])
+    off = abs(coarse[component] - tangent[component]) + abs(tangent[component])
+    moved = off * length / abs(b[1][component] - a[1][component])
     moved += 1e-11 * length
     return Z, float(turn.last_step[0] + moved * abs(tangent[-2])) + 8 * np.finfo(float).eps

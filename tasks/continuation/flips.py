@@ -13,7 +13,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
-from gaitsweep.tasks.continuation.pseudo_arclength import Point
+from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.continuation.tracking import HALVED, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
 from gaitsweep.tasks.step.problem import Problem
@@ -114,7 +114,7 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Evaluation]
         near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
         apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
         if flip is None or apart.min() > _NEAR:
-            branch = branch.ending(side, "no further point")
+            branch = branch.ending(side, NO_FURTHER)
             continue
         at = _twice(half, flip)[:, int(apart.argmin())]
         # The halves leave the flip to opposite sides; all else changes by the square of the distance.

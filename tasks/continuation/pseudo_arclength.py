@@ -308,9 +308,9 @@ class Tracks:
             self.stop[new] = reasons(new, lanes_of(point, fair), Z)
             start, ahead = lanes_of(self.first, new)
             closes = passes(start, ahead, Z, tangent, self.Z[:, new], self.tangent[:, new])
-            goes_on = self.stop[new] == ""
-            self.stop[new[goes_on & (self.count[new] >= most)]] = TOO_MANY
-            self.stop[new[goes_on & closes & (self.count[new] > _LEAST_CLOSED)]] = CLOSED
+            self.stop[new[(self.stop[new] == "") & (self.count[new] >= most)]] = TOO_MANY
+            # Whatever lies beyond: it has been there.
+            self.stop[new[closes & (self.count[new] > _LEAST_CLOSED)]] = CLOSED
             self.stop[refused[self.step[refused] < self.control.shortest]] = NO_FURTHER
         owner = np.concatenate([tracks for tracks, _, _ in self.log])
         order = np.argsort(owner, kind="stable")

@@ -129,8 +129,9 @@ def _stop_reasons(point: Point) -> np.ndarray:
 
 #: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
 MOST_RATE = 36.0
-#: Why a track of several steps stops that passes the flip of half as many: beyond, it repeats itself.
-HALVED = "halved"
+#: Why a track of several steps stops that passes the flip of half as many: beyond, it repeats itself; and why any stops
+#: whose last points are no steps.
+HALVED, NOT_A_STEP = "halved", "not a step"
 
 
 def rate_of_steps(rates: np.ndarray) -> np.ndarray:
@@ -241,7 +242,9 @@ class _Branches(Tracks):
         self.recent = np.zeros((_CHECK_EVERY // 3, *tangent.shape))
         control = _CONTROL if problem.steps == 1 else _CONTROL_OF_SEVERAL
         super().__init__(control, first.Z[:, lanes], tangent, step)
-        self.trace, self.side = _trace(first)[lanes], np.zeros(len(lanes))
+        self.trace = _trace(first)[lanes]
+        # Of the last points, and of those that were tried after them.
+        self.side, self.tried = np.zeros(len(lanes)), np.zeros(len(lanes))
 
     def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
         return correct(self.problem.some(tracks), guess, border)
@@ -251,19 +254,18 @@ class _Branches(Tracks):
     ) -> tuple[np.ndarray, np.ndarray]:
         # Another root of a guard is another solution, even if the gait is nearly the same.
         fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(axis=0)
-        side = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
-        fair &= (self.side[tracks] * side >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
+        self.tried[tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
+        fair &= (self.side[tracks] * self.tried[tracks] >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
         return (fair, error) if self.problem.steps == 1 else _of_several(fair, error, point, self.trace[tracks])
 
     def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
-        self.side[tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
-        self.trace[tracks], why = _trace(point), _stop_reasons(point)
+        self.side[tracks], self.trace[tracks], why = self.tried[tracks], _trace(point), _stop_reasons(point)
         if self.problem.steps > 1:
             why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
-            why[due[~_are_steps(self.problem, self, tracks[due])]] = "not a step"
+            why[due[~_are_steps(self.problem, self, tracks[due])]] = NOT_A_STEP
         return why
 
     def record(self, tracks: np.ndarray) -> None:

@@ -16,8 +16,7 @@ from gaitsweep.tasks.iterate_orbits import orbit
 from gaitsweep.tasks.locate_cascade import cascade
 from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, ClaimResult, claim, verdict
 from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper, coarse_lines, memoize, numbers
-from gaitsweep.tasks.paper.published import HALF_UNITS
-from gaitsweep.tasks.paper.rounding_intervals import changed, interval
+from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, changed, interval
 from gaitsweep.tasks.registry import LOSS_WINDOWS
 from gaitsweep.tasks.tables import table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

@@ -7,7 +7,9 @@ the printed walker's value plus or minus the sum of |sensitivity| x half unit.
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +17,6 @@ from gaitsweep.tasks.continuation.defining import joint_derivative
 from gaitsweep.tasks.continuation.special_points import corrected, crossings
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
 from gaitsweep.tasks.paper.lines import Line, Paper, memoize
-from gaitsweep.tasks.paper.published import HALF_UNITS
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
 from gaitsweep.tasks.walkers.walker import KEYS, Walker
@@ -43,22 +44,15 @@ class Landmark:
     target: float = 0.0
 
 
+_PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
+#: Half a unit of every rounded key, in the key's unit, by walker.
+HALF_UNITS: dict[str, dict[str, float]] = {
+    walker: rounded["half_units"] for rounded in _PUBLISHED["rounded"] for walker in rounded["walkers"]
+}
 #: Landmarks compared with numbers of the paper, and those of figure 6.
 LANDMARKS = {
-    mark.name: mark
-    for mark in (
-        Landmark("smallest slope, kneed", "physical", "fold", printed=PRINTED["P1"]),
-        Landmark("smallest slope, straight", "physical-straight", "fold", printed=PRINTED["P1, straight legs"]),
-        Landmark("point 1", "physical", "end_kneestrike_at_heelstrike", point="1"),
-        Landmark("point 2", "physical-straight", "end_tangential_heelstrike", point="2"),
-        Landmark("point 3", "physical", "release_hyperextension", point="3"),
-        Landmark("highest slope, kneed", "physical", "fold", which=1),
-        Landmark("C flip", "C", "flip", "long", printed=PRINTED["K1"]),
-        Landmark("C-printed flip", "C-printed", "flip", "long", printed=PRINTED["K1"]),
-        Landmark("C exponent 2/3", "C", "exponent", "long", printed=PRINTED["Z4"], target=2 / 3),
-        Landmark("C release, long", "C", "release_hyperextension", "long"),
-        Landmark("C release, short", "C", "release_hyperextension", "short"),
-    )
+    name: Landmark(name, **{**mark, "printed": PRINTED[mark["printed"]] if "printed" in mark else NOT_PRINTED})
+    for name, mark in _PUBLISHED["landmarks"].items()
 }
 
 

@@ -167,7 +167,7 @@ def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_pa
     drawn = np.array([mark.x for mark in sketch.marks]) / [1e-3, 1e-2]
     assert np.abs(np.log(drawn)).max() < np.log(1.25) * (len(walkers) > 1) + 1e-12
     np.testing.assert_allclose(np.exp(np.log(drawn).mean()), 1)
-    assert ("side by side" in sketch.words("census")[1]) == (len(walkers) > 1)
+    assert ("side by side" in sketch.words[1]) == (len(walkers) > 1)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_
     rows = {"stance_angle": angle, "stance_rate": rate, "outcome": np.where(np.arange(100) < 25, outcome, "long")}
     text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
     sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"basin": rows})))
-    assert f"{share} % of the initial conditions lead to walking." == sketch.words("basin")[3]
+    assert f"{share} % of the initial conditions lead to walking." == sketch.words[3]
 
 
 @pytest.mark.parametrize(
@@ -192,9 +192,7 @@ def test_a_basin_in_a_section_of_three_coordinates_says_which_plane_and_which_ra
     tables = {"basin": rows | {"outcome": np.array(["long"] * 100)}}
     sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": walker}, tables)))
     assert sketch.figure.axes[0].get_title(loc="left") == title
-    assert (
-        f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.words("basin")[1]
-    )
+    assert f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.words[1]
 
 
 def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_path):
@@ -215,7 +213,7 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(t
     text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
     tables = {"curves": curve | {"value": [0.1, 0.2] * 2}, "turnings": turns}
     sketch = FIGURES["curves"](read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)))
-    assert "re-pair at detuning 0.5 and slope 0.011 rad." in sketch.words("curves")[3]
+    assert "re-pair at detuning 0.5 and slope 0.011 rad." in sketch.words[3]
 
 
 def test_a_curve_names_the_unit_of_its_key(tmp_path):
@@ -227,7 +225,7 @@ def test_a_curve_names_the_unit_of_its_key(tmp_path):
         file["curves/value"].units = "m"
     sketch = FIGURES["curves"](read(archive))
     assert sketch.figure.axes[0].get_title(loc="left") == "R (m)"
-    assert sketch.words("curves")[1] == "Flips and folds over slope and R."
+    assert sketch.words[1] == "Flips and folds over slope and R."
 
 
 @pytest.mark.parametrize(("ratios", "said"), [([4.5], " is 4.5."), ([4.5, 4.6], "s are 4.5, 4.6."), ([np.nan], "")])
@@ -236,7 +234,7 @@ def test_the_last_ratios_of_a_cascade_are_counted(tmp_path, ratios, said):
     text = 'name = "cascade"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n'
     tables = {"cascade": flips, "accumulation": {"slope": [0.0163] * len(ratios), "ratio": ratios}}
     sketch = FIGURES["cascade"](read(write(tmp_path / "c.nc", text, {}, {}, {"D": POINT}, tables)))
-    assert sketch.words("cascade")[3].startswith(f"The last ratio{said}" if said else "")
+    assert sketch.words[3].startswith(f"The last ratio{said}" if said else "")
 
 
 @pytest.mark.parametrize("lines", [6, 9])
@@ -246,7 +244,7 @@ def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, li
     text = 'name = "orbits"\nkind = "orbit"\nwalker = "B"\n[axes]\nslope = [0.01, 0.02]\nR = [0.1, 0.2]\n'
     sketch = FIGURES["bifurcation"](read(write(tmp_path / "o.nc", text, {}, {}, {"B": POINT}, {"orbits": orbits})))
     assert sum(bool(axes.lines) for axes in sketch.figure.axes) == 6
-    assert ("6 of 9 lines are drawn." in sketch.words("bifurcation")[1]) == (lines == 9)
+    assert ("6 of 9 lines are drawn." in sketch.words[1]) == (lines == 9)
 
 
 def test_branches_of_one_label_have_one_colour_and_one_entry_in_the_legend(tmp_path):
@@ -267,7 +265,7 @@ def test_a_design_map_tells_of_circles_where_it_has_some(tmp_path, key, own):
     text = f'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\n{key} = [0.1, 0.3]\nc_t = [0.1]\nslope = [0.01, 0.1]\n'
     walker = POINT | {"R": 0.2, "c_t": 0.2}
     sketch = FIGURES["design"](read(write(tmp_path / "d.nc", text, {}, {}, {"B": walker}, {"design": rows})))
-    assert ("Circles: the walker itself." in sketch.words("design")[1]) == own == bool(sketch.figure.axes[0].lines)
+    assert ("Circles: the walker itself." in sketch.words[1]) == own == bool(sketch.figure.axes[0].lines)
 
 
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
@@ -433,7 +431,7 @@ def test_the_largest_exponent_and_the_survival_of_orbits_are_drawn(tmp_path):
     sketch = FIGURES["lyapunov"](read(write(tmp_path / "o.nc", text, {}, {}, {"D": POINT}, tables)))
     top, below = sketch.panels
     assert top.lines[1].get_ydata().tolist() == [-0.2, 0.1, 0.3] and below.lines[0].get_ydata().tolist() == [40.0]
-    assert sketch.words("lyapunov")[3] == "Exponents are positive at slopes from 0.018 to 0.019 rad."
+    assert sketch.words[3] == "Exponents are positive at slopes from 0.018 to 0.019 rad."
 
 
 def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
@@ -545,7 +543,7 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
         write(tmp_path / "d.nc", text, {}, {"m_h": mass, "detuning": detuning}, {"A": POINT}, {"design": best})
     )
     with style():
-        sketch = design_maps.design(source)
+        sketch = FIGURES["design"](source)
     maps = [axes for axes in sketch.figure.axes if axes.get_label() != "<colorbar>"]
     assert len(maps) == 3 and len(sketch.figure.axes) == 6
     for axes in maps:
@@ -553,7 +551,7 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
         places = [tuple(line.get_xydata()[0]) for line in axes.lines]
         assert sorted(places) == sorted([(0.0, 0.0), (1.0, 0.0)] * 2)
         assert axes.get_xlim()[0] < 0.005 and axes.texts
-    assert "Circles: the exactly tuned walker (detuning 0) and the physical one (1)." in sketch.words("design")[1]
+    assert "Circles: the exactly tuned walker (detuning 0) and the physical one (1)." in sketch.words[1]
     assert "surveyed" not in sketch.data and len(sketch.data) == 600
     drawing = draw(source, "design", "test")
     assert sum(len(target["rows"]) for target in drawing.targets) <= 260
@@ -633,7 +631,7 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
 
 
 def test_the_data_of_a_figure_says_in_words_what_is_stable():
-    sketch = Sketch(100).finish(pd.DataFrame({"slope": [0.1, 0.2, 0.3], "stable": [1.0, 0.0, np.nan]}))
+    sketch = Sketch("residuals", 100).finish(pd.DataFrame({"slope": [0.1, 0.2, 0.3], "stable": [1.0, 0.0, np.nan]}))
     assert sketch.data["stable"].tolist()[:2] == ["yes", "no"] and sketch.data["stable"].isna().sum() == 1
     assert (sketch.values["stable_low"], sketch.values["stable_high"]) == (0.1, 0.1)
     assert folder.csv_text(sketch.data).splitlines()[1:] == ["0.1,yes", "0.2,no", "0.3,"]

@@ -12,8 +12,7 @@ from gaitsweep.tasks.paper import claim as rule
 from gaitsweep.tasks.paper import kneed_chaos, lines
 from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from gaitsweep.tasks.paper.lines import paper_of
-from gaitsweep.tasks.paper.published import HALF_UNITS
-from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, changed, interval, place, sensitivities
+from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, LANDMARKS, changed, interval, place, sensitivities
 from gaitsweep.tasks.paper.zero_slope import mass_limit
 from gaitsweep.tasks.registry import TASKS
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

@@ -304,3 +304,52 @@ def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(walker, key, h
         points = [point for branch in found for point in special_points(problem, branch)]
         (slope,) = [point["slope"] for point in points if point["kind"] == "flip"]
     assert curves["curves/slope"][end] == pytest.approx(slope, rel=1e-12)
+
+
+class Shy(Plane):
+    """A curve whose points in planes across an axis are found from very near only."""
+
+    def correct(self, Z, border):
+        point = super().correct(Z, border)
+        if np.count_nonzero(border) == 1 and np.abs(self.system(Z.ravel())[0]).max() > 1e-7:
+            point.ok[:] = False
+        return point
+
+
+def wave(q, key):
+    return key - np.sin(3 * q) / 4, [-0.75 * np.cos(3 * q), 1.0]
+
+
+def test_a_step_beyond_the_window_from_which_the_border_is_not_found_is_shortened():
+    """The curve ended before the border, as if it could be continued no further."""
+    window = {"q": (-2.0, 2.0), "key": (-1.0, 2.0)}
+    first = Plane(wave).through(1.0, np.sin(3) / 4)
+    plain, shy = (follow_both_directions(of(wave), first, window) for of in (Plane, Shy))
+    assert plain[2] == shy[2] == ("border", "border")
+    assert len(shy[0]) > len(plain[0])
+    np.testing.assert_allclose(shy[0][[0, -1]], plain[0][[0, -1]], atol=1e-12)
+    # Where no step finds it, that is said.
+    assert follow(Never(wave), first, 1.0, window).stop_reason == "no further point"
+
+
+class Never(Plane):
+    def correct(self, Z, border):
+        point = super().correct(Z, border)
+        point.ok &= np.count_nonzero(border) > 1
+        return point
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_turning_point_is_that_end_of_its_bracket_whose_tangent_changes_sign_by_rounding(side):
+    """Corrected anew, both tangents had one sign: it raised."""
+    curve = Plane(circle)
+    found = [
+        curve.correct(np.array([0.0, np.cos(a), np.sin(a)]), np.array([0.0, -np.sin(a), np.cos(a)]))
+        for a in (1e-13, 0.2)
+    ]
+    ends = [(p.Z[:, 0], p.oriented(np.array([[0.0], [-1.0], [1.0]])).direction[:, 0].copy()) for p in found]
+    # Just beyond where q is largest it falls; by rounding it seemed to rise.
+    ends[0][1][1] *= -1
+    assert ends[0][1][1] > 0 > ends[1][1][1]
+    Z, error = turning(curve, *(ends if side == 0 else ends[::-1]), 1)
+    assert pytest.approx([0.0, 1.0, 0.0], abs=1e-12) == Z and error < 1e-10

@@ -115,3 +115,23 @@ def test_hermites_polynomial_is_the_cubic_through_both_points_and_tangents():
     h = np.linspace(0, 1, 9)
     found = hermite(cubic(a) + 0 * h, rate(a) + 0 * h, cubic(a + length) + 0 * h, rate(a + length) + 0 * h, length, h)
     np.testing.assert_allclose(found, cubic(a + length * h), atol=1e-14)
+
+
+def test_a_curve_that_closes_in_the_step_in_which_it_stops_for_another_reason_is_closed():
+    """It had the other reason, and was taken for one with two ends."""
+
+    def followed(most):
+        solve = circles(SQUARES[2:])
+        tracks = Tracks(CONTROL, np.array([[0.5], [0.0], [0.0]]), unit_tangents(np.array([0.5])), 0.1)
+        (track,) = tracks.follow(
+            lambda _, guess, border: solve(guess, border),
+            lambda _, point, guess, error: (np.ones(1, bool), error),
+            lambda *_: np.array(["" if tracks.count[0] < most else "elsewhere"]),
+            1000,
+        )
+        return track.stop_reason, track.Z.shape[1]
+
+    reason, n = followed(1000)
+    assert (reason, n > 4) == ("closed", True)
+    assert followed(n) == ("closed", n)
+    assert followed(n - 1) == ("elsewhere", n - 1)

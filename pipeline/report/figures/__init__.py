@@ -20,7 +20,6 @@ from gaitsweep.pipeline.report.figures import (
     maps,
     measured,
     quantities,
-    scaling,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -28,13 +27,15 @@ from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import style
 from gaitsweep.pipeline.report.figures.svg import Drawing, render
 from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.words import WORDS
 from gaitsweep.pipeline.study.plot import Plot
 
-FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
+#: What draws each figure, of the archive and of the tables that `words.toml` names for it.
+_DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "loglog": families.loglog,
     "linear": families.linear,
     "residuals": families.residuals,
-    "transition_ladder": scaling.transition_ladder,
+    "transition_ladder": laws.transition_ladder,
     "angles": cycle.angles,
     "walker": body.walker,
     "conditions": body.conditions,
@@ -51,6 +52,15 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "cascade": searches.cascade,
     "curves": searches.curves,
 }
+
+
+def _sketch(name: str, source: Source) -> Sketch | None:
+    """Sketch a figure; None where the archive lacks its data, or a column of its tables."""
+    tables = [source.table(table, *columns) for table, columns in WORDS["figures"][name].get("tables", {}).items()]
+    return None if any(table is None for table in tables) else _DRAWN[name](source, *tables)
+
+
+FIGURES = {name: partial(_sketch, name) for name in _DRAWN}
 
 
 class Undrawn(Exception):
@@ -83,7 +93,7 @@ def _of_package(source: Source, name: str) -> Sketch | None:
         raise Undrawn("there is no figure of that name")
     if not {*plot.reads} <= {*source.grid.variables}:
         return None
-    drawn = Sketch(plot.height)
+    drawn = Sketch(name, plot.height)
     try:
         data = pd.DataFrame(plot.draw(drawn.panels[0], source.grid))
     except Exception as error:  # whatever a function may raise: the other figures are drawn

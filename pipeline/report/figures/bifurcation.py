@@ -17,27 +17,21 @@ from gaitsweep.pipeline.report.figures.style import (
     colour,
     evenly,
     set_heading,
-    set_log,
     thin,
 )
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, shorten, spaced
 
-#: Tables of orbits and what is drawn of each.
-_OF_ORBITS = {"lyapunov": "exponent", "survival": "lifetime"}
 
-
-def bifurcation(source: Source) -> Sketch | None:
+def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot stance angles of successive steps of orbits against slope, with printed and computed landmarks."""
-    table = source.table("orbits", "slope", "stance_angle")
-    if table is None or not np.isfinite(table["stance_angle"]).any():
-        return None
     table = table[np.isfinite(table["stance_angle"])]
+    if table.empty:
+        return None
     every_line = source.line_groups(table)
     lines = evenly(every_line, MAX_PANELS)
-    sketch = Sketch(330 if len(lines) == 1 else 230 * len(lines), len(lines), sharex=True)
+    sketch = Sketch("bifurcation", 330 if len(lines) == 1 else 230 * len(lines), len(lines), sharex=True)
     raster = len(table) > SHAPES
-    sketch.panels[-1].set_xlabel("slope γ (rad)")
     printed = []
     # A dot is one step of an attractor: only its walker and slope can be solved again, for the gaits there.
     tips = {"slope": "γ (rad)", "stance_angle": "θ* of one step (rad)", "period": "period"}
@@ -86,28 +80,27 @@ def _widen(axes: Axes, printed: pd.DataFrame) -> None:
     axes.set_xlim(min(left, values.min() - 0.22 * width), max(right, values.max() + 0.25 * width))
 
 
-def lyapunov(source: Source) -> Sketch | None:
+def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the largest Lyapunov exponent of orbits against slope and, where they fall, how long they walk."""
-    table, survival = (source.table(name, "slope", of) for name, of in _OF_ORBITS.items())
-    if table is None or not np.isfinite(table["exponent"]).any():
+    if not np.isfinite(table["exponent"]).any():
         return None
-    table = table[table["index"] == 0] if "index" in table else table
-    lives = survival is not None and np.isfinite(survival["lifetime"]).any()
-    sketch = Sketch(330 if lives else 230, 1 + lives, sharex=True)
+    table, survival = (
+        table[table["index"] == 0] if "index" in table else table,
+        source.table("survival", "slope", "lifetime"),
+    )
+    shown = [(table, "exponent")]
+    if survival is not None and np.isfinite(survival["lifetime"]).any():
+        shown.append((survival, "lifetime"))
+    sketch = Sketch("lyapunov", 330 if len(shown) > 1 else 230, len(shown), sharex=True)
     sketch.panels[0].axhline(0, color=MUTED, lw=0.9)
-    titles = ("largest Lyapunov exponent per step", "steps before a fall, on average")
     lines = [axis_values(at) or source.walker for at, _ in source.line_groups(table)]
-    for axes, title, frame, column in zip(sketch.panels, titles, (table, survival), _OF_ORBITS.values(), strict=False):
-        set_heading(axes, title)
+    for axes, (frame, column) in zip(sketch.panels, shown, strict=True):
         for k, (at, rows) in enumerate(source.line_groups(frame)):
             seen = thin(rows[np.isfinite(rows[column])], 400)
             axes.plot(seen["slope"], seen[column], ".", color=colour(k), ms=2.5)
             command, tips = source.line_command(rows), {"slope": "γ (rad)", column: spaced(column)}
             sketch.mark_gaits(axes, seen, lines[k], command, tips, y=column)
             sketch.pieces.append(rows[["slope", column]].assign(line=axis_values(at)))
-    if lives:
-        set_log(sketch.panels[1], "y")
-    sketch.panels[-1].set_xlabel("slope γ (rad)")
     sketch.line_keys(lines)
     chaotic = table[table["exponent"] > 0]["slope"]
     return sketch.finish(first=chaotic.min() if len(chaotic) else None, last=chaotic.max() if len(chaotic) else None)

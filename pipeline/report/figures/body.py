@@ -115,19 +115,19 @@ def _alike(bodies: Mapping[str, tuple[Body, dict[str, Any]]]) -> dict[str, tuple
     return {", ".join(names): bodies[names[0]] for names in looks.values()}
 
 
-def _sketch(bodies: Collection[str], of_few: float) -> Sketch:
+def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
     """A panel for each walker, with its name as the title; more than six stand in two rows.
 
     The height [pt] of a figure of one or two is given.
     """
     rows = 1 if len(bodies) <= _MAX_IN_ROW else 2
     across = -(-len(bodies) // rows)
-    sketch = Sketch(of_few if len(bodies) < 3 else 190 if rows == 1 else 370, rows, across)
+    sketch = Sketch(name, of_few if len(bodies) < 3 else 190 if rows == 1 else 370, rows, across)
     for axes in sketch.panels:
         axes.set_aspect("equal")
         axes.axis("off")
-    for axes, name in zip(sketch.panels, bodies, strict=False):
-        axes.set_title("\n".join(textwrap.wrap(name, 48 // across + 2, max_lines=3, placeholder="…")), pad=2)
+    for axes, walker in zip(sketch.panels, bodies, strict=False):
+        axes.set_title("\n".join(textwrap.wrap(walker, 48 // across + 2, max_lines=3, placeholder="…")), pad=2)
     return sketch
 
 
@@ -144,7 +144,7 @@ def walker(source: Source) -> Sketch | None:
     bodies = _alike(_bodies(source))
     if not bodies:
         return None
-    sketch, rows = _sketch(bodies, 270), []
+    sketch, rows = _sketch("walker", bodies, 270), []
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         _draw_walker(sketch, axes, name, body, table)
         rows += [{"walker": name, "parameter": key, "value": value} for key, value in table.items()]
@@ -203,7 +203,7 @@ def conditions(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    sketch, rows = _sketch(bodies, 290), []
+    sketch, rows = _sketch("conditions", bodies, 290), []
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         hip = complex(body.hip(0.0))
         knee, height = body.knee(hip, 0.0), body.height

@@ -26,11 +26,8 @@ from gaitsweep.pipeline.report.words import WORDS, axis_values, shorten, spaced,
 _UNBOUNDED = 1e12
 
 
-def locus(source: Source) -> Sketch | None:
+def locus(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot stance angle against slope along each branch, with special points; one panel per line."""
-    table = source.table("branches", "slope", "stance_angle")
-    if table is None:
-        return None
     special = source.tables.get("special_points", pd.DataFrame())
     every = source.line_groups(table)
     together = len(every) == 2 and all(set(at) == {"walker"} for at, _ in every)
@@ -38,7 +35,7 @@ def locus(source: Source) -> Sketch | None:
     count = 1 if together else len(chosen)
     across = min(count, 3)
     rows = -(-count // across)
-    sketch = Sketch(350 if count == 1 else 200 * rows + 60, rows, across, sharex=True, sharey=True)
+    sketch = Sketch("locus", 350 if count == 1 else 200 * rows + 60, rows, across, sharex=True, sharey=True)
     panels = sketch.panels
     for k, (at, frame) in enumerate(chosen):
         axes = panels[0 if together else k]

@@ -66,7 +66,7 @@ def angles(source: Source) -> Sketch | None:
     if not steps:
         return None
     several = len(steps) > 1
-    sketch = Sketch(270 * len(steps) if several else 310, 2 * len(steps), height_ratios=[5, 2] * len(steps))
+    sketch = Sketch("angles", 270 * len(steps) if several else 310, 2 * len(steps), height_ratios=[5, 2] * len(steps))
     for top, below, step in zip(sketch.panels[::2], sketch.panels[1::2], steps, strict=True):
         _draw_angles(sketch, top, step)
         set_heading(top, f"{shorten(step.label, 24)}: " * several + "angle from the ground normal (rad)")

@@ -41,11 +41,8 @@ _LABELLED = 0.2
 _MIN_CONTOURED = 6
 
 
-def design(source: Source) -> Sketch | None:
+def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Map smallest slope, largest stable slope and fastest stable speed over two keys, one row per walker."""
-    table = source.table("design", *MAPPED)
-    if table is None:
-        return None
     keys = [c for c in source.line_columns(table) if c != "walker" and table[c].nunique() > 1][:2]
     if len(keys) < 2:
         return None
@@ -53,7 +50,7 @@ def design(source: Source) -> Sketch | None:
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
     rows, names, more = choose_rows(every)
-    sketch = Sketch(100 + 150 * len(rows), len(rows), len(MAPPED), sharex=True, sharey=True)
+    sketch = Sketch("design", 100 + 150 * len(rows), len(rows), len(MAPPED), sharex=True, sharey=True)
     panels = sketch.grid
     pictures: dict[str, Any] = {}
     is_marked = False

@@ -21,8 +21,6 @@ from gaitsweep.pipeline.report.figures.style import (
     dash,
     draw_gait,
     end_labels,
-    set_heading,
-    set_log,
     thin,
     write_at,
 )
@@ -32,7 +30,7 @@ from gaitsweep.pipeline.report.words import plain, shorten
 
 def loglog(source: Source) -> Sketch | None:
     """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
-    if not (drawn := _draw_families(source, log=True)):
+    if not (drawn := _draw_families(source, "loglog")):
         return None
     sketch, lines, names = drawn
     (axes,) = sketch.panels
@@ -49,7 +47,7 @@ def loglog(source: Source) -> Sketch | None:
 
 def linear(source: Source) -> Sketch | None:
     """Plot stance angle against slope on linear axes."""
-    if not (drawn := _draw_families(source)):
+    if not (drawn := _draw_families(source, "linear")):
         return None
     sketch, lines, names = drawn
     (axes,) = sketch.panels
@@ -61,12 +59,10 @@ def linear(source: Source) -> Sketch | None:
     return _finish(sketch, names)
 
 
-def _draw_families(source: Source, log: bool = False) -> tuple[Sketch, list[Line], list[str]] | None:
+def _draw_families(source: Source, name: str) -> tuple[Sketch, list[Line], list[str]] | None:
     """Draw every gait of every line; the sketch, the lines and their names, or None without gaits."""
-    sketch, lines = Sketch(350), [line for line in source.lines if "stance_angle" in line.data]
+    sketch, lines = Sketch(name, 350), [line for line in source.lines if "stance_angle" in line.data]
     names, tips = _line_titles(source, lines), TIPS | {"spectral_radius": "max |λ|"}
-    if log:
-        set_log(sketch.panels[0], "xy")
     for k, line in enumerate(lines):
         curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
         for gait, curve in itertools.product(source.gaits, curves):
@@ -108,11 +104,8 @@ def label_lines(
 
 
 def _finish(sketch: Sketch, names: list[str], **sentences: Any) -> Sketch:
-    """Name the axes of the families, and say what is drawn."""
-    (axes,) = sketch.panels
+    """Say what is drawn."""
     data = pd.concat(sketch.pieces, ignore_index=True)
-    axes.set_xlabel("slope γ (rad)")
-    set_heading(axes, "stance angle θ* (rad)")
     sketch.gait_keys(data)
     if sentences.get("fitted"):
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
@@ -219,7 +212,7 @@ def residuals(source: Source) -> Sketch | None:
     """Plot the relative residuals of the fitted power laws, each over its fitted range."""
     if "stance_angle" not in source.grid:
         return None
-    sketch = Sketch(210)
+    sketch = Sketch("residuals", 210)
     (axes,) = sketch.panels
     names = _line_titles(source, source.lines)
     for k, line in enumerate(source.lines):
@@ -245,10 +238,7 @@ def residuals(source: Source) -> Sketch | None:
     if not sketch.pieces:
         return None
     data = pd.concat(sketch.pieces, ignore_index=True)
-    set_log(axes, "x")
     axes.axhline(0, color=MUTED, lw=0.7)
-    axes.set_xlabel("slope γ (rad)")
-    set_heading(axes, "relative residual of the stance angle (%)")
     sketch.gait_keys(data[["gait"]])
     sketch.line_keys(names)
-    return sketch.finish(data, 4, worst=100 * data["residual"].abs().max())
+    return sketch.finish(data, worst=100 * data["residual"].abs().max())

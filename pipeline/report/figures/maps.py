@@ -50,7 +50,8 @@ def heatmap(source: Source) -> Sketch | None:
     present = [gait for gait, maps in slices.items() if any(np.isfinite(part[variable]).any() for part in maps)]
     if not (gaits := present[:2]):
         return None
-    sketch = Sketch(260 if len(rows) == 1 else 60 + 150 * len(rows), len(rows), len(gaits), sharex=True, sharey=True)
+    height = 260 if len(rows) == 1 else 60 + 150 * len(rows)
+    sketch = Sketch("heatmap", height, len(rows), len(gaits), sharex=True, sharey=True)
     panels = sketch.grid
     values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
     low, high = np.nanmin(values), np.nanmax(values)
@@ -75,8 +76,6 @@ def heatmap(source: Source) -> Sketch | None:
             sketch.maps.append(Panel(axes, (along, down), x, y, start))
         panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
-    for axes in panels[-1]:
-        axes.set_xlabel(x_title)
     add_bar(picture, sketch.panels).set_label(quantity)
     return sketch.finish(
         quantity=spaced(variable),
@@ -136,11 +135,8 @@ def _column(table: pd.DataFrame, name: str) -> str:
     return titled(name, print_units(table.attrs.get("units", {}).get(name, "1")))
 
 
-def basin(source: Source) -> Sketch | None:
+def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Map the outcome of each initial condition over its first two coordinates, whole and around the gaits."""
-    table = source.table("basin", "outcome")
-    if table is None:
-        return None
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
     known = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1]
     plane = sorted(known, key=lambda name: name != "stance_angle")[:2]
@@ -155,7 +151,7 @@ def basin(source: Source) -> Sketch | None:
     inks = [next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks) for o in outcomes]
     walking = shown[~shown["outcome"].map(_is_fall)]
     window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
-    sketch = Sketch(330 if window else 380, 1, 1 + bool(window))
+    sketch = Sketch("basin", 330 if window else 380, 1, 1 + bool(window))
     panels = sketch.panels
     gaits, manifold = (_points(source, name, first, plane) for name in ("fixed_points", "stable_manifold"))
     for axes, width in zip(panels, (0.8, 1.6) if window else (1.6,), strict=True):
@@ -166,7 +162,6 @@ def basin(source: Source) -> Sketch | None:
             axes.plot(*place, marker, color=INK, mfc=fill, ms=6, mew=1, zorder=5)
         _draw_dots(axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width)
         axes.grid(False)
-        axes.set_xlabel(_column(table, plane[0]))
     start = _motion(source, shown)
     # With knees the rates are those before heelstrike, for which θ̇* does not stand.
     symbol = f" {SYMBOLS['stance_rate']}" if start and start["keys"]["knees"] else ""
@@ -188,7 +183,7 @@ def basin(source: Source) -> Sketch | None:
     sketch.maps = _cells(panels, shown, plane, start)
     return sketch.finish(
         table,
-        4,
+        x=_column(table, plane[0]),
         count=len(shown),
         plane=" and ".join(plane),
         outcomes=", ".join(outcomes),

@@ -131,7 +131,7 @@ def measured(source: Source) -> Sketch | None:
     names = [v for v in variables(source) if any(v in c for _, _, curves in _branch_lines(source) for c in curves)]
     if not names or "slope" not in table(source):
         return None
-    sketch = Sketch(60 + 250 * len(names), len(names), sharex=True)
+    sketch = Sketch("measured", 60 + 250 * len(names), len(names), sharex=True)
     lines, rows = _branch_lines(source), table(source)
     for axes, name in zip(sketch.panels, names, strict=True):
         for k, (label, _, curves) in enumerate(lines):
@@ -145,11 +145,10 @@ def measured(source: Source) -> Sketch | None:
         values = {"γ (rad)": rows["slope"], spaced(name): rows[name]}
         sketch.mark(axes, rows["slope"], rows[name], "measured", values)
         set_heading(axes, titled(name, source.units(name)))
-    sketch.panels[-1].set_xlabel("slope γ (rad)")
     data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
     sketch.gait_keys(data[["gait"]])
     sketch.line_keys([label for label, _, _ in lines])
     left = residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
     worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
-    return sketch.finish(data, 4, names=", ".join(names), count=len(rows), worst=worst)
+    return sketch.finish(data, names=", ".join(names), count=len(rows), worst=worst)

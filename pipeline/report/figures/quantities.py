@@ -9,14 +9,14 @@ import pandas as pd
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.families import draw_curve, label_lines
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import COLOURS, draw_guide, set_heading, set_log, thin
+from gaitsweep.pipeline.report.figures.style import COLOURS, draw_guide, thin
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import WORDS, spaced, with_unit
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One figure: its heading, variables read, abscissa, logarithmic axes, and words at values marked across it.
+    """One figure: its heading, variables read, abscissa, and words at values marked across it.
 
     What is drawn is the first variable; of losses, the share of all but the first. A quantity of another unit than 1 is
     named with the unit of its first variable.
@@ -25,7 +25,6 @@ class Quantity:
     heading: str
     reads: tuple[str, ...]
     abscissa: str = "slope"
-    log: str = "x"
     guides: Mapping[str, str] = field(default_factory=dict)
 
     def value(self, frame: pd.DataFrame) -> pd.Series:
@@ -50,9 +49,8 @@ def draw(name: str, source: Source) -> Sketch | None:
     lines = [line for line in source.lines if set(quantity.reads) <= set(line.data)]
     if not any(np.isfinite(line.data[quantity.reads[0]]).any() for line in lines):
         return None
-    sketch = Sketch(330)
+    sketch = Sketch(name, 330)
     (axes,) = sketch.panels
-    set_log(axes, quantity.log)
     tips = {column: spaced(column) for column in ("slope", quantity.abscissa, *quantity.reads)}
     for k, line in enumerate(lines):
         for frame in line.curves(*quantity.reads):
@@ -62,7 +60,6 @@ def draw(name: str, source: Source) -> Sketch | None:
                 draw_curve(sketch, curve, gait, line, k, line.label, tips, quantity.abscissa, "value")
     if not sketch.pieces:
         return None
-    _name_axes(sketch, source, quantity)
     data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
     sketch.gait_keys(data)
     if 1 < len(lines) <= len(COLOURS):
@@ -73,17 +70,9 @@ def draw(name: str, source: Source) -> Sketch | None:
     if quantity.abscissa == "slope" and len(quantity.reads) == 1:
         measured.draw(sketch, axes, source, quantity.reads[0])
     finite = data["value"][np.isfinite(data["value"])]
-    ends = {"low": finite.min(), "high": finite.max()}
-    data = data.rename(columns={"value": quantity.heading})
-    return sketch.finish(data, 4, names, heading=quantity.heading, count=len(names), **ends)
-
-
-def _name_axes(sketch: Sketch, source: Source, quantity: Quantity) -> None:
-    (axes,) = sketch.panels
-    if quantity.abscissa == "slope":
-        axes.set_xlabel("slope γ (rad)")
-        set_heading(axes, quantity.heading)
-        return
-    across, upward = (source.units(v) for v in (quantity.abscissa, quantity.reads[0]))
-    axes.set_xlabel(with_unit("speed v" if quantity.abscissa == "speed" else spaced(quantity.abscissa), across))
-    set_heading(axes, with_unit(quantity.heading, upward))
+    said = {"heading": quantity.heading, "count": len(names), "low": finite.min(), "high": finite.max()}
+    if quantity.abscissa != "slope":
+        across, upward = (source.units(v) for v in (quantity.abscissa, quantity.reads[0]))
+        speed = "speed v" if quantity.abscissa == "speed" else spaced(quantity.abscissa)
+        said |= {"x": with_unit(speed, across), "y": with_unit(quantity.heading, upward)}
+    return sketch.finish(data.rename(columns={"value": quantity.heading}), names, **said)

@@ -13,8 +13,6 @@ from gaitsweep.pipeline.report.figures.style import (
     MUTED,
     PAPER,
     colour,
-    set_heading,
-    set_log,
     write_at,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
@@ -26,15 +24,10 @@ FEIGENBAUM = 4.669201609102990
 _ABREAST = 1.5
 
 
-def census(source: Source) -> Sketch | None:
+def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketch:
     """Plot the gaits that a census found, and the bound on what it missed, against slope."""
-    table = source.table("census", "slope", "stance_angle", "anthropomorphic")
-    coverage = source.table("coverage", "slope", "unseen", "converged", "anthropomorphic")
-    if table is None or coverage is None:
-        return None
-    sketch = Sketch(430, 2, sharex=True, height_ratios=[5, 3])
+    sketch = Sketch("census", 430, 2, sharex=True, height_ratios=[5, 3])
     top, below = sketch.panels
-    set_log(top, "xy")
     every, reached = source.line_groups(table), coverage[coverage["converged"] > 0]
     tips = {"γ (rad)": "slope", "θ* (rad)": "stance_angle", "hits": "hits" if "hits" in table else "slope"}
     for k, (at, rows) in enumerate(every):
@@ -51,22 +44,16 @@ def census(source: Source) -> Sketch | None:
         below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, lw=1.1, marker=marker, ms=4)
         if k < len(MARKERS):
             sketch.key(shorten(name), ink, marker=marker, ms=5)
-    set_heading(top, "stance angle θ* of every gait found (rad)")
-    set_heading(below, "upper bound on guesses that lead to missed gaits (%)")
     below.set_ylim(bottom=0)
-    below.set_xlabel("slope γ (rad)")
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
     return sketch.finish(table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1)
 
 
-def cascade(source: Source) -> Sketch | None:
+def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the distances between successive flips of each family on a logarithmic axis, with Feigenbaum's line."""
-    table = source.table("cascade", "slope", "kind", "family")
-    if table is None:
-        return None
-    sketch = Sketch(330)
+    sketch = Sketch("cascade", 330)
     (axes,) = sketch.panels
     for at, rows in source.line_groups(table):
         for family, events in rows[rows["kind"] == "flip"].groupby("family", sort=False):
@@ -76,9 +63,9 @@ def cascade(source: Source) -> Sketch | None:
             distance, number, k = np.diff(slopes), np.arange(1, len(slopes)), len(sketch.pieces)
             name = ", ".join(filter(None, (axis_values(at), f"period {family}")))
             ink, marker = colour(k), MARKERS[k % 5]
-            axes.semilogy(number, np.abs(distance), marker, color=ink, ms=5, ls="-", lw=0.9)
+            axes.plot(number, np.abs(distance), marker, color=ink, ms=5, ls="-", lw=0.9)
             law = np.abs(distance[-1]) * FEIGENBAUM ** (number[-1] - number)
-            axes.semilogy(number, law, color=MUTED, lw=1, ls=DOTTED)
+            axes.plot(number, law, color=MUTED, lw=1, ls=DOTTED)
             sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
             values = {"flip (rad)": slopes[:-1], "next flip (rad)": slopes[1:], "distance (rad)": distance}
             command = source.line_command(rows)
@@ -87,10 +74,7 @@ def cascade(source: Source) -> Sketch | None:
             sketch.pieces.append(pd.DataFrame({**values, **named}))
     if not sketch.pieces:
         return None
-    set_log(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("number of the flip")
-    set_heading(axes, "slope interval to the next period doubling (rad)")
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
     limits = source.table("accumulation", "slope", "ratio")
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
@@ -98,12 +82,9 @@ def cascade(source: Source) -> Sketch | None:
     return sketch.finish(count=len(sketch.pieces), ratios=sentence)
 
 
-def curves(source: Source) -> Sketch | None:
+def curves(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot the curves of folds, flips or ends over the slope and the key that varies, with their turning points."""
-    table = source.table("curves", "slope", "key", "value", "curve")
-    if table is None:
-        return None
-    sketch = Sketch(330)
+    sketch = Sketch("curves", 330)
     (axes,) = sketch.panels
     table = table if "kind" in table else table.assign(kind="curve")
     kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
@@ -118,15 +99,12 @@ def curves(source: Source) -> Sketch | None:
             values = {"γ (rad)": curve["slope"], key: curve["value"]}
             sketch.mark(axes, curve["slope"], curve["value"], label, values, commands=commands)
     key, unit = str(table["key"].iloc[0]), print_units(table.attrs.get("units", {}).get("value", ""))
-    axes.set_xlabel("slope γ (rad)")
-    set_heading(axes, with_unit(symbol(key), unit))
     touches = _mark_touches(source, axes, key)
     for kind, ink in kinds.items():
         sketch.key(f"{spaced(kind)}s", ink, lw=1.5)
     named = " and ".join(f"{spaced(kind)}s" for kind in kinds).capitalize()
-    return sketch.finish(
-        table, 4, Kinds=named, kinds=", ".join(kinds), key=key, count=len(touches), touches="; ".join(touches)
-    )
+    words = {"Kinds": named, "kinds": ", ".join(kinds), "key": key, "value": with_unit(symbol(key), unit)}
+    return sketch.finish(table, count=len(touches), touches="; ".join(touches), **words)
 
 
 def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gaitsweep.pipeline.report.figures.style import COLOURS, INK, PRINTED, canvas, colour, dash
+from gaitsweep.pipeline.report.figures.style import COLOURS, INK, PRINTED, canvas, colour, dash, set_heading, set_log
 from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten, yes_or_no
 
 #: What a gait's columns are called under the pointer.
@@ -56,11 +56,13 @@ class Panel:
 class Sketch:
     """A figure of some height [pt] with a grid of panels.
 
-    Its words are those of its name in `words.toml`, or its own `texts`, filled in with the `values` given at the end.
+    Its `texts` are those of its name in `words.toml`, or of a figure of another package its own: title, caption and
+    the like, titles of axes and which of these are logarithmic. They are filled in with the `values` given at the end.
     `lines` names the groups of curves that the page highlights one at a time.
     """
 
-    def __init__(self, height: float, rows: int = 1, columns: int = 1, **grid: Any) -> None:
+    def __init__(self, name: str, height: float, rows: int = 1, columns: int = 1, **grid: Any) -> None:
+        self.texts: dict[str, Any] = WORDS["figures"].get(name, {})
         self.figure = canvas(height)
         self.grid: Any = self.figure.subplots(rows, columns, squeeze=False, **grid)
         self.panels: list[Axes] = list(self.grid.flat)
@@ -68,12 +70,12 @@ class Sketch:
         self.maps: list[Panel] = []
         self.keys: list[Any] = []
         self.last_key: dict[str, Any] = {}  # points that stand last in the legend, if there are any
-        self.columns = 3
         self.pieces: list[pd.DataFrame] = []
         self.data = pd.DataFrame()
         self.values: dict[str, Any] = {}
-        self.texts: dict[str, Any] = {}
         self.lines: list[str] = []
+        for axes, sides in zip(self.panels, self.texts.get("log", ()), strict=False):
+            set_log(axes, sides)
 
     def mark(self, axes: Axes, x: Any, y: Any, label: str, values: Mapping[str, Any], **more: Any) -> None:
         """Add points with the values that they show, and the other fields of `Marks`."""
@@ -112,17 +114,14 @@ class Sketch:
         """Add the marks of printed numbers to the legend."""
         self.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
 
-    def finish(
-        self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
-    ) -> "Sketch":
-        """Keep the figure's data and the values of its words; its legend has some columns.
+    def finish(self, data: pd.DataFrame | None = None, lines: Iterable[str] = (), **values: Any) -> "Sketch":
+        """Keep the figure's data and the values of its words, and write the titles of its axes.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
         not `every` line is `drawn`, some are `omitted`.
         """
         if self.last_key:
             self.dot_key(**self.last_key)
-        self.columns = columns
         self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
         known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
         if "slope" in self.data:
@@ -132,17 +131,22 @@ class Sketch:
         if "stable" in self.data:
             self.data = self.data.assign(stable=yes_or_no(self.data["stable"]))
         self.lines, self.values = list(lines), known | values
+        for axes, text in zip(self.panels, self.texts.get("y", ()), strict=False):
+            set_heading(axes, fill(text, self.values))
+        for axes in self.grid[-1] if "x" in self.texts else ():
+            axes.set_xlabel(fill(self.texts["x"], self.values))
         return self
 
     def draw_legend(self, told: set[str]) -> None:
         """Draw the legend, without what a page has told already; that of this figure is told from then on."""
         if keys := [key for key in self.keys if key.get_label() not in told]:
-            self.figure.legend(handles=keys, loc="outside upper left", ncols=self.columns)
+            self.figure.legend(handles=keys, loc="outside upper left", ncols=self.texts.get("keys", 3))
         told |= {*(str(key.get_label()) for key in keys), *map(shorten, self.lines)}
 
-    def words(self, name: str) -> tuple[str, str, str, str]:
-        """Title, caption, alt text and finding, of the figure's name."""
-        words, every = self.texts or WORDS["figures"][name], WORDS["figures"]["all"]
+    @property
+    def words(self) -> tuple[str, str, str, str]:
+        """Title, caption, alt text and finding."""
+        words, every = self.texts, WORDS["figures"]["all"]
         parts = ({**words.get(part, {}), **every.get(part, {})} for part in ("caption", "finding"))
         caption, finding = (sentences(part, self.values).strip() for part in parts)
         return fill(words["title"], self.values), caption, fill(words["alt"], self.values), finding

@@ -64,7 +64,7 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
-        *sketch.words(name),
+        *sketch.words,
         svg,
         width,
         height,
