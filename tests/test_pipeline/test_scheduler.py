@@ -360,6 +360,42 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
             study.listen.close(True)
 
 
+def test_a_half_that_is_being_made_is_not_made_again(tmp_path):
+    """Other chunks of its plane need it, too, which come after those of another plane."""
+    low, high = _box([0.1, 0.0], [0.4, 5.0], 128.0), _box([0.1, 5.0], [0.4, 10.0], 128.0)
+    halved = {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
+    (tmp_path / "a.toml").write_text(PLANE.format("a") + "g = [1.0, 2.0]\n")
+    with contextlib.closing(Store(tmp_path / "a")) as store:
+        jobs, taken = Jobs(Plan(parse.read(tmp_path / "a.toml"), store), Engine(2), lambda *_: None), []
+        while job := jobs.take():
+            taken.append(job[0])
+            jobs.peek()
+            if job[0].box is None:
+                answer = {"seconds": 1.0, "outcome": "ok", "reason": "", "data": serialize.dump(halved)}
+                jobs.record(job[0], answer)
+    made = [node.key.key for node in taken]
+    assert len(set(made)) == len(made) == 6 and {node.task for node in taken} == {"charts"}
+
+
+def test_lines_that_charts_leave_alone_are_expected_as_often_as_they_were_seen(tmp_path):
+    """Half of those of a plane count as seen, a usual share of them alone, and times are fitted to those of chunks."""
+    (tmp_path / "a.toml").write_text(PLANE.format("a"))
+    study = parse.read(tmp_path / "a.toml")
+    lines = progress._LinesAlone(study, 150)
+    usual = costs.seconds(study, "atlas") / costs.of_line_alone(study)
+    assert lines.expected(300) == round(300 * usual)
+    lines.add({"charted": 150, "alone": 60})
+    assert lines.expected(300) == round(60 + (150 * usual + 60) / 300 * 150)
+    # Of a run whose charts are stored only chunks tell.
+    stored = progress._LinesAlone(study, 150)
+    stored.add({"lines": 150, "alone": 60, "points": 2400, "seconds": 1.0})
+    assert stored.expected(300) == lines.expected(300) and stored.done == 60
+    for points, alone in ((1000, 0), (2000, 10), (3000, 60)):
+        lines.add({"lines": 60, "alone": alone, "points": points, "seconds": 2e-3 * points + 0.7 * alone})
+    assert lines.seconds("points") == pytest.approx(2e-3, rel=1e-2)
+    assert lines.seconds("atlas") == pytest.approx(0.7, rel=1e-2)
+
+
 @pytest.mark.parametrize("has_failed", ["plane", "half"])
 def test_charts_that_failed_are_tried_again_with_their_halves(tmp_path, has_failed):
     """Another worker looks for jobs while they are: what was stored of them then is none of their halves."""
