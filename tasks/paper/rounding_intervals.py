@@ -29,8 +29,7 @@ STEP = 1e-5
 class Landmark:
     """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's label, and which of several.
 
-    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6, `target` the
-    scalar's value there.
+    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6.
     """
 
     name: str
@@ -40,7 +39,6 @@ class Landmark:
     which: int = 0
     printed: Printed = NOT_PRINTED
     point: str = ""
-    target: float = 0.0
 
 
 #: Landmarks compared with numbers of the paper, and those of figure 6.
@@ -55,7 +53,7 @@ LANDMARKS = {
         Landmark("highest slope, kneed", "physical", "fold", which=1),
         Landmark("C flip", "C", "flip", "long", printed=PRINTED["K1"]),
         Landmark("C-printed flip", "C-printed", "flip", "long", printed=PRINTED["K1"]),
-        Landmark("C exponent 2/3", "C", "exponent", "long", printed=PRINTED["Z4"], target=2 / 3),
+        Landmark("C exponent 2/3", "C", "exponent_two_thirds", "long", printed=PRINTED["Z4"]),
         Landmark("C release, long", "C", "release_hyperextension", "long"),
         Landmark("C release, short", "C", "release_hyperextension", "short"),
     )
@@ -110,10 +108,10 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
         If the walker has no such point.
     """
     rows = [np.array(point["Z"]) for point in gaits.special_of(mark.kind)]
-    if mark.kind == "exponent":
+    if mark.kind == "exponent_two_thirds":
         for branch in gaits.branches:
             nodes = corrected(gaits.problem, branch)
-            passed = crossings(gaits.problem, branch, nodes, [mark.kind], mark.target)
+            passed = crossings(gaits.problem, branch, nodes, [mark.kind])
             rows += [point.Z[:, 0] for _, _, point in passed]
     if mark.label:
         rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
@@ -145,7 +143,7 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
     steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
     moved = [changed(mark.walker, base, k, h) for each in (steps, -steps) for k, h in zip(keys, each, strict=True)]
     lanes = Lanes([base, *moved])
-    _, derivative = joint_derivative(lanes, mark.kind, Z, steps, mark.target)
+    _, derivative = joint_derivative(lanes, mark.kind, Z, steps)
     return np.asarray(-np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :]))
 
 
