@@ -69,10 +69,10 @@ TASKS = {
         Task("census", "gaitsweep.tasks.count_gaits:census", 14),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
-        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 7, needs=("atlas",)),
+        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 8, needs=("atlas",)),
         Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)),
         Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 7, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 21, needs=("points", "atlas")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 22, needs=("points", "atlas")),
     )
 }
 

@@ -125,22 +125,20 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def _fold(at: Evaluation) -> np.ndarray:
-    return determinants(_at_slope(at))
+    """Determinant of the joint equations at a fixed slope."""
+    return determinants(at.derivative[:, :-1].transpose(2, 0, 1))
 
 
-def _at_slope(at: Evaluation) -> np.ndarray:
-    """Derivatives of the joint equations by all but ln slope, shape (n, m + k, m + k)."""
-    return at.derivative[:, :-1].transpose(2, 0, 1)
+def _stationary(at: Evaluation, by_Z: np.ndarray) -> np.ndarray:
+    """Determinant that vanishes where a quantity is stationary along the branch, by its derivatives (c, n)."""
+    return determinants(bordered_matrix(at.derivative, by_Z))
 
 
-def _exponent(at: Evaluation) -> np.ndarray:
-    """Local exponent d ln angle/d ln slope."""
-    return -np.linalg.solve(_at_slope(at), at.derivative[:, -1].T[..., None])[:, 0, 0]
-
-
-def _speed_maximum(at: Evaluation) -> np.ndarray:
-    """Determinant that vanishes where the speed is stationary along the branch."""
-    return determinants(bordered_matrix(at.derivative, log_froude_by_Z(at.Z, foot_radius(at.problem))))
+def _less_two_thirds(at: Evaluation) -> np.ndarray:
+    """Derivatives of ln angle - 2/3 ln slope by Z: where it is stationary the angle grows with that power of slope."""
+    by_Z = np.zeros_like(at.Z)
+    by_Z[0], by_Z[-1] = 1.0, -2 / 3
+    return by_Z
 
 
 #: The scalar that vanishes at a special point, by its kind.
@@ -153,13 +151,13 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "end_tangential_kneestrike": lambda at: _closing(at, 0),
     "foot_at_kneestrike": lambda at: _nearest(at.stride.one.knee[0] + at.stride.one.knee[1], at) / at.stride.y[0],
     "release_hyperextension": lambda at: _nearest(at.stride.one.start[4] - at.stride.one.start[5], at) / at.stride.y[0],
-    "fastest": _speed_maximum,
+    "fastest": lambda at: _stationary(at, log_froude_by_Z(at.Z, foot_radius(at.problem))),
+    "exponent_two_thirds": lambda at: _stationary(at, _less_two_thirds(at)),
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.q,
     "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
     "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": _log_speed,
-    "exponent": _exponent,
 }
 
 
@@ -174,7 +172,7 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     at : Evaluation
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
-        units for `speed`, of d ln angle/d ln slope for `exponent`.
+        units for `speed`.
 
     Returns
     -------
@@ -207,7 +205,7 @@ def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def joint_derivative(
-    problem: Lanes, kind: str, Z: np.ndarray, steps: np.ndarray, target: float = 0.0, h: float = _DIFFERENCE
+    problem: Lanes, kind: str, Z: np.ndarray, steps: np.ndarray, h: float = _DIFFERENCE
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the defining equations of one point and their derivative, with keys as further unknowns.
 
@@ -221,8 +219,6 @@ def joint_derivative(
     Z : ndarray, shape (c,)
     steps : ndarray, shape (i,)
         Changes of the keys.
-    target : float
-        As for `scalar`.
     h : float
         Step of the central differences by Z.
 
@@ -236,7 +232,7 @@ def joint_derivative(
     moved = np.hstack([np.zeros((c, 1)), h * np.eye(c), -h * np.eye(c), np.zeros((c, 2 * keys))])
     lanes = np.concatenate([np.zeros(1 + 2 * c, int), np.arange(1, 1 + 2 * keys)])
     at = evaluate(problem.some(lanes), Z[:, None] + moved)
-    values = np.vstack([at.residual, scalar(kind, at, target)])
+    values = np.vstack([at.residual, scalar(kind, at)])
     up, down = np.split(values[:, 1 + 2 * c :], 2, axis=1)
     row = (values[-1, 1 : 1 + c] - values[-1, 1 + c : 1 + 2 * c]) / (2 * h)
     return values[:, 0], np.hstack([np.vstack([at.derivative[..., 0], row]), (up - down) / (2 * steps)])

@@ -38,9 +38,9 @@ _LEAST_SHARE, _LEAST_APART = 0.5, 1e-10
 _SHARP = 1e-13
 
 
-def value_of(kind: str, target: float = 0.0) -> Callable[[Point], float]:
-    """Return the scalar of a kind of special point, less its target, as a test function."""
-    return lambda point: float(scalar(kind, point.at, target)[0])
+def value_of(kind: str) -> Callable[[Point], float]:
+    """Return the scalar of a kind of special point as a test function."""
+    return lambda point: float(scalar(kind, point.at)[0])
 
 
 def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:

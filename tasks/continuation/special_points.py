@@ -86,9 +86,7 @@ def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     return [point.at for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
-def crossings(
-    problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str], target: float = 0.0
-) -> Iterator[tuple[str, int, Point]]:
+def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
     """Yield what a branch passes between its nodes: kinds, segments and points of one lane.
 
     Parameters
@@ -99,11 +97,9 @@ def crossings(
         Its nodes.
     kinds : sequence of str
         Of SCALARS, and `branch_point`.
-    target : float
-        The scalars' value there.
     """
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes.at, target), value_of(kind, target)) for kind in kinds if kind in SCALARS
+        kind: (scalar(kind, nodes.at), value_of(kind)) for kind in kinds if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
@@ -113,11 +109,7 @@ def crossings(
     crossed: list[tuple[str, int, Procedure[Point]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
-        if kind != "release_hyperextension":
-            # The derivative has a pole where a strike turns tangential: that sign change is no root.
-            # At a flip of half the steps branches touch.
-            for i in (0, -1):
-                crosses[i] &= not branch.why[i].startswith(("end_tangential", "branch_point"))
+        crosses[[0, -1]] &= np.array(branch.why) != kind  # nodes beside an end may lie on either side of it by rounding
         crossed += [
             (kind, int(i), locate_root(branch, int(i), test))
             for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]

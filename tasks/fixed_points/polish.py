@@ -9,7 +9,14 @@ import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
 from gaitsweep.tasks.fixed_points.newton import curvature, newton_step, relative_sizes
-from gaitsweep.tasks.fixed_points.rounding import apply_newton_step, characteristic_scale, rounding, rounding_std
+from gaitsweep.tasks.fixed_points.rounding import (
+    characteristic_scale,
+    reported,
+    reported_sizes,
+    rounding,
+    rounding_std,
+    sensitivity,
+)
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
@@ -164,16 +171,16 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     )
     # The states at the impacts are corrected to the fixed point, as the times are.
     stride.move_impacts()
-    gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
-    y, times, state = gait.y, gait.times.copy(), gait.state
+    y, times = stride.y + stride.newton, stride.newton_times.copy()
+    state, values, by_unknowns = reported(problem, y, times, problem.parameters(slope, scale))
     # How far the values move if the unknowns move by 1, each in its unit.
-    moves = matvec(np.abs(gait.by_unknowns), joint_sizes(y, problem.phases))
-    error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
-    bound = (error / gait.size).max(axis=0) + 2 * EPS
+    moves = matvec(np.abs(by_unknowns), joint_sizes(y, problem.phases))
+    error = sensitivity(stride, values, by_unknowns) * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
+    bound = (error / reported_sizes(values)).max(axis=0) + 2 * EPS
     doubles = bound.copy()
     near = eta < 1e-4
     converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & near
-    amplification = (moves / gait.size).max(axis=0)
+    amplification = (moves / reported_sizes(values)).max(axis=0)
     # Where doubles do not show that Newton converges, the shrinking of its steps in more digits does.
     enough = 0.9 * accuracy or extended_precision.ESCALATE
     # Where Newton's steps in doubles are not trusted it begins again.
@@ -183,12 +190,9 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     unsure = np.flatnonzero(~(converged & (bound <= enough)))
     for lane in unsure.tolist():
         near_it = y[:, lane], times[:, lane], slope[lane], scale[lane]
-        wide = extended_precision.refine(
-            problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
+        y[:, lane], times[:, lane], stride.one.impact[..., lane], state[:, lane], bound[lane] = (
+            extended_precision.refine(problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy)
         )
-        y[:, lane], times[:, lane], state[:, lane] = wide.y, wide.times, wide.state
-        stride.one.impact[..., lane] = wide.impact
-        bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     if len(unsure):
         # What describes the step and its derivative is taken at the better gait.

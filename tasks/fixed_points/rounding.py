@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
@@ -12,64 +10,46 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import matvec
 
 
-@dataclass
-class NewtonStep:
-    """Gaits of n lanes after a Newton step, in scaled angles and rates and times in sqrt(leg/g).
-
-    Attributes
-    ----------
-    y : ndarray, shape (m, n)
-        Section coordinates.
-    times : ndarray, shape (k, n)
-        Event times.
-    state : ndarray, shape (angles, n)
-        Just after heelstrike.
-    values : ndarray, shape (o, n)
-        The gait's angle, rates and period.
-    size : ndarray, shape (o, n)
-        Scales of their errors; for rates the largest of them, which alone cannot vanish.
-    by_unknowns : ndarray, shape (o, m + k, n)
-        Derivatives of the values by y and the event times.
-    sensitivity : ndarray, shape (o, n)
-        How far relative errors of 1 of the image and of the legs' angles at the strikes would move the values.
-    """
-
-    y: np.ndarray
-    times: np.ndarray
-    state: np.ndarray
-    values: np.ndarray
-    size: np.ndarray
-    by_unknowns: np.ndarray
-    sensitivity: np.ndarray
-
-
-def apply_newton_step(problem: Problem, stride: AnyStride, parameters: np.ndarray) -> NewtonStep:
-    """Apply the Newton step of P(y) = y.
+def reported(
+    problem: Problem, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is reported of gaits: the angle and the rates with which they start, and the period.
 
     Parameters
     ----------
-    problem : Problem
-        The walker.
-    stride : Stride
-        The step whose Newton step is taken.
+    y : ndarray, shape (m, n)
+        Section coordinates.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Event times.
     parameters : ndarray, shape (n_parameters, n)
-        Those it was evaluated with.
 
     Returns
     -------
-    NewtonStep
+    state : ndarray, shape (angles, n)
+        Just after heelstrike.
+    values : ndarray, shape (o, n)
+        Angle, rates and period.
+    by_unknowns : ndarray, shape (o, m + k, n)
+        Their derivatives by y and the event times.
     """
-    y = stride.y + stride.newton
-    times = stride.newton_times
     width = problem.map.start_size
-    start, reported = problem.map.start(y, parameters), [0, *range(width // 2, width)]
+    start, rows = problem.map.start(y, parameters), [0, *range(width // 2, width)]
     state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
-    values = np.vstack([state[reported], times[-1:]])
+    values = np.vstack([state[rows], times[-1:]])
     by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
-    by_unknowns[:-1, : by_y.shape[1]], by_unknowns[-1, -1] = by_y[reported], 1.0
-    size = np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
-    moved = matvec(np.abs(stride.inverse), residual_sizes(y, len(times)))
-    return NewtonStep(y, times, state, values, size, by_unknowns, size + matvec(np.abs(by_unknowns), moved))
+    by_unknowns[:-1, : by_y.shape[1]], by_unknowns[-1, -1] = by_y[rows], 1.0
+    return state, values, by_unknowns
+
+
+def reported_sizes(values: np.ndarray) -> np.ndarray:
+    """Scales (o, n) of the errors of what is reported: for rates the largest of them, which alone cannot vanish."""
+    return np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
+
+
+def sensitivity(stride: AnyStride, values: np.ndarray, by_unknowns: np.ndarray) -> np.ndarray:
+    """How far relative errors of 1 of image and legs' angles at the strikes move what is reported, (o, n)."""
+    residual = residual_sizes(stride.y + stride.newton, len(stride.newton_times))
+    return reported_sizes(values) + matvec(np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual))
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -142,17 +122,18 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
     m, slope, variances = problem.m, np.exp(log_slope), []
     for neighbour in range(near):
         angle = np.exp(w[0] + _NEIGHBOUR * neighbour)
-        scale = np.exp2(np.floor(np.log2(angle)))
-        y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / scale)
+        power = np.exp2(np.floor(np.log2(angle)))
+        y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / power)
         values = []
         for unit in UNITS:
-            parameters = problem.parameters(slope, scale * unit)
+            parameters = problem.parameters(slope, power * unit)
             stride = problem.map(y / unit, w[m:], parameters)
-            gait = apply_newton_step(problem, stride, parameters)
-            values.append(np.vstack([gait.values[:-1] * unit, gait.values[-1:], characteristic(stride.jacobian)]))
+            _, gait, by_unknowns = reported(problem, stride.y + stride.newton, stride.newton_times, parameters)
+            values.append(np.vstack([gait[:-1] * unit, gait[-1:], characteristic(stride.jacobian)]))
         # The sensitivity is the same in all units but for rounding: the last serves.
-        sensitivity = np.vstack([gait.sensitivity[:-1] * unit, gait.sensitivity[-1:], characteristic_scale(stride)])
-        variances.append(np.var(values, axis=0, ddof=1) / sensitivity**2)
+        by_image = sensitivity(stride, gait, by_unknowns)
+        scale = np.vstack([by_image[:-1] * unit, by_image[-1:], characteristic_scale(stride)])
+        variances.append(np.var(values, axis=0, ddof=1) / scale**2)
     known = np.isfinite(variances)
     return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))
 

@@ -30,8 +30,7 @@ STEP = 1e-5
 class Landmark:
     """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's label, and which of several.
 
-    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6, `target` the
-    scalar's value there.
+    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6.
     """
 
     name: str
@@ -41,7 +40,6 @@ class Landmark:
     which: int = 0
     printed: Printed = NOT_PRINTED
     point: str = ""
-    target: float = 0.0
 
 
 _PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
@@ -104,10 +102,10 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
         If the walker has no such point.
     """
     rows = [np.array(point["Z"]) for point in gaits.special_of(mark.kind)]
-    if mark.kind == "exponent":
+    if mark.kind == "exponent_two_thirds":
         for branch in gaits.branches:
             nodes = corrected(gaits.problem, branch)
-            passed = crossings(gaits.problem, branch, nodes, [mark.kind], mark.target)
+            passed = crossings(gaits.problem, branch, nodes, [mark.kind])
             rows += [point.Z[:, 0] for _, _, point in passed]
     if mark.label:
         rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
@@ -139,7 +137,7 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
     steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
     moved = [changed(mark.walker, base, k, h) for each in (steps, -steps) for k, h in zip(keys, each, strict=True)]
     lanes = Lanes([base, *moved])
-    _, derivative = joint_derivative(lanes, mark.kind, Z, steps, mark.target)
+    _, derivative = joint_derivative(lanes, mark.kind, Z, steps)
     return np.asarray(-np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :]))
 
 

@@ -7,7 +7,6 @@ gait. There the residual is evaluated in long double or in 128 bits; Newton keep
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import Any
 
 import heyoka as hy
@@ -23,6 +22,9 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 #: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
+#: Of a gait its scaled section coordinates (m,), event times (k,) [sqrt(leg/g)], rates just before heelstrike (2,) or
+#: (2, s) and state just after (angles,), and how accurate they are: relative size of the last Newton step, or a bound.
+Wide = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
 #: Newton steps, with one derivative each of at most half the size of the one before, and derivatives by differences in
@@ -156,34 +158,6 @@ def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
     return _ExtendedStepMap(structure, *TIERS[tier])
 
 
-@dataclass
-class ExtendedGait:
-    """One gait solved in a wider number, in scaled angles and rates and times in sqrt(leg/g).
-
-    Attributes
-    ----------
-    y : ndarray, shape (m,)
-        Section coordinates.
-    times : ndarray, shape (k,)
-        Kneestrike, for knees, and heelstrike.
-    impact : ndarray, shape (2,)
-        Rates just before heelstrike.
-    state : ndarray, shape (angles,)
-        Just after heelstrike.
-    last_step : float
-        Relative size of the last Newton step.
-    bound : float
-        Of the relative error, rounding to doubles included; infinite where it was not estimated.
-    """
-
-    y: np.ndarray
-    times: np.ndarray
-    impact: np.ndarray
-    state: np.ndarray
-    last_step: float
-    bound: float = np.inf
-
-
 def solved(
     problem: Problem,
     lane: int,
@@ -193,7 +167,7 @@ def solved(
     slope: float,
     scale: float,
     tier: int,
-) -> ExtendedGait:
+) -> Wide:
     """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
     Parameters
@@ -215,8 +189,8 @@ def solved(
 
     Returns
     -------
-    ExtendedGait
-        In the tier's number; `last_step` is infinite where Newton's steps do not shrink.
+    Wide
+        In the tier's number; the last step is infinite where Newton's steps do not shrink.
     """
     exact = _extended_step_map(problem.structure, tier)
     parameters = exact.parameters(problem.walker_of(lane), slope, scale)
@@ -247,7 +221,7 @@ def solved(
         before = size
         if size < EPS / 64:
             break
-    return ExtendedGait(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
+    return wide, wide_times, impact, exact.start(wide, parameters), min(before, size)
 
 
 def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
@@ -284,7 +258,7 @@ def refine(
     bound: float,
     amplification: float,
     accuracy: float = 0.0,
-) -> ExtendedGait:
+) -> Wide:
     """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
 
     Parameters
@@ -300,27 +274,17 @@ def refine(
 
     Returns
     -------
-    ExtendedGait
-        Rounded to doubles.
+    Wide
+        Rounded to doubles, with a bound of the relative error that counts that.
     """
-
-    def at(tier: int) -> tuple[ExtendedGait, float]:
-        gait = solved(problem, lane, stride, y, times, slope, scale, tier)
-        return gait, 2 * gait.last_step * max(1.0, amplification) + rounding(tier)
 
     def rounding(tier: int) -> float:
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
-    if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0):
-        gait, error = at(0)
-        suffices = error <= accuracy if accuracy else np.isfinite(gait.last_step)
-    else:
-        suffices = False
-    if not suffices:
-        gait, error = at(1)
-
-    def rounded(values: np.ndarray) -> np.ndarray:
-        return np.vectorize(float)(values)
-
-    y, times, impact, state = (rounded(each) for each in (gait.y, gait.times, gait.impact, gait.state))
-    return ExtendedGait(y, times, impact, state, gait.last_step, error)
+    for tier in (0, 1) if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else (1,):
+        *gait, last_step = solved(problem, lane, stride, y, times, slope, scale, tier)
+        error = 2 * last_step * max(1.0, amplification) + rounding(tier)
+        if error <= accuracy if accuracy else np.isfinite(last_step):
+            break
+    y, times, impact, state = (np.vectorize(float)(each) for each in gait)
+    return y, times, impact, state, error

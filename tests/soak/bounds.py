@@ -7,7 +7,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.fixed_points.polish import Guesses, settle
-from gaitsweep.tasks.fixed_points.rounding import apply_newton_step
+from gaitsweep.tasks.fixed_points.rounding import reported, reported_sizes, sensitivity
 from gaitsweep.tasks.measures.gaits import describe
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import Problem
@@ -123,17 +123,19 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
     at, slope = settle(problem, guesses), guesses.slope
     product = describe(problem, problem.walker, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []
-    corrected = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
-    condition = np.maximum(1.0, (corrected.sensitivity / corrected.size).max(axis=0) - 1.0)
+    near = at.stride.y + at.stride.newton, at.stride.newton_times
+    _, values, by_unknowns = reported(problem, *near, problem.parameters(slope, at.scale))
+    by_image = sensitivity(at.stride, values, by_unknowns) / reported_sizes(values)
+    condition = np.maximum(1.0, by_image.max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
         start = problem, lane, at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
-        exact = extended_precision.solved(*start, min(tier, 1))
-        if not np.isfinite(exact.last_step):
-            exact = extended_precision.solved(*start, 1)
-        state, half = convert(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
-        period = convert(exact.times[-1:], np.longdouble) * time_unit
+        _, times, _, start_of_step, last_step = extended_precision.solved(*start, min(tier, 1))
+        if not np.isfinite(last_step):
+            _, times, _, start_of_step, last_step = extended_precision.solved(*start, 1)
+        state, half = convert(start_of_step, np.longdouble) * at.scale[lane], len(start_of_step) // 2
+        period = convert(times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit
         reference = {
             "stance_angle": state[0],
@@ -148,7 +150,7 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
             for k, x in reference.items()
         )
         # Without a reference no bound is shown to hold.
-        error = error if np.isfinite(exact.last_step) else np.inf
+        error = error if np.isfinite(last_step) else np.inf
         rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
     return rows
 

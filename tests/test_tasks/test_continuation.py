@@ -16,7 +16,7 @@ from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
-from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.continuation.special_points import corrected, crossings, special_points
 from gaitsweep.tasks.continuation.tracking import correct, follow
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
@@ -162,6 +162,16 @@ def test_a_pole_of_the_derivative_is_no_flip():
     (branch,) = [b for b in survey(problem) if "end_tangential_heelstrike" in b.why]
     ends = tuple("end of the window" if why == "end_tangential_heelstrike" else why for why in branch.why)
     assert not pick(special_points(problem, replace(branch, why=ends)), "flip")
+
+
+def test_a_pole_of_the_local_exponent_is_no_root():
+    """At folds, where the slope turns, it changes sign through infinity: two of the machine's were taken for roots."""
+    for walker, count in (("physical", 3), ("physical-straight", 2)):
+        problem, found = branches(walker)
+        points = [p for b in found for *_, p in crossings(problem, b, corrected(problem, b), ["exponent_two_thirds"])]
+        assert len(points) == count
+        for point in points:
+            assert point.direction[0, 0] / point.direction[-1, 0] == pytest.approx(2 / 3, abs=1e-10)
 
 
 def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
