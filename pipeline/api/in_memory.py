@@ -15,7 +15,6 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
-from gaitsweep.pipeline.graph.results import points_of
 from gaitsweep.pipeline.grid.method import Method, method_of
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory
@@ -236,7 +235,8 @@ def _result(graph: Graph, node: Node) -> Any:
         inputs.append(_result(graph, made))
     try:
         function, params = dispatch.resolve(graph.function(node)), graph.params(node)
-        result = points_of(function, params, inputs)[0] if node.chunk else function(params, inputs)
+        result = function(params, inputs)
+        result = Points.of_task(result, params) if node.chunk else result
     except Exception as error:
         reason = f"It raised {described(error)}."
         raise _RaisedError(reason if node.chunk else of_atlas(reason)) from error

@@ -127,24 +127,18 @@ class PointWriter:
         with chunks.Chunks(draft) as out:
             for chunk, key in self._chunks():
                 start = tuple(span.start for span in chunk.box)
-                for name, g, packed in self._pieces(chunk, key):
+                data, payload = self._record(chunk, key)
+                with self.plan.store.reading():
+                    head, view = Head(data), memoryview(payload)
+                    reasons = self.sentences.renumbered(head.unpack(view, "reason"))
+                for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
+                    if name == "reason":
+                        piece = pack_values(chunk.shape.unfold(reasons[:, column]), self.chunk)
+                    else:
+                        piece = head.piece(view, name, column) or self._same(name, chunk.shape.sizes)
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
-                    out.write(name, corner, packed.data)
-                    self.sums[name] += layout.chunk_checksum(packed.checksum, corner)
-
-    def _pieces(self, chunk: Chunk, key: str) -> Iterator[tuple[str, int, Packed]]:
-        """Pieces of a chunk: name, number of the gait in the archive, and packed values."""
-        data, payload = self._record(chunk, key)
-        with self.plan.store.reading():
-            head, view = Head(data), memoryview(payload)
-            reasons = self.sentences.renumbered(head.unpack(view, "reason"))
-            for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
-                if name == "reason":
-                    values = chunk.shape.unfold(np.ascontiguousarray(reasons[:, column]))
-                    yield name, g, pack_values(np.ascontiguousarray(values), self.chunk)
-                else:
-                    piece = head.piece(view, name, column)
-                    yield name, g, piece or self._same(name, chunk.shape.sizes)
+                    out.write(name, corner, piece.data)
+                    self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""

@@ -6,7 +6,6 @@ Started as `python -m pipeline.engine.worker_main PARENT CONNECTION` by `pipelin
 from __future__ import annotations
 
 import ctypes
-import functools
 import os
 import resource
 import signal
@@ -56,10 +55,10 @@ def serve(parent: int, number: int) -> None:
         line = repr(params.get("line"))
         if "line" in params and request.packing and line not in warm:
             # The time to load compiled code does not count for the first point.
-            _try(function, {**params, "slope": params["slope"][:0]}, inputs)
+            _answer(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
         connection.send(("started", _pages(1)))
-        outcome, result = _try(functools.partial(_packed, function, request.packing), params, inputs)
+        outcome, result = _answer(function, params, inputs, request.packing)
         before, used = used, (time.process_time(), _integrating())
         connection.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
 
@@ -82,28 +81,24 @@ def _pages(field: int) -> int:
         return int(file.read().split()[field]) * resource.getpagesize()
 
 
-def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[str, Any]:
+def _answer(
+    function: Callable[..., Any], params: dict[str, Any], inputs: list[Any], packing: Packing | None = None
+) -> tuple[str, Any]:
+    """How a task ended, and its result; of a chunk head and payload of its record, and the atlases of its lines."""
+    from gaitsweep.pipeline import serialize
+
     try:
-        return "ok", function(params, inputs)
+        returned = function(params, inputs)
+        if packing is None:
+            return "ok", [serialize.dump(returned)]
+        from gaitsweep.pipeline.store.record import Points, pack
+
+        atlases = [atlas for atlas, _ in returned] if params.get("atlases") else []
+        return "ok", [*pack(Points.of_task(returned, params), packing), *map(serialize.dump, atlases)]
     except MemoryError:
         return "out_of_memory", ""
     except BaseException as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
         return "raised", described(error)
-
-
-def _packed(
-    function: Callable[..., Any], packing: Packing | None, params: dict[str, Any], inputs: list[Any]
-) -> list[bytes]:
-    """Result of a task; of a chunk head and payload of the record of its points, and the atlases of its lines."""
-    from gaitsweep.pipeline import serialize
-
-    if packing is None:
-        return [serialize.dump(function(params, inputs))]
-    from gaitsweep.pipeline.graph.results import points_of
-    from gaitsweep.pipeline.store.record import pack
-
-    points, atlases = points_of(function, params, inputs)
-    return [*pack(points, packing), *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]
 
 
 if __name__ == "__main__":

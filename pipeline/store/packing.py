@@ -43,30 +43,22 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
     first = data[: values.itemsize]
     if first * values.size == data:  # as where there is no gait
         return _pack_constant(first, values.dtype.str, values.shape, extent)
-    return Packed(pack(_padded(values, extent)), zlib.crc32(data))
+    return Packed(pack(values, extent), zlib.crc32(data))
 
 
 @functools.lru_cache(256)
 def _pack_constant(value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]) -> Packed:
     values = np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype)
-    return Packed(pack(_padded(values, extent)), zlib.crc32(values.tobytes()))
+    return Packed(pack(values, extent), zlib.crc32(values.tobytes()))
 
 
-def _padded(values: np.ndarray, extent: tuple[int, ...]) -> np.ndarray:
-    if values.shape == extent:
-        return np.ascontiguousarray(values)
-    padded = np.zeros(extent, values.dtype)
-    padded[tuple(map(slice, values.shape))] = values
-    return padded
-
-
-def pack(values: np.ndarray) -> bytes:
-    """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk.
+def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
+    """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk, whose values zeros make whole.
 
     Parameters
     ----------
     values : ndarray
-        Values of the chunk, contiguous.
+    extent : tuple of int
 
     Returns
     -------
@@ -76,7 +68,9 @@ def pack(values: np.ndarray) -> bytes:
     -----
     The stream follows RFC 1950 (zlib) and RFC 1951 (deflate).
     """
-    data, size = values.reshape(-1).view(np.uint8), values.itemsize
+    whole, size = np.zeros(extent, values.dtype), values.itemsize
+    whole[tuple(map(slice, values.shape))] = values
+    data = whole.reshape(-1).view(np.uint8)
     data = np.concatenate([data, np.frombuffer(struct.pack("<I", fletcher32(data)), np.uint8)])
     n = len(data) // size
     planes = np.ascontiguousarray(data[: n * size].reshape(n, size).T)

@@ -18,7 +18,7 @@ import numpy as np
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
-from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS
+from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, FOUND
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 
@@ -56,24 +56,30 @@ class Points:
         return len(self.values["status"])
 
     @classmethod
-    def of_result(cls, result: Mapping[str, Any], want: Iterable[str], points: int) -> "Points":
-        """What a task returns for points: each variable of its own type.
+    def of_task(cls, returned: Any, params: Mapping[str, Any]) -> "Points":
+        """What a task with these parameters returns for a chunk of a line, or of lines side by side with their atlases.
 
         Raises
         ------
         ValueError
-            If a variable has not the shape of the points.
+            If there is not a result for each line, or a variable has not the shape of its points.
         """
-        names = [name for name in want if name not in ("status", "reason")]
-        values = {name: np.asarray(result[name], VARIABLES[name].dtype) for name in ("status", *names)}
-        for name, array in values.items():
-            if array.shape[:2] != values["status"].shape or len(array) != points:
-                raise ValueError(f"`{name}` has shape {array.shape} for {points} points")
-        sentences = [str(sentence) for sentence in result["reasons"]] or [""]
-        reason = np.asarray(result["reason"])
-        occurs = np.flatnonzero(np.bincount(reason.ravel(), minlength=len(sentences))).tolist()
-        numbers = np.array([sentence_number(sentence) for sentence in sentences], _REASON)
-        return cls({**values, "reason": numbers[reason]}, {int(numbers[k]): sentences[k] for k in occurs})
+        results = [result for _, result in returned] if "lines" in params else [returned]
+        slopes, parts = len(params["slope"]), list[Points]()
+        if len(results) != len(params.get("lines", results)):
+            raise ValueError(f"{len(results)} results are returned of {len(params['lines'])} lines")
+        for result in results:
+            names = ("status", *(name for name in params["want"] if name not in ("status", "reason")))
+            values = {name: np.asarray(result[name], VARIABLES[name].dtype) for name in names}
+            for name, array in values.items():
+                if array.shape[:2] != values["status"].shape or len(array) != slopes:
+                    raise ValueError(f"`{name}` has shape {array.shape} for {slopes} points")
+            sentences = [str(sentence) for sentence in result["reasons"]] or [""]
+            reason = np.asarray(result["reason"])
+            occurs = np.flatnonzero(np.bincount(reason.ravel(), minlength=len(sentences))).tolist()
+            numbers = np.array([sentence_number(sentence) for sentence in sentences], _REASON)
+            parts.append(cls({**values, "reason": numbers[reason]}, {int(numbers[k]): sentences[k] for k in occurs}))
+        return joined(parts)
 
     @classmethod
     def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> "Points":
@@ -120,24 +126,6 @@ def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarra
     return whole
 
 
-def _without_absent(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Values without the last gaits that no point has; `status` and `reason` are of all gaits."""
-    of_all = {name: array for name, array in values.items() if name in ("status", "reason")}
-    others = {name: array for name, array in values.items() if name not in of_all}
-
-    def is_absent(g: int) -> bool:
-        return all(
-            np.array_equal(a[:, g], np.full_like(a[:, g], VARIABLES[name].absent), equal_nan=a.dtype.kind == "f")
-            for name, a in others.items()
-            if g < a.shape[1]
-        )
-
-    gaits = max((array.shape[1] for array in others.values()), default=0)
-    while gaits and is_absent(gaits - 1):
-        gaits -= 1
-    return {name: array if name in of_all else array[:, :gaits] for name, array in values.items()}
-
-
 @dataclass(frozen=True)
 class Packing:
     """How the points of a chunk are packed.
@@ -161,22 +149,27 @@ class Packing:
 
 
 def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
-    """Pack the points of a chunk, as head and payload."""
+    """Pack the points of a chunk, as head and payload, without the last gaits that no point has.
+
+    `status` and `reason` are of all gaits.
+    """
     shape, multipliers = packing.shape, packing.multipliers
-    pieces, values = [], _without_absent(points.values)
-    for name, array in values.items():
+    status, reason = points.values["status"], points.values["reason"]
+    gaits = 1 + int(np.flatnonzero(np.isin(status, FOUND).any(axis=0)).max(initial=-1))
+    pieces, columns = list[Packed](), dict[str, int]()
+    for name, array in points.values.items():
         extent = _extent(name, shape, multipliers)
+        columns[name] = array.shape[1] if name in ("status", "reason") else min(gaits, array.shape[1])
         whole = _widened(name, array, (array.shape[1], multipliers)) if has_multipliers(name) else array
-        pieces += [pack_values(shape.unfold(whole[:, g]), extent) for g in range(array.shape[1])]
-    status, reason = values["status"], values["reason"]
+        pieces += [pack_values(shape.unfold(whole[:, g]), extent) for g in range(columns[name])]
     rows, numbers = count_rows(status), sorted(points.sentences)
     head = {
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
         "gaits": list(packing.gaits),
         "lines": np.empty((0, 2), np.uint64) if packing.lines is None else packing.lines,
-        "names": list(values),
-        "columns": np.array([array.shape[1] for array in values.values()]),
+        "names": list(columns),
+        "columns": np.array(list(columns.values())),
         "sizes": np.array([len(piece.data) for piece in pieces]),
         "checksums": np.array([piece.checksum for piece in pieces]),
         "rows": np.array(list(rows)),

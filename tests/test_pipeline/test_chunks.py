@@ -60,7 +60,7 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
 
 def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     path = _file(tmp_path / "v.nc", SMOOTH, (1, 9000))
-    data = bytearray(packing.pack(SMOOTH[:1].copy()))
+    data = bytearray(packing.pack(SMOOTH[:1], SMOOTH[:1].shape))
     data[len(data) // 2] ^= 1
     with chunks.Chunks(path) as out:
         out.write("v", (0, 0), bytes(data))

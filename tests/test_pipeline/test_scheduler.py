@@ -227,7 +227,7 @@ def _divided(monkeypatch, n, trouble):
             return "raised", "trouble"
         status = np.zeros((2 * len(numbers), 4), np.int8)
         result = {"status": status, "reason": status, "reasons": [""], "period": np.ones(status.shape)}
-        points = Points.of_result(result, ["period"], len(status))
+        points = Points.of_task(result, {"want": ["period"], "slope": status})
         return "ok", [*pack(points, request.packing), *(b"%d" % number for number in numbers)]
 
     monkeypatch.setattr(worker_process, "_ask", ask)

@@ -310,7 +310,8 @@ def points(lines, slopes, gaits=2, seed=0):
         "multiplier_real": np.where(status[..., None] == 0, dice.random((n, 4, 3)), np.nan),
         "branch": np.where(status == 0, 2, -1).astype(np.int16),
     }
-    return Points.of_result(result, ("stance_angle", "multiplier_real", "branch", "status"), n), result
+    want = ("stance_angle", "multiplier_real", "branch", "status")
+    return Points.of_task(result, {"want": want, "slope": np.empty(n)}), result
 
 
 SHAPES = {
@@ -387,7 +388,15 @@ def test_joined_points_have_the_record_of_points_computed_together():
 def test_a_result_of_another_shape_is_refused(wrong):
     _, result = points(1, 4)
     with pytest.raises(ValueError, match="has shape"):
-        Points.of_result({**result, **wrong}, tuple(wrong), 4)
+        Points.of_task({**result, **wrong}, {"want": tuple(wrong), "slope": np.empty(4)})
+
+
+def test_a_result_is_refused_that_is_not_of_each_line():
+    own, result = points(1, 4)
+    params = {"want": ("stance_angle",), "slope": np.empty(4), "lines": [{}, {}]}
+    assert len(Points.of_task([({}, result)] * 2, params)) == 2 * len(own)
+    with pytest.raises(ValueError, match="1 results are returned of 2 lines"):
+        Points.of_task([({}, result)], params)
 
 
 def test_sentences_have_numbers_of_their_own():
