@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, Found, claim, found, verdict
 from gaitsweep.tasks.paper.kneed_chaos import chaos
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
@@ -176,7 +176,7 @@ def figure10_cells(paper: Paper) -> Arrays:
 
 
 @claim("Z6")
-def whole_table(paper: Paper) -> ClaimResult:
+def whole_table(paper: Paper) -> Found:
     """Compare every cell of figure 10 with the computed exponents."""
     cells = [cell for cell in _cells(paper) if not np.isnan(cell["deviation"])]
     strict, loose = (sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10))
@@ -184,11 +184,5 @@ def whole_table(paper: Paper) -> ClaimResult:
     rows = {row["walker"]: row for row in _figure10(paper)}
     # A semicolon ends a part of a claim's answer.
     unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
-    return ClaimResult(
-        f"{strict} of {len(cells)} cells agree to within {TOLERANCE:g} in the exponent of the angle and "
-        f"{10 * TOLERANCE:g} in that of the power, {loose} to within ten times as much (larger slopes: {LARGE:g}); "
-        f"largest deviation: {worst['walker']} {worst['column']} at {worst['slopes']} slopes: {worst['computed']}; "
-        f"chaos in walkers that the paper did not check: {unchecked}",
-        verdict(strict == len(cells), loose == len(cells)),
-        float(strict),
-    )
+    holds, total = verdict(strict == len(cells), loose == len(cells)), len(cells)
+    return found(holds, strict, strict=strict, total=total, loose=loose, worst=worst, unchecked=unchecked)
