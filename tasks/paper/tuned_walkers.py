@@ -8,7 +8,6 @@ import numpy as np
 
 from gaitsweep.tasks.paper.claim import Found, claim, found, verdict
 from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Line, Paper, coarse_lines, memoize
-from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import from_table
 from gaitsweep.tasks.walkers.statics import is_tuned, statics
@@ -106,8 +105,11 @@ def _short_end(gaits: Line) -> dict[str, Any]:
 
 
 @memoize
-def _offsets(paper: Paper) -> list[dict[str, Any]]:
-    """Rows of the smallest slope [rad] against fore-aft offsets from exact tuning [m]."""
+def offsets(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of the smallest slope against fore-aft offsets from exact tuning.
+
+    Each has walker, key, key_value and offset [m], smallest_slope [rad].
+    """
     surveyed = coarse_lines([(name, {key: value}) for name, key, value in OFFSETS])
     return [
         {
@@ -121,21 +123,10 @@ def _offsets(paper: Paper) -> list[dict[str, Any]]:
     ]
 
 
-def offsets(paper: Paper) -> Arrays:
-    """Tabulate the smallest slope against fore-aft offsets from exact tuning.
-
-    Returns
-    -------
-    dict
-        Table `offsets`: walker, key, key_value and offset [m], smallest_slope [rad].
-    """
-    return table("offsets", _offsets(paper))
-
-
 @claim("T7")
 def not_generic(paper: Paper) -> Found:
     """Compute the smallest slope for offsets on both sides of exact tuning."""
-    rows = _offsets(paper)
+    rows = offsets(paper)
     least = {f"{row['walker']} ({row['key']} {1e3 * row['offset']:+.3f} mm)": row["smallest_slope"] for row in rows}
     thigh = [row for row in rows if (row["walker"], row["key"]) == ("A", "w_t")]
     offset, slope = (np.array([row[name] for row in thigh]) for name in ("offset", "smallest_slope"))
