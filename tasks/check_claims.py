@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,12 @@ from gaitsweep.tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResul
 from gaitsweep.tasks.paper.lines import Paper, paper_of
 from gaitsweep.tasks.tables import Arrays, table
 
-#: Tables that go with a claim.
-_TABLES = {
-    "P1": (published_tables.rounding,),
-    "T1": (published_tables.figure9,),
-    "Z6": (published_tables.figure10, published_tables.figure10_cells),
-    "T7": (tuned_walkers.offsets,),
+#: Rows of the tables that go with a claim, by the tables' names.
+_TABLES: dict[str, dict[str, Callable[[Paper], list[dict[str, Any]]]]] = {
+    "P1": {"rounding": published_tables.rounding},
+    "T1": {"figure9": published_tables.figure9},
+    "Z6": {"figure10": published_tables.figure10, "figure10_cells": published_tables.figure10_cells},
+    "T7": {"offsets": tuned_walkers.offsets},
 }
 
 
@@ -28,7 +28,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `ids`, names of claims; `lines` of the study; `tables`, whether the tables that go with claims are wanted too.
+        `ids`, names of claims; `lines` of the study.
     inputs : list
         One dict a line, with its atlas and the tables of the study's own task; what a claim needs beyond them is
         computed in place.
@@ -46,15 +46,12 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ValueError
         If there is no such claim.
     """
-    unknown = [name for name in params["ids"] if name not in CLAIMS]
-    if unknown:
-        raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
     paper = paper_of(params["lines"], inputs)
-    wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
-    out = table("claims", [_row(claim, backed(claim.id, _check(claim, paper))) for claim in wanted])
-    for claim in wanted if params.get("tables", True) else ():
-        for make in _TABLES.get(claim.id, ()):
-            out |= make(paper)
+    rows = _rows(params["ids"], paper)
+    out = table("claims", rows)
+    for row in rows:
+        for group, tabulate in _TABLES.get(row["id"], {}).items():
+            out |= table(group, tabulate(paper))
     return out
 
 
@@ -76,10 +73,17 @@ def check(params: Mapping[str, Any]) -> list[dict[str, Any]]:
     ValueError
         If there is no such claim.
     """
-    found = claims({"lines": [], "ids": list(params["ids"]) or list(CLAIMS), "tables": False}, [])
-    rows = zip(*(column.tolist() for column in found.values()), strict=True)
-    names = [name.removeprefix("claims/") for name in found]
-    return [{k: None if v != v else v for k, v in zip(names, row, strict=True)} for row in rows]
+    rows = _rows(params["ids"] or CLAIMS, paper_of([], []))
+    return [{name: None if value != value else value for name, value in row.items()} for row in rows]
+
+
+def _rows(ids: Iterable[str], paper: Paper) -> list[dict[str, Any]]:
+    """Rows of some claims, by family and number."""
+    unknown = [name for name in ids if name not in CLAIMS]
+    if unknown:
+        raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
+    wanted = sorted((CLAIMS[name] for name in ids), key=lambda c: (c.id[0], int(c.id[1:])))
+    return [_row(claim, backed(claim.id, _check(claim, paper))) for claim in wanted]
 
 
 def _check(claim: Claim, paper: Paper) -> ClaimResult:
@@ -98,12 +102,12 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
         "quotation": claim.quotation,
         "source": claim.source,
         "computed": result.computed,
-        "value": float(result.value),
-        "printed_value": claim.number.number,
-        "printed_half_unit": claim.number.half_unit,
+        "value": result.value,
+        "printed_value": float(claim.number.number),
+        "printed_half_unit": float(claim.number.half_unit),
         "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
-        "interval_low": float(result.low),
-        "interval_high": float(result.high),
+        "interval_low": result.low,
+        "interval_high": result.high,
         "verdict": result.verdict,
         "figure": claim.figure,
         "command": f"gaitsweep claims {claim.id}",

@@ -14,7 +14,7 @@ from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
-from gaitsweep.tasks.tables import Arrays, table
+from gaitsweep.tasks.tables import Arrays, stacked, table
 from gaitsweep.tasks.walkers.resolve import resolve
 
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
@@ -72,7 +72,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    rows: list[tuple[Any, ...]] = []
+    parts: list[list[np.ndarray]] = []
     cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float):
         y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
@@ -81,32 +81,23 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])[:, struck]
         w, hits, converged = _solve(problem, guesses, float(slope))
         w, hits, tried, added = _deflate(problem, guesses, w, hits, float(slope))
-        counts = {"anthropomorphic": 0, "non_anthropomorphic": 0, "not_steps": 0}
+        walks = anthropomorphic = np.zeros(0, bool)
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
-            radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
-            stance_rate = (
-                problem.start(np.multiply(*problem.section(w)), np.full(w.shape[1], slope))[1] / walker.time_unit
+            walks, anthropomorphic = verdict.step, verdict.anthropomorphic
+            section = np.multiply(*problem.section(w))
+            columns = (
+                np.full(len(walks), slope),
+                np.where(gait_ratio(at) < 0.5, "long", "short"),
+                anthropomorphic.astype(int),
+                verdict.leg_passes.astype(int),
+                np.exp(w[0]),
+                problem.start(section, np.full(len(walks), slope))[1] / walker.time_unit,
+                w[-1] * walker.time_unit,
+                np.abs(multipliers(at.jacobian, problem.m)).max(axis=1),
+                hits,
             )
-            anthropomorphic = verdict.anthropomorphic
-            counts = {
-                "anthropomorphic": int(anthropomorphic.sum()),
-                "non_anthropomorphic": int((verdict.step & ~anthropomorphic).sum()),
-                "not_steps": int((~verdict.step).sum()),
-            }
-            for i in np.nonzero(verdict.step)[0]:
-                values = (
-                    slope,
-                    "long" if gait_ratio(at)[i] < 0.5 else "short",
-                    int(anthropomorphic[i]),
-                    int(verdict.leg_passes[i]),
-                    np.exp(w[0, i]),
-                    stance_rate[i],
-                    w[-1, i] * walker.time_unit,
-                    radius[i],
-                    int(hits[i]),
-                )
-                rows.append(values)
+            parts.append([column[walks] for column in columns])
         once = int((hits == 1).sum())
         cover.append(
             {
@@ -114,15 +105,17 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 "starts": y.shape[1],
                 "struck": int(struck.sum()),
                 "converged": converged,
-                "gaits": w.shape[1] - counts["not_steps"],
-                **counts,
+                "gaits": int(walks.sum()),
+                "anthropomorphic": int(anthropomorphic.sum()),
+                "non_anthropomorphic": int((walks & ~anthropomorphic).sum()),
+                "not_steps": int((~walks).sum()),
                 "found_once": once,
                 "unseen": max(once, 1) / max(converged, 1),
                 "deflated": tried,
                 "found_deflated": added,
             }
         )
-    return table("census", rows, _GAIT_COLUMNS) | table("coverage", cover)
+    return stacked("census", parts, _GAIT_COLUMNS) | table("coverage", cover)
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:

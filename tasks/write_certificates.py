@@ -115,13 +115,12 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
         If it is not proved.
     """
     keys, kneed = exact(params["walker"])
-    is_flip = params["kind"] == "flip"
-    parameter, prove = (tubes.BY_SLOPE, crossings.flip) if is_flip else (tubes.BY_ANGLE, crossings.fold)
+    parameter, function = crossings.KINDS[params["kind"]]
     start = _start(params["walker"], params["gait"], float(params["slope"]))
-    interval = prove(tubes.Family(keys, kneed, parameter), start, params["half"])
+    interval = crossings.bracketed(tubes.Family(keys, kneed, parameter), start, params["half"], function)
     what = (
         "a multiplier of the gait passes -1"
-        if is_flip
+        if params["kind"] == "flip"
         else "the branch of gaits turns back: the slope as a function of the stance angle has an extremum"
     )
     tube = interval.tube

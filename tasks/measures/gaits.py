@@ -232,17 +232,11 @@ def _of_all_steps(
 ) -> Arrays:
     """What gaits have of the variables of their steps, as the registry's `over_steps` says, shape (n,)."""
     s, n, single = problem.steps, len(slope), problem.of_steps(1)
-    if s == 1:
-        steps = Steps(
-            problem, walker, at.stride.singles, at.y * at.scale, at.state * at.scale, at.times, at.scale, slope
-        )
-        return steps.measure(want, limits)
-    y, durations = side_by_side(at.y, s), side_by_side(np.diff(at.times, axis=0, prepend=0), s)
-    scale, slopes = np.tile([at.scale, slope], s)
+    y, (scale, slopes) = side_by_side(at.y, s), np.tile([at.scale, slope], s)
     state = problem.step.start(y, single.parameters(slopes, scale))[: problem.step.start_size]
     state[:, :n] = at.state
-    after = np.roll(np.arange(s * n), -n)
-    times = np.cumsum(durations, axis=0)
+    after, ends = np.roll(np.arange(s * n), -n), at.times.reshape(s, -1, n)[:, -1]
+    times = side_by_side(at.times, s) - np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
     steps = Steps(single, walker, at.stride.singles, y * scale, state * scale, times, scale, slopes, after)
     measured = {name: values.reshape(s, n) for name, values in steps.measure(want, limits).items()}
     if "unlocking_torque_time" in measured:  # of the step with the worst torque, after those before it
@@ -295,8 +289,8 @@ class Steps:
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
     scale : ndarray, shape (n,)
     slope : ndarray, shape (n,) [rad]
-    after : ndarray of int, shape (n,), optional
-        The step after each: by default a step repeats.
+    after : ndarray of int, shape (n,)
+        The step after each: of gaits of one step, itself.
     """
 
     problem: Problem
@@ -307,7 +301,7 @@ class Steps:
     times: np.ndarray
     scale: np.ndarray
     slope: np.ndarray
-    after: np.ndarray | None = None
+    after: np.ndarray
 
     def measure(self, want: Sequence[str], limits: Mapping[str, float] | None = None) -> Arrays:
         """Variables of the single steps.
@@ -326,7 +320,7 @@ class Steps:
         """
         walker, stride, scale = self.walker, self.stride, self.scale
         time_unit = walker.time_unit
-        angle, end = self.y[0], self.y[0] if self.after is None else self.y[0][self.after]
+        angle, end = self.y[0], self.y[0][self.after]
         rates = self.state[self.problem.map.start_size // 2 :] / time_unit
         ratio = gait_ratio(stride)
         measured = {
@@ -373,9 +367,8 @@ class Steps:
         return self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
 
     def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
-        before = self._fine.one.impact * self.scale
-        if self.after is not None:  # a step begins with the heelstrike that ends the one before it
-            before = before[:, np.argsort(self.after)]
+        # A step begins with the heelstrike that ends the one before it.
+        before = (self._fine.one.impact * self.scale)[:, np.argsort(self.after)]
         return violations.measure(self.walker, self.motion(), before, self.times, self.slope, limits)
 
 

@@ -1,13 +1,19 @@
-"""A claim of the paper and the result of checking it; the list of all claims."""
+"""A claim of the paper and the result of checking it; the list of all claims.
+
+A claim's function finds numbers; the sentence that tells of them is in `claims.toml`.
+"""
 
 from __future__ import annotations
 
 import math
+import string
 import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, SupportsFloat
+
+import numpy as np
 
 from gaitsweep.tasks.paper.lines import Paper
 
@@ -92,8 +98,36 @@ class Claim:
     number: Printed = NOT_PRINTED
 
 
+class _Sentences(string.Formatter):
+    """Sentences with numbers: a list is formatted value by value, a mapping likewise, each value behind its name."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Format a value."""
+        if isinstance(value, Mapping):
+            return ", ".join(f"{name} {self.format_field(one, format_spec)}" for name, one in value.items())
+        if isinstance(value, list | tuple | np.ndarray):
+            return ", ".join(self.format_field(one, format_spec) for one in value)
+        return format(value, format_spec)
+
+
+class Found(NamedTuple):
+    """What a claim's function finds: the result without its words, and the numbers of these by name."""
+
+    result: ClaimResult
+    numbers: Mapping[str, Any]
+
+
+def found(
+    verdict: str, value: SupportsFloat = math.nan, low: float = math.nan, high: float = math.nan, /, **numbers: Any
+) -> Found:
+    """A claim's verdict, its own number with its interval, which its sentence knows too, and others that it names."""
+    return Found(ClaimResult("", verdict, float(value), low, high), numbers)
+
+
 #: What the paper says, by claim.
 TEXTS = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
+#: What is said of the numbers found, by claim.
+_SAID = {id: text.pop("computed") for id, text in TEXTS.items()}
 #: The numbers that the paper prints, by claim, and one that a claim has beside its own by the name that it has there.
 PRINTED = {id: Printed(*text.pop("number", ())) for id, text in TEXTS.items()}
 PRINTED |= {name: Printed(*pair) for text in TEXTS.values() for name, pair in text.pop("numbers", {}).items()}
@@ -101,7 +135,7 @@ PRINTED |= {name: Printed(*pair) for text in TEXTS.values() for name, pair in te
 CLAIMS: dict[str, Claim] = {}
 
 
-def claim(id: str) -> Callable[[Callable[[Paper], ClaimResult]], Callable[[Paper], ClaimResult]]:
+def claim(id: str) -> Callable[[Callable[[Paper], Found]], Callable[[Paper], Found]]:
     """Enter a function as the computation behind a claim.
 
     Raises
@@ -110,15 +144,20 @@ def claim(id: str) -> Callable[[Callable[[Paper], ClaimResult]], Callable[[Paper
         If the claim is entered twice.
     """
 
-    def enter(find: Callable[[Paper], ClaimResult]) -> Callable[[Paper], ClaimResult]:
+    def enter(compute: Callable[[Paper], Found]) -> Callable[[Paper], Found]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
+
+        def find(paper: Paper) -> ClaimResult:
+            result, numbers = compute(paper)
+            return replace(result, computed=_Sentences().vformat(_SAID[id], (), {**vars(result), **numbers}))
+
         CLAIMS[id] = Claim(id, find=find, number=PRINTED[id], **TEXTS[id])
-        return find
+        return compute
 
     return enter
 
 
-def verdict(holds: bool, nearly: bool = False) -> str:
+def verdict(holds: bool | np.bool, nearly: bool | np.bool = False) -> str:
     """Give the verdict `reproduced` where a claim holds, `approximate` where it nearly does."""
     return REPRODUCED if holds else APPROXIMATE if nearly else NOT_REPRODUCED

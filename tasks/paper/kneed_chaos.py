@@ -14,8 +14,8 @@ from gaitsweep.tasks.count_gaits import census
 from gaitsweep.tasks.follow_curves import curve
 from gaitsweep.tasks.iterate_orbits import orbit
 from gaitsweep.tasks.locate_cascade import cascade
-from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper, coarse_lines, memoize, numbers
+from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, REPRODUCED, Found, claim, found, verdict
+from gaitsweep.tasks.paper.lines import WALKERS, Arrays, Paper, coarse_lines, memoize
 from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, changed, interval
 from gaitsweep.tasks.registry import LOSS_WINDOWS
 from gaitsweep.tasks.tables import table
@@ -100,33 +100,24 @@ def exponent(paper: Paper, walker: str, slopes: np.ndarray, starts: int) -> tupl
 
 
 @claim("D8")
-def doublings_to_chaos(paper: Paper) -> ClaimResult:
+def doublings_to_chaos(paper: Paper) -> Found:
     """Follow the period doublings of D from period one to chaos and the loss of walking."""
-    at, limit = _flips(paper, "D", "1"), _doublings(paper, "D", "1", "accumulation")
-    low, high = crisis(paper, "D", "1")
+    at, end = _flips(paper, "D", "1"), crisis(paper, "D", "1")
     value, error, _ = exponent(paper, "D", np.array([0.0189]), 64)
-    chaotic = value > 4 * error
-    begins = PRINTED["D2"].compare(at[0]) == REPRODUCED
-    last = 0.5 * (low + high)
-    return ClaimResult(
-        f"period doublings at slopes {', '.join(f'{s:.10f}' for s in at)}; the ratios of their intervals tend to "
-        f"{limit['ratio'][0]:.4f}; accumulation at {limit['slope'][0]:.10f} "
-        f"({limit['low'][0]:.10f}-{limit['high'][0]:.10f}); Lyapunov exponent at slope 0.0189: {value:.4f} "
-        f"(standard error {error:.4f}) per step; walking is lost between {low:.6f} and {high:.6f}",
-        PRINTED["D8"].compare(last) if chaotic and begins else NOT_REPRODUCED,
-        last,
-    )
+    begins, last = PRINTED["D2"].compare(at[0]) == REPRODUCED, 0.5 * sum(end)
+    holds = PRINTED["D8"].compare(last) if value > 4 * error and begins else NOT_REPRODUCED
+    limit = _doublings(paper, "D", "1", "accumulation")
+    return found(holds, last, at=at, limit=limit, exponent=value, error=error, end=end)
 
 
 @claim("D9")
-def period_three(paper: Paper) -> ClaimResult:
+def period_three(paper: Paper) -> Found:
     """Follow the period-three family of D from its fold through its doublings to the end of its chaos."""
     events, limit = _doublings(paper, "D", "3"), _doublings(paper, "D", "3", "accumulation")
-    fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips(paper, "D", "3")
-    low, high = crisis(paper, "D", "3")
-    middle = 0.5 * (fold + float(at[0]))
-    chaos_1 = (_doublings(paper, "D", "1", "accumulation")["slope"][0], crisis(paper, "D", "1")[0])
+    fold, at, end = events["slope"][events["kind"] == "fold"][0], _flips(paper, "D", "3"), crisis(paper, "D", "3")
+    chaos_1 = _doublings(paper, "D", "1", "accumulation")["slope"][0], crisis(paper, "D", "1")[0]
     coexists = at[0] < _flips(paper, "D", "1")[0]
+    separate = limit["slope"][0] < end[1] < chaos_1[0] < chaos_1[1]
     four, four_at = _doublings(paper, "D", "4"), _flips(paper, "D", "4")
     more = (
         f"; likewise a period-four gait (Li & Yang 2012), from its fold at "
@@ -134,36 +125,20 @@ def period_three(paper: Paper) -> ClaimResult:
         if len(four_at)
         else ""
     )
-    separate = limit["slope"][0] < high < chaos_1[0] < chaos_1[1]
-    return ClaimResult(
-        f"stable from its fold at slope {fold:.10f} to its flip at {at[0]:.10f} (the middle of that range, "
-        f"{middle:.7f}, is compared with the printed slope), where the period-one gait is stable too; further "
-        f"doublings at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at {limit['slope'][0]:.9f}; its chaos "
-        f"ends between {low:.6f} and {high:.6f}; chaos of the period-one family from {chaos_1[0]:.7f} to "
-        f"{chaos_1[1]:.5f}{more}",
-        verdict(fold < PRINTED["D9"].number < at[0] and coexists and separate and len(at) > 2),
-        middle,
-    )
+    holds = verdict(fold < PRINTED["D9"].number < at[0] and coexists and separate and len(at) > 2)
+    told = {"fold": fold, "at": at, "further": at[1:], "limit": limit, "end": end, "chaos_1": chaos_1, "more": more}
+    return found(holds, 0.5 * (fold + at[0]), **told)
 
 
 @claim("K1")
-def kneed_doublings(paper: Paper) -> ClaimResult:
+def kneed_doublings(paper: Paper) -> Found:
     """Follow the period doublings of C, exactly tuned and as printed."""
     exact, printed = interval(paper, "C flip"), interval(paper, "C-printed flip")
-    at = {w: _doublings(paper, w, "1", "accumulation") for w in ("C", "C-printed")}
-    cascades = [
-        f"{w} at {', '.join(f'{s:.8f}' for s in _flips(paper, w, '1'))}, accumulating at {a['slope'][0]:.9f} "
-        f"(last ratio of intervals {a['ratio'][0]:.4f})"
-        for w, a in at.items()
-    ]
-    continues = all(a["flips"][0] >= 3 for a in at.values())
-    return ClaimResult(
-        f"period doublings of {'; '.join(cascades)}; rounding of the printed parameters allows "
-        f"{printed.low:.4f}-{printed.high:.4f} for the first with the offsets as printed, "
-        f"{exact.low:.4f}-{exact.high:.4f} exactly tuned",
-        PRINTED["K1"].compare(*printed.bounds) if continues else NOT_REPRODUCED,
-        *printed.bounds,
-    )
+    at = {w: _flips(paper, w, "1") for w in ("C", "C-printed")}
+    limit = {w: _doublings(paper, w, "1", "accumulation") for w in at}
+    continues = all(each["flips"][0] >= 3 for each in limit.values())
+    holds = PRINTED["K1"].compare(*printed.bounds) if continues else NOT_REPRODUCED
+    return found(holds, *printed.bounds, at=at, limit=limit, exact=exact, printed=printed)
 
 
 def corner_crises(paper: Paper, walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -203,39 +178,26 @@ def _compute_corners(paper: Paper, walker: str) -> Arrays:
 
 
 @claim("K2")
-def kneed_end(paper: Paper) -> ClaimResult:
+def kneed_end(paper: Paper) -> Found:
     """Bracket the slope at which C's persistent walking ends."""
     ends = {w: crisis(paper, w, "1") for w in ("C", "C-printed")}
     (low, _), (_, high) = corner_crises(paper, "C-printed")
-    loss = float(np.mean(ends["C-printed"]))
-    brackets = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
-    return ClaimResult(
-        f"chaotic walking ends in falls: {brackets}; rounding of the printed offsets and lengths allows "
-        f"{low:.4f}-{high:.4f}",
-        PRINTED["K2"].compare(loss, low, high),
-        loss,
-        low,
-        high,
-    )
+    loss = 0.5 * sum(ends["C-printed"])
+    return found(PRINTED["K2"].compare(loss, low, high), loss, low, high, ends=ends)
 
 
 @claim("K3")
-def unstable_beyond(paper: Paper) -> ClaimResult:
+def unstable_beyond(paper: Paper) -> Found:
     """Follow both gaits of C beyond the loss of walking."""
     loss = crisis(paper, "C", "1")[1]
     curves = paper.line("C").curves
-    top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in curves}
-    least = min(float(c["spectral_radius"][c["slope"] > loss].min()) for c in curves)
-    return ClaimResult(
-        f"both gaits of C continue beyond the loss of walking, up to slopes {numbers(top, 5)}, with a spectral "
-        f"radius of at least {least:.3f}",
-        verdict(min(top.values()) > loss and least > 1),
-        min(top.values()),
-    )
+    top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): c["slope"].max() for c in curves}
+    least = min(c["spectral_radius"][c["slope"] > loss].min() for c in curves)
+    return found(verdict(min(top.values()) > loss and least > 1), min(top.values()), top=top, least=least)
 
 
 @claim("T6")
-def re_pairing(paper: Paper) -> ClaimResult:
+def re_pairing(paper: Paper) -> Found:
     """Locate the detuning at which the branches of C touch, a turning point of its curve of folds."""
 
     def compute_curve() -> Arrays:
@@ -245,46 +207,37 @@ def re_pairing(paper: Paper) -> ClaimResult:
     turns = paper.table("turnings", "C", compute_curve, detuning=1.0)
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]
     if not len(touch):
-        return ClaimResult("the curve of folds has no turning point in the detuning", NOT_REPRODUCED)
-    value, slope, angle, bound = (
-        float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
-    )
-    beside = (value - 0.004, value + 0.004)
+        raise ValueError("the curve of folds has no turning point in the detuning")
+    at = {name: values[touch[0]] for name, values in turns.items()}
+    beside = (at["value"] - 0.004, at["value"] + 0.004)
     near = [
-        [fold["slope"] for fold in gaits.special_of("fold")[::-1] if abs(np.log(fold["slope"] / slope)) < _BESIDE]
-        for gaits in coarse_lines([("C", {"detuning": detuning}) for detuning in beside])
+        [fold["slope"] for fold in gaits.special_of("fold")[::-1] if abs(np.log(fold["slope"] / at["slope"])) < _BESIDE]
+        for gaits in coarse_lines([("C", {"detuning": float(detuning)}) for detuning in beside])
     ]
     neighbours = "; ".join(
         f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in folds) or 'no slope'}"
         for d, folds in zip(beside, near, strict=True)
     )
-    return ClaimResult(
-        f"branches touch at detuning {value:.9f} and slope {slope:.9f} (stance angle {angle:.6f}, relative error of "
-        f"the slope {bound:.0e}); {neighbours}",
-        verdict(sorted(map(len, near)) == [0, 2]),
-        value,
-    )
+    return found(verdict(sorted(map(len, near)) == [0, 2]), at["value"], **{**at, "neighbours": neighbours})
 
 
 @claim("G1")
-def never_more(paper: Paper) -> ClaimResult:
+def never_more(paper: Paper) -> Found:
     """Count the anthropomorphic period-one gaits that searches over the whole section find."""
     slopes = np.array([1e-3, 0.01, 0.03, 0.1])
     each = {w: {"line": {"walker": w, "set": {}}, "slope": slopes} for w in WALKERS}
     coverage = {w: paper.table("coverage", w, functools.partial(census, each[w], [])) for w in WALKERS}
-    most = max(int(c["anthropomorphic"].max()) for c in coverage.values())
-    starts = sum(int(c["starts"].sum()) for c in coverage.values())
-    searches = sum(len(c["slope"]) for c in coverage.values())
-    unseen = max(float(c["unseen"][c["converged"] > 0].max()) for c in coverage.values() if (c["converged"] > 0).any())
-    deflated = sum(int(c["found_deflated"].sum()) for c in coverage.values())
-    others = {w: int(c["non_anthropomorphic"].sum()) for w, c in coverage.items() if c["non_anthropomorphic"].any()}
-    return ClaimResult(
-        f"at most {most} from {starts} initial guesses over {searches} combinations of walker and "
-        f"slope; at most {100 * unseen:.1f} % of converging guesses may lead to unseen gaits; deflation found "
-        f"{deflated} more, which are counted; gaits whose legs pass more than once are counted "
-        f"separately: {numbers(others)}",
+    whole = {name: np.concatenate([c[name] for c in coverage.values()]) for name in coverage[WALKERS[0]]}
+    most = whole["anthropomorphic"].max()
+    return found(
         verdict(most <= PRINTED["G1"].number),
-        float(most),
+        most,
+        most=most,
+        starts=whole["starts"].sum(),
+        searches=len(whole["starts"]),
+        unseen=100 * whole["unseen"][whole["converged"] > 0].max(),
+        deflated=whole["found_deflated"].sum(),
+        others={w: c["non_anthropomorphic"].sum() for w, c in coverage.items() if c["non_anthropomorphic"].any()},
     )
 
 

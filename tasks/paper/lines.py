@@ -323,8 +323,3 @@ def coarse_lines(each: Sequence[tuple[str, Mapping[str, float]]]) -> list[Line]:
     named = [{"walker": walker, "set": settings} for walker, settings in each]
     surveyed = lines({"lines": named, "slope": np.empty(0), "want": ()}, [])
     return [Line(*own, known) for own, (known, _) in zip(each, surveyed, strict=True)]
-
-
-def numbers(pairs: Mapping[str, float], digits: int = 4) -> str:
-    """Format named numbers on one line."""
-    return ", ".join(f"{name} {value:.{digits}g}" for name, value in pairs.items())

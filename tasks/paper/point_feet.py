@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.fit_laws import transition
-from gaitsweep.tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers
+from gaitsweep.tasks.paper.claim import Found, claim, found, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
 
@@ -15,16 +15,12 @@ RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
 
 
 @claim("E1")
-def two_dimensional(paper: Paper) -> ClaimResult:
+def two_dimensional(paper: Paper) -> Found:
     """Evaluate the third multiplier of E and F."""
     worst = max(_third_multiplier(paper, w) for w in ("E", "F"))
     gaits = paper.line("E").at([0.01])
-    zero = bool((gaits["multiplier_real"][0, :2, 2] == 0).all() and (gaits["multiplier_imag"][0, :2, 2] == 0).all())
-    return ClaimResult(
-        f"third multiplier exactly 0 on the two-dimensional section, {worst:.1g} on the general three-dimensional one",
-        verdict(zero and worst < 1e-12),
-        worst,
-    )
+    zero = not any(gaits[f"multiplier_{part}"][0, :2, 2].any() for part in ("real", "imag"))
+    return found(verdict(zero and worst < 1e-12), worst)
 
 
 def _third_multiplier(paper: Paper, walker: str) -> float:
@@ -46,33 +42,21 @@ def _third_multiplier(paper: Paper, walker: str) -> float:
 
 
 @claim("E2")
-def long_cube_root(paper: Paper) -> ClaimResult:
+def long_cube_root(paper: Paper) -> Found:
     """Compute the local exponents of the long step."""
-    small = paper.exponents("EF", LONG, 1e-8)
-    large = paper.exponents("EF", LONG, 0.05)
-    deviation = max(abs(p - 1 / 3) for p in small.values())
-    return ClaimResult(
-        f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
-        verdict(deviation < 1e-4 and max(abs(p - 1 / 3) for p in large.values()) < 0.05),
-        small["E"],
-    )
+    small, large = (paper.exponents("EF", LONG, slope) for slope in (1e-8, 0.05))
+    off, above = (max(abs(p - 1 / 3) for p in each.values()) for each in (small, large))
+    return found(verdict(off < 1e-4 and above < 0.05), small["E"], small=small, large=large)
 
 
 @claim("E3")
-def short_two_laws(paper: Paper) -> ClaimResult:
+def short_two_laws(paper: Paper) -> Found:
     """Compute the local exponents of the short step on both sides of the transition."""
-    small = paper.exponents("EF", SHORT, 1e-8)
-    large = paper.exponents("EF", SHORT, 0.1)
-    middle = paper.exponents("EF", SHORT, 0.01)
+    small, middle, large = (paper.exponents("EF", SHORT, slope) for slope in (1e-8, 0.01, 0.1))
     light = paper.line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = max(abs(p - 1) for p in small.values()) < 1e-4
     cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
-    return ClaimResult(
-        f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
-        f"{middle['E']:.3f} and {middle['F']:.3f}); with a foot mass ratio of 1e-4 at slope 1e-3: {light:.4f}",
-        verdict(linear and cube),
-        large["E"],
-    )
+    return found(verdict(linear and cube), large["E"], small=small, middle=middle, large=large, light=light)
 
 
 @memoize
@@ -85,36 +69,22 @@ def _transitions(paper: Paper) -> dict[str, np.ndarray]:
 
 
 @claim("E4")
-def transition_power(paper: Paper) -> ClaimResult:
+def transition_power(paper: Paper) -> Found:
     """Compute the ratio of transition slopes and their local exponent in the foot mass ratio."""
     table = _transitions(paper)
-    exact = float(table["fits/transition_ratio/exact_asymptotes"][0])
-    fitted = float(table["fits/transition_ratio/fitted_lines"][0])
+    exact, fitted = (table[f"fits/transition_ratio/{name}"][0] for name in ("exact_asymptotes", "fitted_lines"))
     powers = table["fits/transition/local_exponent"][:-1]
-    listed = ", ".join(f"{p:.4f}" for p in powers)
-    tends = abs(powers[-1] - 1.5) < 0.01
-    return ClaimResult(
-        f"ratio of E to F {fitted:.3f} by fitted lines as in the paper, {exact:.3f} by the exact "
-        f"asymptotes (2^1.5 = 2.828); local exponents between foot mass ratios "
-        f"{', '.join(f'{r:g}' for r in RATIOS)}: {listed}, tending to 3/2",
-        APPROXIMATE if tends else verdict(False),
-        fitted,
-    )
+    holds = verdict(False, abs(powers[-1] - 1.5) < 0.01)
+    return found(holds, fitted, exact=exact, ratios=RATIOS, powers=powers)
 
 
 @claim("E5")
-def similar_curves(paper: Paper) -> ClaimResult:
+def similar_curves(paper: Paper) -> Found:
     """Compare the steps of E and F at equal slopes."""
-    slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
-    e, f = (paper.line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
+    e, f = (paper.line(w).at([1e-6, 0.01, 0.05, 0.1, 0.2])["stance_angle"] for w in ("E", "F"))
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
-    listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
-    return ClaimResult(
-        f"ratio of short steps, F to E, at slopes: {listed}; long steps differ by at most "
-        f"{100 * np.abs(long - 1).max():.1f} %",
-        verdict(abs(short[3] - 1) < 0.02, abs(short[3] - 1) < 0.1),
-        float(short[3]),
-    )
+    apart = abs(short[3] - 1)
+    return found(verdict(apart < 0.02, apart < 0.1), short[3], short=short, long=100 * np.abs(long - 1).max())
 
 
 def speed_crossing(paper: Paper, walker: str) -> float:
@@ -127,28 +97,21 @@ def speed_crossing(paper: Paper, walker: str) -> float:
 
 
 @claim("E6")
-def faster(paper: Paper) -> ClaimResult:
+def faster(paper: Paper) -> Found:
     """Locate the slopes at which both gaits are equally fast."""
     crossing = {w: speed_crossing(paper, w) for w in ("A", "B", "C", "E", "F")}
     speeds = [paper.line(w).grid()["speed"] for w in crossing]
     in_order = all(v[0, LONG] > v[0, SHORT] and v[-1, SHORT] > v[-1, LONG] for v in speeds)
-    return ClaimResult(
-        f"speeds are equal at slope {numbers(crossing, 6)}; for D the short step is faster at every slope",
-        verdict(in_order and all(np.isfinite(v) for v in crossing.values())),
-        crossing["E"],
-    )
+    crosses = all(np.isfinite(v) for v in crossing.values())
+    return found(verdict(in_order and crosses), crossing["E"], crossing=crossing)
 
 
 @claim("E7")
-def tangential(paper: Paper) -> ClaimResult:
+def tangential(paper: Paper) -> Found:
     """Evaluate the ratio of the swing foot's velocities just before heelstrike."""
-    slopes = [1e-6, 1e-4, 1e-2, 0.1]
-    ratio = {w: np.abs(paper.line(w).at(slopes)["velocity_ratio"]) for w in ("E", "F")}
-    long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
-    short = ", ".join(f"{r:.3g}" for r in ratio["E"][:, SHORT])
+    ratio = {w: np.abs(paper.line(w).at([1e-6, 1e-4, 1e-2, 0.1])["velocity_ratio"]) for w in ("E", "F")}
     is_clear = all(
         (r[:, LONG] < 0.1).all() and (r[:, SHORT] > 3).all() and (r[:2, SHORT] > 100).all() for r in ratio.values()
     )
-    return ClaimResult(
-        f"E at slopes 1e-6, 1e-4, 0.01, 0.1: long {long}; short {short}", verdict(is_clear), float(ratio["E"][1, SHORT])
-    )
+    long, short = ratio["E"][:, LONG], ratio["E"][:, SHORT]
+    return found(verdict(is_clear), short[1], long=long, short=short)

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
+from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, Found, claim, found, verdict
 from gaitsweep.tasks.paper.kneed_chaos import chaos
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
-from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
@@ -34,13 +33,10 @@ _OF_PARAMETERS = ("sensitivity", "angle_sensitivity", "half_unit", "contribution
 ROWS = ("D", "E", "F", "A", "B", "C")
 
 
-def figure9(paper: Paper) -> Arrays:
-    """Tabulate the parameters of the tuned walkers, as used and as printed, in each walker's units.
+def figure9(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of the tuned walkers' parameters, as used and as printed, in each walker's units.
 
-    Returns
-    -------
-    dict
-        Table `figure9`: walker, description, knees, every walker key, and the residuals of the static conditions.
+    Each has walker, description, knees, every walker key, and the residuals of the static conditions.
     """
     rows = []
     for name in ("A", "A-printed", "B", "C", "C-printed", "D", "E", "F"):
@@ -56,11 +52,12 @@ def figure9(paper: Paper) -> Arrays:
                 "shank_offset": residual.get("shank_offset", np.nan),
             }
         )
-    return table("figure9", rows)
+    return rows
 
 
 @memoize
-def _figure10(paper: Paper) -> tuple[dict[str, Any], ...]:
+def figure10(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of figure 10 by walker: exponents of angle in slope and of power in speed, the faster gait, and chaos."""
     rows = []
     for name in ROWS:
         gaits = paper.line(name)
@@ -79,29 +76,14 @@ def _figure10(paper: Paper) -> tuple[dict[str, Any], ...]:
         row["crossing_slope"] = speed_crossing(paper, name)
         row["chaotic"], row["chaos"] = chaos(paper, name)
         rows.append(row)
-    return tuple(rows)
+    return rows
 
 
-def figure10(paper: Paper) -> Arrays:
-    """Tabulate figure 10: exponents of the stance angle in slope and of power in speed, the faster gait, and chaos.
+def rounding(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of every landmark by every printed parameter.
 
-    Returns
-    -------
-    dict
-        Table `figure10`, a row per walker.
-    """
-    return table("figure10", _figure10(paper))
-
-
-def rounding(paper: Paper) -> Arrays:
-    """Tabulate every landmark by every printed parameter.
-
-    Returns
-    -------
-    dict
-        Table `rounding`: landmark, walker, kind, slope, stance_angle, slope_low, slope_high and printed [rad];
-        parameter, its sensitivity, angle_sensitivity and half_unit, its contribution to the interval [rad], and
-        matters_most.
+    Each has landmark, walker, kind, slope, stance_angle, slope_low, slope_high and printed [rad]; parameter, its
+    sensitivity, angle_sensitivity and half_unit, its contribution to the interval [rad], and matters_most.
     """
     rows = []
     for name, mark in LANDMARKS.items():
@@ -122,7 +104,7 @@ def rounding(paper: Paper) -> Arrays:
             }
             for key in bounds.sensitivity
         ]
-    return table("rounding", rows)
+    return rows
 
 
 @memoize
@@ -140,7 +122,7 @@ def _cells(paper: Paper) -> list[dict[str, Any]]:
         cell = {"walker": name, "column": column, "slopes": slopes, "printed": printed, "computed": computed}
         cells.append({**cell, "verdict": said, "deviation": deviation})
 
-    rows, words = {row["walker"]: row for row in _figure10(paper)}, ("no", "yes")
+    rows, words = {row["walker"]: row for row in figure10(paper)}, ("no", "yes")
     for name, (short, long, vanishing, larger) in PRINTED.items():
         row = rows[name]
         capable, chaotic = row["zero_slope_capable"], row["chaotic"]
@@ -163,32 +145,19 @@ def _cells(paper: Paper) -> list[dict[str, Any]]:
     return cells
 
 
-def figure10_cells(paper: Paper) -> Arrays:
-    """Tabulate the cells of figure 10 as printed and as computed.
-
-    Returns
-    -------
-    dict
-        Table `figure10_cells`: walker, column, slopes, printed, computed, verdict.
-    """
-    cells = [{name: value for name, value in cell.items() if name != "deviation"} for cell in _cells(paper)]
-    return table("figure10_cells", cells)
+def figure10_cells(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of the cells of figure 10: walker, column, slopes, printed, computed, verdict."""
+    return [{name: value for name, value in cell.items() if name != "deviation"} for cell in _cells(paper)]
 
 
 @claim("Z6")
-def whole_table(paper: Paper) -> ClaimResult:
+def whole_table(paper: Paper) -> Found:
     """Compare every cell of figure 10 with the computed exponents."""
     cells = [cell for cell in _cells(paper) if not np.isnan(cell["deviation"])]
     strict, loose = (sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10))
     worst = max(cells, key=lambda cell: cell["deviation"])
-    rows = {row["walker"]: row for row in _figure10(paper)}
+    rows = {row["walker"]: row for row in figure10(paper)}
     # A semicolon ends a part of a claim's answer.
     unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
-    return ClaimResult(
-        f"{strict} of {len(cells)} cells agree to within {TOLERANCE:g} in the exponent of the angle and "
-        f"{10 * TOLERANCE:g} in that of the power, {loose} to within ten times as much (larger slopes: {LARGE:g}); "
-        f"largest deviation: {worst['walker']} {worst['column']} at {worst['slopes']} slopes: {worst['computed']}; "
-        f"chaos in walkers that the paper did not check: {unchecked}",
-        verdict(strict == len(cells), loose == len(cells)),
-        float(strict),
-    )
+    holds, total = verdict(strict == len(cells), loose == len(cells)), len(cells)
+    return found(holds, strict, strict=strict, total=total, loose=loose, worst=worst, unchecked=unchecked)

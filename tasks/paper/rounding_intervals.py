@@ -66,6 +66,9 @@ class Interval:
     angle_sensitivity: dict[str, float]
     half_unit: dict[str, float]
 
+    def __str__(self) -> str:
+        return f"{self.value:.7g} (rounding allows {self.low:.4g}-{self.high:.4g}, dominated by {self.most})"
+
     @property
     def bounds(self) -> tuple[float, float, float]:
         """The slope, and the ends of its interval."""

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.paper.claim import ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Line, Paper, coarse_lines, memoize, numbers
-from gaitsweep.tasks.tables import Arrays, table
+from gaitsweep.tasks.paper.claim import Found, claim, found, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, Line, Paper, coarse_lines, memoize
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import from_table
 from gaitsweep.tasks.walkers.statics import is_tuned, statics
@@ -29,44 +28,30 @@ OFFSETS = (
 
 
 @claim("T1")
-def conditions(paper: Paper) -> ClaimResult:
+def conditions(paper: Paper) -> Found:
     """Evaluate the residuals of the static conditions for every walker of the catalogue."""
     worst = {name: max(abs(x) for x in statics(w).values()) for name, w in CATALOGUE.items()}
     tuned = [name for name, w in CATALOGUE.items() if is_tuned(w)]
     untuned = {name: worst[name] for name in worst if name not in tuned}
     compass = max(abs(x) for x in statics(GOSWAMI).values())
-    return ClaimResult(
-        f"met by {', '.join(tuned)} and Goswami's compass walker (residual {compass:g} m); largest residuals of "
-        f"the others, in m: {numbers(untuned, 3)}",
-        verdict(set(tuned) == set(TUNED) and is_tuned(GOSWAMI)),
-        untuned["C-printed"],
-    )
+    holds = verdict(set(tuned) == set(TUNED) and is_tuned(GOSWAMI))
+    return found(holds, untuned["C-printed"], tuned=tuned, compass=compass, untuned=untuned)
 
 
 @claim("T2")
-def two_gaits(paper: Paper) -> ClaimResult:
+def two_gaits(paper: Paper) -> Found:
     """Solve both gaits of A and C over a grid of slopes."""
-    share = {w: np.isfinite(paper.line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
-    top = {w: float(paper.line(w).reaches[1].min()) for w in "AC"}
-    return ClaimResult(
-        f"both gaits at each of 65 slopes from 1e-8 to 0.04, continuing to slope {numbers(top, 3)}",
-        verdict(all(s == 1 for s in share.values())),
-        top["C"],
-    )
+    solved = [np.isfinite(paper.line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all() for w in "AC"]
+    top = {w: paper.line(w).reaches[1].min() for w in "AC"}
+    return found(verdict(all(solved)), top["C"], top=top)
 
 
 @claim("T3")
-def stability(paper: Paper) -> ClaimResult:
+def stability(paper: Paper) -> Found:
     """Evaluate the multipliers of both gaits of A and C over a grid of slopes."""
     radius = {w: paper.line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
-    long = {w: float(r[:, LONG].max()) for w, r in radius.items()}
-    short = {w: float(r[:, SHORT].min()) for w, r in radius.items()}
-    return ClaimResult(
-        f"spectral radius over slopes 1e-8 to 0.04: long step at most {numbers(long, 5)}, short step at least "
-        f"{numbers(short, 5)}",
-        verdict(max(long.values()) < 1 and min(short.values()) > 1),
-        long["C"],
-    )
+    long, short = {w: r[:, LONG].max() for w, r in radius.items()}, {w: r[:, SHORT].min() for w, r in radius.items()}
+    return found(verdict(max(long.values()) < 1 < min(short.values())), long["C"], long=long, short=short)
 
 
 def _long_branch(paper: Paper, detuning: float) -> int:
@@ -79,7 +64,7 @@ def _long_branch(paper: Paper, detuning: float) -> int:
 
 
 @claim("T4")
-def cusp_breaks(paper: Paper) -> ClaimResult:
+def cusp_breaks(paper: Paper) -> Found:
     """Locate the fold of the long step at each detuning and evaluate the multipliers on both sides."""
     least, unstable, stable = {}, {}, []
     for d in PANELS:
@@ -87,22 +72,17 @@ def cusp_breaks(paper: Paper) -> ClaimResult:
         slope, radius = curve["slope"], curve["spectral_radius"]
         fold = int(np.argmin(slope))
         slow = curve["speed"] < curve["speed"][fold]
-        least[f"{d:g}"] = float(slope[fold])
-        unstable[f"{d:g}"] = float(slope[slow & (radius > 1)].max(initial=0.0))
+        least[f"{d:g}"] = slope[fold]
+        unstable[f"{d:g}"] = slope[slow & (radius > 1)].max(initial=0.0)
         fast = ~slow & (slope > 1.05 * slope[fold]) & (slope < 0.04)
-        stable.append(bool((radius[fast] < 1).all()))
-    shifts = bool(np.all(np.diff(list(least.values())) > 0)) and min(least.values()) > 0
-    return ClaimResult(
-        f"smallest slope of the long step, by detuning: {numbers(least)}; gaits slower than at the fold are unstable "
-        f"up to slope {numbers(unstable)}; faster ones are stable up to 0.04 at detuning "
-        + ", ".join(f"{d:g}" for d, s in zip(PANELS, stable, strict=True) if s),
-        verdict(shifts and all(u > 0 for u in unstable.values()) and all(stable)),
-        least["0.05"],
-    )
+        stable += [d] if (radius[fast] < 1).all() else []
+    shifts = np.all(np.diff(list(least.values())) > 0) and min(least.values()) > 0
+    holds = verdict(shifts and min(unstable.values()) > 0 and len(stable) == len(PANELS))
+    return found(holds, least["0.05"], least=least, unstable=unstable, stable=stable)
 
 
 @claim("T5")
-def short_end(paper: Paper) -> ClaimResult:
+def short_end(paper: Paper) -> Found:
     """Locate the end of the short step at each detuning."""
     walkers = {f"{d:g}": paper.line("C", detuning=d) for d in PANELS} | {"1": paper.line("physical")}
     ends = {k: _short_end(gaits) for k, gaits in walkers.items()}
@@ -115,11 +95,7 @@ def short_end(paper: Paper) -> ClaimResult:
         if p["kind"] == "end_earlier_strike"
     )
     rises = all(np.all(np.diff(list(x.values())) > 0) for x in (slopes, angles))
-    return ClaimResult(
-        f"slope of the end, by detuning: {numbers(slopes)}; its stance angle: {numbers(angles)}{others}",
-        verdict(rises),
-        slopes["0.2"],
-    )
+    return found(verdict(rises), slopes["0.2"], slopes=slopes, angles=angles, others=others)
 
 
 def _short_end(gaits: Line) -> dict[str, Any]:
@@ -129,8 +105,11 @@ def _short_end(gaits: Line) -> dict[str, Any]:
 
 
 @memoize
-def _offsets(paper: Paper) -> list[dict[str, Any]]:
-    """Rows of the smallest slope [rad] against fore-aft offsets from exact tuning [m]."""
+def offsets(paper: Paper) -> list[dict[str, Any]]:
+    """Rows of the smallest slope against fore-aft offsets from exact tuning.
+
+    Each has walker, key, key_value and offset [m], smallest_slope [rad].
+    """
     surveyed = coarse_lines([(name, {key: value}) for name, key, value in OFFSETS])
     return [
         {
@@ -144,35 +123,20 @@ def _offsets(paper: Paper) -> list[dict[str, Any]]:
     ]
 
 
-def offsets(paper: Paper) -> Arrays:
-    """Tabulate the smallest slope against fore-aft offsets from exact tuning.
-
-    Returns
-    -------
-    dict
-        Table `offsets`: walker, key, key_value and offset [m], smallest_slope [rad].
-    """
-    return table("offsets", _offsets(paper))
-
-
 @claim("T7")
-def not_generic(paper: Paper) -> ClaimResult:
+def not_generic(paper: Paper) -> Found:
     """Compute the smallest slope for offsets on both sides of exact tuning."""
-    rows = _offsets(paper)
+    rows = offsets(paper)
     least = {f"{row['walker']} ({row['key']} {1e3 * row['offset']:+.3f} mm)": row["smallest_slope"] for row in rows}
     thigh = [row for row in rows if (row["walker"], row["key"]) == ("A", "w_t")]
     offset, slope = (np.array([row[name] for row in thigh]) for name in ("offset", "smallest_slope"))
     grows = all(np.all(np.diff(slope[side][np.argsort(abs(offset[side]))]) > 0) for side in (offset > 0, offset < 0))
-    return ClaimResult(
-        f"smallest slope of {numbers(least, 3)}; of C with its offsets as printed (rounded) "
-        f"{paper.line('C-printed').reaches[0].min():.3g}",
-        verdict(min(least.values()) > 1e-7 and bool(grows)),
-        float(slope[0]),
-    )
+    printed = paper.line("C-printed").reaches[0].min()
+    return found(verdict(min(least.values()) > 1e-7 and grows), slope[0], least=least, printed=printed)
 
 
 @claim("T8")
-def high_slopes(paper: Paper) -> ClaimResult:
+def high_slopes(paper: Paper) -> Found:
     """Locate the special points of the branch at high slopes, which may be another than that at low slopes."""
     tops = paper.line("physical").reaches[1]
     points = [p for p in paper.line("physical").special if p["branch"] == tops.argmax()]
@@ -182,10 +146,5 @@ def high_slopes(paper: Paper) -> ClaimResult:
         for p in points
         if p["kind"] in ("flip", "end_kneestrike_at_heelstrike")
     )
-    top = float(tops.max())
-    return ClaimResult(
-        f"fold at slope {fold['slope']:.9f}, stance angle {fold['stance_angle']:.6f}; {others}; continued to "
-        f"slope {top:.2f}",
-        verdict(top > 0.3),
-        float(fold["slope"]),
-    )
+    told = {"angle": fold["stance_angle"], "others": others, "top": tops.max()}
+    return found(verdict(tops.max() > 0.3), fold["slope"], **told)

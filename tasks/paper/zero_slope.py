@@ -7,8 +7,8 @@ import numpy as np
 from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.paper.claim import PRINTED, ClaimResult, claim, verdict
-from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize, numbers
+from gaitsweep.tasks.paper.claim import PRINTED, Found, claim, found, verdict
+from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -20,59 +20,39 @@ VANISHING = 1e-9
 
 
 @claim("Z1")
-def arbitrarily_small(paper: Paper) -> ClaimResult:
+def arbitrarily_small(paper: Paper) -> Found:
     """Solve both gaits at the smallest slopes that double precision resolves."""
-    least = {w: float(paper.line(w).reaches[0].max()) for w in WALKERS}
-    both = {w: paper.line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
-    return ClaimResult(
-        f"both gaits solved at slope 1e-10, and their branches continued to {max(least.values()):.0e}, the limit of "
-        f"double precision",
-        verdict(all((s == 0).all() for s in both.values()) and max(least.values()) < 1e-12),
-        max(least.values()),
-    )
+    least = max(paper.line(w).reaches[0].max() for w in WALKERS)
+    solved = [(paper.line(w).at([1e-10])["status"][0, :2] == 0).all() for w in WALKERS]
+    return found(verdict(all(solved) and least < 1e-12), least)
 
 
 @claim("Z2")
-def only_simplest(paper: Paper) -> ClaimResult:
+def only_simplest(paper: Paper) -> Found:
     """Compute the exponents of both gaits at a vanishing slope."""
-    long, short = paper.exponents(WALKERS, LONG, VANISHING), paper.exponents(WALKERS, SHORT, VANISHING)
+    long, short = (paper.exponents(WALKERS, gait, VANISHING) for gait in (LONG, SHORT))
     both = [w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01]
-    return ClaimResult(
-        f"exponents at slope {VANISHING:g}: long {numbers(long)}; short {numbers(short)}",
-        verdict(both == ["D"]),
-        short["D"],
-    )
+    return found(verdict(both == ["D"]), short["D"], long=long, short=short)
 
 
 @claim("Z3")
-def two_laws(paper: Paper) -> ClaimResult:
+def two_laws(paper: Paper) -> Found:
     """Compute the exponents of A, B and E at vanishing and at larger slopes."""
-    long, short = paper.exponents(WALKERS, LONG, VANISHING), paper.exponents(WALKERS, SHORT, VANISHING)
+    long, short = (paper.exponents("ABE", gait, VANISHING) for gait in (LONG, SHORT))
     small = all(abs(long[w] - 1 / 3) < 0.01 and abs(short[w] - 1) < 0.01 for w in "ABE")
-    at = {s: paper.exponents("ABE", SHORT, s) for s in (0.01, 0.1)}
+    middle, large = (paper.exponents("ABE", SHORT, slope) for slope in (0.01, 0.1))
     above = paper.exponents("ABE", LONG, 0.01)
-    deviation = {s: max(abs(p - 1 / 3) for p in exponents.values()) for s, exponents in at.items()}
-    return ClaimResult(
-        f"exponents at slope {VANISHING:g}: long {numbers({w: long[w] for w in 'ABE'})}; short "
-        f"{numbers({w: short[w] for w in 'ABE'})}; short at 0.01: {numbers(at[0.01], 3)}, at 0.1: "
-        f"{numbers(at[0.1], 3)}; long at 0.01: {numbers(above, 3)}",
-        verdict(small and deviation[0.01] < 0.05, small and deviation[0.1] < 0.1),
-        at[0.01]["E"],
-    )
+    at_middle, at_large = (max(abs(p - 1 / 3) for p in each.values()) for each in (middle, large))
+    holds = verdict(small and at_middle < 0.05, small and at_large < 0.1)
+    return found(holds, middle["E"], long=long, short=short, middle=middle, large=large, above=above)
 
 
 @claim("Z4")
-def turns_linear(paper: Paper) -> ClaimResult:
+def turns_linear(paper: Paper) -> Found:
     """Locate the slope at which the local exponent of C's long step is midway between both laws."""
     mark = interval(paper, "C exponent 2/3")
-    half = _half_knee_loss(paper)
     at = {f"{s:g}": paper.line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
-    return ClaimResult(
-        f"the local exponent passes 2/3, midway between the laws, at slope {mark.value:.4e}; kneestrike accounts for "
-        f"half of the losses at slope {half:.4e}; exponents at slopes {numbers(at, 3)}",
-        PRINTED["Z4"].compare(*mark.bounds),
-        *mark.bounds,
-    )
+    return found(PRINTED["Z4"].compare(*mark.bounds), *mark.bounds, half=_half_knee_loss(paper), at=at)
 
 
 def _half_knee_loss(paper: Paper) -> float:
@@ -114,7 +94,7 @@ def _stability_limit(paper: Paper, walker: str) -> float:
 
 
 @claim("Z5")
-def stable_below(paper: Paper) -> ClaimResult:
+def stable_below(paper: Paper) -> Found:
     """Locate the slope at which each long step loses stability, and the foot mass that allows it any."""
     limit = {name: _stability_limit(paper, name) for name in (*WALKERS, "F")}
     unstable = [name for name, slope in limit.items() if not slope > 0]
@@ -123,9 +103,4 @@ def stable_below(paper: Paper) -> ClaimResult:
         f"{name} to {slope:.6g}" if slope > 0 else f"{name} nowhere (spectral radius at least {least[name]:.4f})"
         for name, slope in limit.items()
     ]
-    return ClaimResult(
-        f"stable from slope 1e-8: {', '.join(ranges)}; as the slope vanishes, point-foot walkers are stable only for "
-        f"foot mass ratios below {mass_limit(paper):.5f} (E has 0.1)",
-        verdict(not unstable),
-        mass_limit(paper),
-    )
+    return found(verdict(not unstable), mass_limit(paper), ranges=ranges)

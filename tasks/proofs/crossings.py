@@ -10,7 +10,7 @@ from flint import arb, ctx
 
 from gaitsweep.tasks.proofs.enclosure import NotProvedError
 from gaitsweep.tasks.proofs.stability import flip_function
-from gaitsweep.tasks.proofs.tubes import REMAINDER, Family, Tube, point, tangent_of, tube
+from gaitsweep.tasks.proofs.tubes import BY_ANGLE, BY_SLOPE, REMAINDER, Family, Tube, point, tangent_of, tube
 
 #: Radius of the box of an interval's end over the interval's; steps of the secant method.
 SHARPER, MAX_SECANTS = 1e-6, 30
@@ -30,17 +30,25 @@ class Interval:
     bits: int
 
 
-def flip(family: Family, guess: Sequence[arb], half: float) -> Interval:
-    """An interval of slopes in which a multiplier passes -1.
+#: The coordinate along which a special point of each kind is sought, and the function that changes its sign there.
+KINDS: dict[str, tuple[int, Callable[[Tube], arb]]] = {
+    "flip": (BY_SLOPE, lambda piece: flip_function(piece.step_derivative())),
+    "fold": (BY_ANGLE, Tube.turn),
+}
+
+
+def bracketed(family: Family, guess: Sequence[arb], half: float, function: Callable[[Tube], arb]) -> Interval:
+    """An interval of slopes that holds a zero of a function along one branch.
 
     Parameters
     ----------
     family : Family
-        By slope.
     guess : sequence of arb
         Section state, event times and slope near it.
     half : float
-        Half the interval [rad].
+        Half the interval of the family's parameter [rad].
+    function : callable
+        One of `KINDS`.
 
     Returns
     -------
@@ -49,37 +57,8 @@ def flip(family: Family, guess: Sequence[arb], half: float) -> Interval:
     Raises
     ------
     NotProvedError
-        If det(DP + 1) is not shown to change its sign along one branch.
+        If the function is not shown to change its sign along one branch.
     """
-    return _bracketed(family, guess, half, lambda piece: flip_function(piece.step_derivative()))
-
-
-def fold(family: Family, guess: Sequence[arb], half: float) -> Interval:
-    """An interval of slopes in which a branch turns back.
-
-    Parameters
-    ----------
-    family : Family
-        By angle.
-    guess : sequence of arb
-        Section state, event times and slope near it.
-    half : float
-        Half the interval of the stance angle [rad].
-
-    Returns
-    -------
-    Interval
-
-    Raises
-    ------
-    NotProvedError
-        If the slope's derivative by the angle is not shown to change its sign along one branch.
-    """
-    return _bracketed(family, guess, half, lambda piece: piece.turn())
-
-
-def _bracketed(family: Family, guess: Sequence[arb], half: float, function: Callable[[Tube], arb]) -> Interval:
-    """Move the guess to the function's zero, and prove opposite signs on both sides of it."""
     size = half * SHARPER
     with ctx.workprec(64 - math.floor(math.log2(size * REMAINDER))):
         centre = _zero(family, guess, function, half, size)

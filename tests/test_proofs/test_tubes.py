@@ -34,19 +34,20 @@ def simplest(slope=0.015):
 
 def test_the_first_flip_of_the_simplest_walker_is_an_interval():
     family, start = simplest(0.015088)
-    found = crossings.flip(family, start, 1e-12)
+    found = crossings.bracketed(family, start, 1e-12, crossings.KINDS["flip"][1])
     with ctx.workprec(200):
         assert found.slope.contains(arb(FLIP).mid())
         assert found.slope.rad() < 2e-12
         assert found.bits > 64 and found.values[0] > 0 > found.values[1]
     with pytest.raises(NotProvedError, match="zero of the test function"):
-        crossings._bracketed(family, start, 1e-12, lambda t: arb(1))
+        crossings.bracketed(family, start, 1e-12, lambda t: arb(1))
 
 
 def test_the_fold_of_the_physical_walker_with_locked_knees_is_an_interval():
     keys, kneed = exact("physical-straight")
     start = write_certificates._start("physical-straight", "long", 0.0153621)
-    found = crossings.fold(tubes.Family(keys, kneed, tubes.BY_ANGLE), start, 1e-6)
+    parameter, function = crossings.KINDS["fold"]
+    found = crossings.bracketed(tubes.Family(keys, kneed, parameter), start, 1e-6, function)
     kept = interval(*KEPT["physical-straight-fold"]["slope"])
     with ctx.workprec(200):
         assert found.slope.overlaps(kept)

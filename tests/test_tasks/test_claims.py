@@ -79,6 +79,18 @@ def test_verdicts_follow_from_intervals():
         ClaimResult("", "perhaps")
 
 
+def test_the_sentence_of_a_claim_formats_lists_and_names_value_by_value(monkeypatch):
+    monkeypatch.setattr(rule, "TEXTS", {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}})
+    monkeypatch.setitem(rule._SAID, "Q1", "{value:.1f} of {low:g}-{high:g}: {each:.2g}; {named:.3f}; {named[B][1]:g}")
+    monkeypatch.setitem(rule.PRINTED, "Q1", rule.NOT_PRINTED)
+    monkeypatch.setattr(rule, "CLAIMS", {})
+    named = {"A": 0.5, "B": [1.0, 2.0]}
+    rule.claim("Q1")(lambda paper: rule.found("reproduced", np.float64(1), 0.5, 2.0, each=np.ones(2) / 3, named=named))
+    result = rule.CLAIMS["Q1"].find(PAPER)
+    assert result == ClaimResult("1.0 of 0.5-2: 0.33, 0.33; A 0.500, B 1.000, 2.000; 2", "reproduced", 1.0, 0.5, 2.0)
+    assert type(result.value) is float
+
+
 def test_an_unknown_claim_is_named():
     with pytest.raises(ValueError, match="no claim X9"):
         claims({"lines": [], "ids": ["D2", "X9"]}, [])
