@@ -308,6 +308,25 @@ def test_charts_are_made_once_for_all_that_is_asked_of_a_plane(monkeypatch):
     np.testing.assert_array_equal(more.period.values, first.period.values)
 
 
+def test_a_half_of_a_plane_that_fails_leaves_the_other_its_charts(monkeypatch):
+    monkeypatch.setattr(in_memory, "_REMEMBERED", Memory(1 << 30))
+    charts, lines, given = solve_planes.charts, solve_planes.lines, []
+    low, high = {"low": [0.08], "high": [0.1]}, {"low": [0.1], "high": [0.12]}
+
+    def halved(params, inputs):
+        if params["plane"]["high"] == [0.1]:
+            raise FloatingPointError
+        is_whole = params["plane"]["low"] == [0.08]
+        return {f"halves/{name}": np.array([low[name], high[name]]) for name in low} if is_whole else charts(params, [])
+
+    monkeypatch.setattr(solve_planes, "charts", halved)
+    monkeypatch.setattr(solve_planes, "lines", lambda params, inputs: given.append(inputs) or lines(params, inputs))
+    answer = gaitsweep.gaits("B", [0.008, 0.009], m_s=np.linspace(0.08, 0.12, 64)[:, None], variables=["period"])
+    assert (answer.status.sel(gait=BOTH) == 0).all()
+    (of_chunk,) = given
+    assert len(of_chunk) == 3 and not of_chunk[1] and of_chunk[2]
+
+
 def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
     monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", None)
     m_s = np.linspace(0.08, 0.12, 70)
