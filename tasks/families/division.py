@@ -15,7 +15,7 @@ from gaitsweep.tasks.families.tuning import Tuning
 #: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
 #: along one key never leaves.
 _MAX_UNEVENNESS = 2
-#: Most halvings of a box, and fewest lines for which making its patches pays.
+#: How often a box may be divided, and fewest lines for which making its patches pays.
 _MAX_SPLITS, _MIN_LINES = 8, 12
 #: Share of the time of a plane's lines that its charts may take in vain, the time of a surveyed line with all that is
 #: made of it, over that of a line, and the least share of their time that lines in described boxes save.
