@@ -90,8 +90,8 @@ class Progress:
             self.seconds[details["task"]] += details["seconds"]
             if self.lines_alone:
                 self.lines_alone.add(details)
-            else:
-                self.done["atlas"] += details.get("lines", 0)
+            if event == "chunk":
+                self.done["atlas"] += details.get("alone", details.get("lines", 0))
             if event == "chunk" and n:
                 place = details.pop("place", 0)
                 self.measured[place] = self.measured.get(place, np.zeros(2)) + np.array([n, details["seconds"]])
@@ -142,7 +142,7 @@ class Progress:
         for name, cost in self.costs.items():
             done, todo = self.done[name], self.todo[name]
             if self.lines_alone and name == "atlas":
-                done, todo = self.lines_alone.done, self.lines_alone.expected(todo)
+                todo = self.lines_alone.expected(todo)
             if self.lines_alone and name != "charts":
                 mean_seconds = self.lines_alone.seconds(name)
             elif name == "points" and self.measured:
@@ -187,7 +187,7 @@ class _LinesAlone:
     """
 
     def __init__(self, study: Study, half: int):
-        self.half, self.done = half, 0
+        self.half = half
         self.charted, self.computed = np.zeros(2), np.zeros(2)  # lines, and how many of them are alone
         # Least squares over chunks for the times of a point and of a line alone, which begin with one of each.
         planned = np.array([costs.of_point(study, Method.PLANE), costs.of_line_alone(study)])
@@ -201,7 +201,6 @@ class _LinesAlone:
             self.charted += event["charted"], event["alone"]
         elif "alone" in event:
             self.computed += event["lines"], event["alone"]
-            self.done += event["alone"]
             of_each = np.array([event["points"], event["alone"]])
             self.matrix += np.outer(of_each, of_each)
             self.moment += of_each * event["seconds"]
