@@ -14,12 +14,13 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
-from gaitsweep.tasks.continuation.lockstep import Call, Procedure, lanes_of, run
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure, run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
 from gaitsweep.tasks.step.verify_step import strike_distance
@@ -127,7 +128,7 @@ def settle_on_branches(
                 break
     located = settle(problem.some(lost), again, accuracy=accuracy)
     located.converged &= _is_near(problem, located, again.w)
-    gaits.assign(lost, located)
+    replace_lanes(gaits, lost, located)
     return gaits
 
 

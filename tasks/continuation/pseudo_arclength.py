@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.root import hermite, passes
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 
 #: Points beyond which a curve may have closed.
 _LEAST_CLOSED = 3
 
-#: Equations of some lanes at their points Z (c, n), to first order: their `residual` (c - 1, n), its `derivative`
-#: (c - 1, c, n), and, of several lanes, `assign(lanes, other)`, which replaces some of them; and the size of a bordered
-#: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
+#: Equations of some lanes at their points Z (c, n), to first order, a dataclass: their `residual` (c - 1, n) and its
+#: `derivative` (c - 1, c, n); and the size of a bordered Newton step that rounding makes (n,), by the bordered matrix
+#: (n, c, c).
 Linearise = Callable[[np.ndarray, np.ndarray], Any]
 RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
 #: One equation more: by the numbers of lanes (j,), the other equations there, the Newton steps that led to their points
@@ -177,7 +177,7 @@ def bordered_newton(
         if len(active) == n:
             at = system
         else:
-            at.assign(active, system)
+            replace_lanes(at, active, system)
         active = active[moving & ~done]
         if not len(active):
             break

@@ -26,9 +26,6 @@ class Equations:
     residual: Any
     derivative: Any
 
-    def assign(self, lanes, other):
-        self.residual[:, lanes], self.derivative[..., lanes] = other.residual, other.derivative
-
 
 def circles(squares):
     def linearise(lanes, Z):
