@@ -209,27 +209,6 @@ def sampled_steps(problem: Problem, Z: np.ndarray, samples: int) -> tuple[AnyStr
     return stride, distance.reshape(stride.steps, -1).min(axis=0)
 
 
-def _fold_covector(point: Point, lane: int) -> np.ndarray:
-    """How far residuals of the joint equations, over the stance angle, move the ln slope of a fold, shape (m + k,)."""
-    derivative = point.at.derivative[..., lane]
-    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
-    return np.asarray(-least / (least @ derivative[:, -1]))
-
-
-def fold_error(point: Point, lane: int) -> float:
-    """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP.
-
-    Parameters
-    ----------
-    point : Point
-        Of n lanes.
-    lane : int
-    """
-    y, image = np.abs([point.at.stride.y[:, lane], point.at.stride.image[:, lane]])
-    rounded = 3 * EPS * np.append(y + image, np.full(len(point.at.derivative) - len(y), 2 * y[0]))
-    return float(np.abs(_fold_covector(point, lane)) @ rounded / y[0])
-
-
 def sharpened_fold(point: Point) -> Procedure[Point]:
     """Correct the slope of a fold by its residual in more digits, where doubles leave it uncertain.
 
@@ -238,9 +217,15 @@ def sharpened_fold(point: Point) -> Procedure[Point]:
     point : Point
         Of one lane.
     """
-    if fold_error(point, 0) < _SHARP:
+    derivative, stride = point.at.derivative[..., 0], point.at.stride
+    # How far residuals of the joint equations, over the stance angle, move the ln slope of a fold.
+    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
+    by_residual = -least / (least @ derivative[:, -1])
+    y, image = np.abs([stride.y[:, 0], stride.image[:, 0]])
+    rounded = 3 * EPS * np.append(y + image, np.full(len(derivative) - len(y), 2 * y[0]))
+    if np.abs(by_residual) @ rounded / y[0] < _SHARP:
         return point
     residual = yield Call(extended_precision.residual, (point.Z,))
     Z = point.Z.copy()
-    Z[-1, 0] += _fold_covector(point, 0) @ residual[:, 0]
+    Z[-1, 0] += by_residual @ residual[:, 0]
     return replace(point, Z=Z)
