@@ -18,9 +18,10 @@ from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import Patch, measured
 from gaitsweep.tasks.families.pieces import Piece, pieces_of
 from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, join, settle
+from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
 from gaitsweep.tasks.measures.gaits import Part, describe
 from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Lanes, Problem
 
 #: Share of the accuracy that polynomials may use; numbers are also rounded.
@@ -349,7 +350,7 @@ class Interpolation:
     def _solve(self, panels: list[Panel], slopes: list[np.ndarray]) -> Iterator[Sampled]:
         """Solve the samples of panels, all side by side."""
         problem, q = self.problem, np.concatenate(slopes)
-        guesses = join([self.pieces[k].guesses(each) for (k, _), each in zip(panels, slopes, strict=True)])
+        guesses = join_lanes([self.pieces[k].guesses(each) for (k, _), each in zip(panels, slopes, strict=True)])
         if np.isnan(guesses.rounding_std).any():
             guesses = self._measured(guesses, q, len(slopes[0]))
         at = settle(problem, guesses, accuracy=self.accuracy)

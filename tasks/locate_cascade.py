@@ -15,7 +15,6 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import hermite
 from gaitsweep.tasks.continuation.special_points import RATES, state_at
@@ -25,6 +24,7 @@ from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride

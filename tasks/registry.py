@@ -60,7 +60,7 @@ TASKS = {
         Task("points", "gaitsweep.tasks.solve_points:points", 22, needs=("atlas",)),
         Task("charts", "gaitsweep.tasks.solve_planes:charts", 7),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
-        Task("branch", "gaitsweep.tasks.follow_branches:branch", 18, needs=("atlas",)),
+        Task("branch", "gaitsweep.tasks.follow_branches:branch", 19, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 10, needs=("atlas",)),
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 19, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 12, needs=("atlas",)),

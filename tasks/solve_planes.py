@@ -12,18 +12,18 @@ import numpy as np
 
 from gaitsweep.tasks import status
 from gaitsweep.tasks.accuracy import computed, is_interpolated
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import PREDICTED_WITHIN
-from gaitsweep.tasks.fixed_points.polish import Polished, join, settle
+from gaitsweep.tasks.fixed_points.polish import Polished, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.interpolate import Sheet, interpolate, sheets
 from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import lines as lines_side_by_side
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -268,7 +268,7 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
     indices = [index[integrated[index]] for index in map(block.on, patches)]
     if not sum(map(len, indices)):
         return accepted
-    guesses = join(
+    guesses = join_lanes(
         [
             patch.guesses(block.unit[index // s], block.slope[index % s])
             for patch, index in zip(patches, indices, strict=True)

@@ -14,15 +14,15 @@ from gaitsweep.tasks.accuracy import computed
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.refine import COARSE, FINE
 from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER
-from gaitsweep.tasks.fixed_points.polish import Guesses, join, settle
+from gaitsweep.tasks.fixed_points.polish import Guesses, settle
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.interpolate import Interpolation
 from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
 from gaitsweep.tasks.registry import GAITS, PROVED, VARIABLES
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import Walker
@@ -171,11 +171,11 @@ def _solve_lines(
         pieces = [_pieces(branches, slope[part], labels, integrated) for branches in atlas]
         parts = [interpolated for _ in lines]
         with_pieces = [i for i, each in enumerate(pieces) if each]
-        guesses = [join([piece.guesses for piece in pieces[i]]) for i in with_pieces]
+        guesses = [join_lanes([piece.guesses for piece in pieces[i]]) for i in with_pieces]
         counts = [len(each.slope) for each in guesses]
         if with_pieces:
             places = [(problems[i], piece.branch, piece.segment) for i in with_pieces for piece in pieces[i]]
-            at = settle_on_branches(problem.some(np.repeat(with_pieces, counts)), join(guesses), places, accuracy)
+            at = settle_on_branches(problem.some(np.repeat(with_pieces, counts)), join_lanes(guesses), places, accuracy)
         for i, each, count, end in zip(with_pieces, guesses, counts, np.cumsum(counts).tolist(), strict=True):
             gaits = describe(
                 problems[i],

@@ -152,17 +152,17 @@ class _Followed(engine.Tracks):
         super().__init__(_CONTROL, first.Z, tangent, _FIRST_STEP)
         self.end = self.Z[:, :0], self.tangent[:, :0]
 
-    def correct(self, _: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Point:
+    def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> engine.Point:
         return self.curve.correct(guess, border)
 
     def judge(
-        self, _: np.ndarray, point: engine.Point, guess: np.ndarray, error: np.ndarray
+        self, tracks: np.ndarray, point: engine.Point, guess: np.ndarray, error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         # Beyond the window a step is fair if it leads to a point on the border: a shorter one may.
         fair = not point.ok[0] or self._is_inside(point.Z) or self._ends(point)
         return np.array([fair]), error / self.step
 
-    def reasons(self, _: np.ndarray, point: engine.Point, last: np.ndarray) -> np.ndarray:
+    def reasons(self, tracks: np.ndarray, point: engine.Point, last: np.ndarray) -> np.ndarray:
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
     def _inside(self, Z: np.ndarray) -> np.ndarray:
@@ -201,7 +201,7 @@ def follow(curve: Curve, first: engine.Point, direction: float, window: Mapping[
         `q` (ln slope) and `key`: least and largest value of each.
     """
     tracks = _Followed(curve, first, direction, np.array([window["q"], np.array(window["key"]) / curve.scale]))
-    (track,) = tracks.follow(tracks.correct, tracks.judge, tracks.reasons, _MAX_POINTS)
+    (track,) = tracks.follow(_MAX_POINTS)
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
         track.Z[:, -1], track.tangent[:, -1] = track.Z[:, 0], track.tangent[:, 0]
     if track.stop_reason != BORDER:

@@ -8,7 +8,7 @@ these solves defining equations (`tasks.continuation.defining`), by which it is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
 
 #: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
@@ -92,25 +93,11 @@ class Points:
         """Values of ln slope, shape (n,)."""
         return self.Z[-1]
 
-    def some(self, which: np.ndarray) -> Points:
-        """Return some of the points.
 
-        Parameters
-        ----------
-        which : ndarray of int or bool
-        """
-        return Points(*(getattr(self, f.name)[..., which] for f in fields(self)))
-
-
-def join(parts: Sequence[Points]) -> Points:
-    """Return the points of several parts, one after another."""
-    return Points(*(np.concatenate([getattr(p, f.name) for p in parts], axis=-1) for f in fields(Points)))
-
-
-def nothing(problem: Lanes, n: int) -> Points:
-    """Return n placeholders, which do not walk."""
-    Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, no)
+def nothing(problem: Lanes) -> Points:
+    """Return no points."""
+    Z, none, no = np.empty((problem.m + 1 + problem.phases, 0)), np.empty(0), np.empty(0, bool)
+    return Points(np.empty(0, int), np.empty(0, "U32"), Z, Z, none, none, none, no, no, no, no)
 
 
 def may_be(name: str, kind: np.ndarray) -> np.ndarray:
@@ -300,14 +287,15 @@ def find(
         Logarithm of a speed, in the walkers' units, whose points are located too.
     """
     if not any(surveyed):
-        return nothing(problem, 0)
+        return nothing(problem)
     targets = {} if log_speed is None else {"speed": log_speed}
     nodes = _Nodes(problem, surveyed, targets)
     guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]
     guesses += [_at_edge(nodes, edge) for edge in window]
     guesses += _turns_and_ends(nodes, window[0])
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
-    return join(parts)
+    points: Points = join_lanes(parts)
+    return points
 
 
 def _crossings(

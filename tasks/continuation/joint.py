@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -77,12 +76,6 @@ class Evaluation:
     def multipliers(self) -> np.ndarray:
         """Multipliers, largest magnitude first, shape (n, d); NaN where there are none."""
         return multipliers(self.stride.jacobian, len(self.stride.jacobian))
-
-    def assign(self, lanes: np.ndarray, other: Any) -> None:
-        """Replace some lanes, ndarray of int of shape (j,), by those of another."""
-        self.Z[:, lanes] = other.Z
-        self.stride.assign(lanes, other.stride)
-        vars(self).pop("derivative", None)
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.

@@ -14,12 +14,13 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.defining import scalar
-from gaitsweep.tasks.continuation.lockstep import Call, Procedure, lanes_of, run
+from gaitsweep.tasks.continuation.lockstep import Call, Procedure, run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride, distances_of_steps, from_largest
 from gaitsweep.tasks.step.verify_step import strike_distance
@@ -127,7 +128,7 @@ def settle_on_branches(
                 break
     located = settle(problem.some(lost), again, accuracy=accuracy)
     located.converged &= _is_near(problem, located, again.w)
-    gaits.assign(lost, located)
+    replace_lanes(gaits, lost, located)
     return gaits
 
 
@@ -208,27 +209,6 @@ def sampled_steps(problem: Problem, Z: np.ndarray, samples: int) -> tuple[AnyStr
     return stride, distance.reshape(stride.steps, -1).min(axis=0)
 
 
-def _fold_covector(point: Point, lane: int) -> np.ndarray:
-    """How far residuals of the joint equations, over the stance angle, move the ln slope of a fold, shape (m + k,)."""
-    derivative = point.at.derivative[..., lane]
-    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
-    return np.asarray(-least / (least @ derivative[:, -1]))
-
-
-def fold_error(point: Point, lane: int) -> float:
-    """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP.
-
-    Parameters
-    ----------
-    point : Point
-        Of n lanes.
-    lane : int
-    """
-    y, image = np.abs([point.at.stride.y[:, lane], point.at.stride.image[:, lane]])
-    rounded = 3 * EPS * np.append(y + image, np.full(len(point.at.derivative) - len(y), 2 * y[0]))
-    return float(np.abs(_fold_covector(point, lane)) @ rounded / y[0])
-
-
 def sharpened_fold(point: Point) -> Procedure[Point]:
     """Correct the slope of a fold by its residual in more digits, where doubles leave it uncertain.
 
@@ -237,9 +217,15 @@ def sharpened_fold(point: Point) -> Procedure[Point]:
     point : Point
         Of one lane.
     """
-    if fold_error(point, 0) < _SHARP:
+    derivative, stride = point.at.derivative[..., 0], point.at.stride
+    # How far residuals of the joint equations, over the stance angle, move the ln slope of a fold.
+    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
+    by_residual = -least / (least @ derivative[:, -1])
+    y, image = np.abs([stride.y[:, 0], stride.image[:, 0]])
+    rounded = 3 * EPS * np.append(y + image, np.full(len(derivative) - len(y), 2 * y[0]))
+    if np.abs(by_residual) @ rounded / y[0] < _SHARP:
         return point
     residual = yield Call(extended_precision.residual, (point.Z,))
     Z = point.Z.copy()
-    Z[-1, 0] += _fold_covector(point, 0) @ residual[:, 0]
+    Z[-1, 0] += by_residual @ residual[:, 0]
     return replace(point, Z=Z)

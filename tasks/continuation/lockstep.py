@@ -7,12 +7,12 @@ bits do not depend on the others, so neither does what a procedure returns.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 
 Result = TypeVar("Result")
@@ -27,25 +27,6 @@ class Call(NamedTuple):
 
 
 Procedure = Generator[Call, Any, Result]
-
-
-def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
-    """Return some lanes of a result.
-
-    Parameters
-    ----------
-    result : ndarray, Problem, or a dataclass, tuple or list of such
-        Whose last axes count lanes.
-    lanes : slice, or ndarray of int, shape (k,)
-    """
-    if isinstance(result, np.ndarray):
-        return result[..., lanes]
-    if isinstance(result, Problem):
-        return result.some(lanes)
-    if isinstance(result, tuple | list):
-        return type(result)(lanes_of(each, lanes) for each in result)
-    values = {field.name: lanes_of(getattr(result, field.name), lanes) for field in dataclasses.fields(result)}
-    return type(result)(**values)
 
 
 def run(problem: Problem, procedure: Procedure[Result]) -> Result:

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.continuation.root import hermite, passes
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 
 #: Points beyond which a curve may have closed.
 _LEAST_CLOSED = 3
 
-#: Equations of some lanes at their points Z (c, n), to first order: their `residual` (c - 1, n), its `derivative`
-#: (c - 1, c, n), and, of several lanes, `assign(lanes, other)`, which replaces some of them; and the size of a bordered
-#: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
+#: Equations of some lanes at their points Z (c, n), to first order, a dataclass: their `residual` (c - 1, n) and its
+#: `derivative` (c - 1, c, n); and the size of a bordered Newton step that rounding makes (n,), by the bordered matrix
+#: (n, c, c).
 Linearise = Callable[[np.ndarray, np.ndarray], Any]
 RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
 #: One equation more: by the numbers of lanes (j,), the other equations there, the Newton steps that led to their points
@@ -177,7 +176,7 @@ def bordered_newton(
         if len(active) == n:
             at = system
         else:
-            at.assign(active, system)
+            replace_lanes(at, active, system)
         active = active[moving & ~done]
         if not len(active):
             break
@@ -239,11 +238,6 @@ class StepControl:
         return np.minimum(self.longest, step * factor)
 
 
-#: By the numbers of tracks (j,): corrected points of predicted ones and which are fair, as `Tracks.advance` takes both;
-#: and why tracks stop at points that follow on others (c, j), empty where they go on.
-Correct = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
-Judge = Callable[[np.ndarray, Any, np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray]"]
-Reasons = Callable[[np.ndarray, Any, np.ndarray], np.ndarray]
 #: Why a track stops that returns to its start, that could be continued no further, or that has the most points.
 CLOSED, NO_FURTHER, TOO_MANY = "closed", "no further point", "too many points"
 
@@ -273,6 +267,8 @@ def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
 class Tracks:
     """Curves in progress: the last points of n of them, all points in the order they were found, and why they stopped.
 
+    Whoever follows curves says how their points are corrected, which are fair, and where they stop.
+
     Attributes
     ----------
     Z, tangent : ndarray, shape (c, n)
@@ -298,14 +294,31 @@ class Tracks:
         self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.record(np.arange(n))
 
-    def follow(self, correct: Correct, judge: Judge, reasons: Reasons, most: int) -> list[Track]:
+    def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
+        """Corrected points of some tracks (j,), of predicted ones (c, j), in planes normal to (c, j)."""
+        raise NotImplementedError
+
+    def judge(
+        self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which corrected points are fair (j,), besides what the step control demands, and what that keeps near target.
+
+        They are given with the predicted ones (c, j) and the distances between them (j,).
+        """
+        return np.ones(len(tracks), bool), error
+
+    def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
+        """Why some tracks (j,) stop at points that follow on others (c, j); empty where they go on."""
+        return np.full(len(tracks), "", object)
+
+    def follow(self, most: int) -> list[Track]:
         """Follow all tracks until each stops: for a reason, or after the most points."""
         while len(active := np.flatnonzero(self.stop == "")):
             last = self.Z[:, active], self.tangent[:, active]
-            point, fair = self.advance(active, partial(correct, active), partial(judge, active))
+            point, fair = self.advance(active)
             new, refused, (Z, tangent) = active[fair], active[~fair], lanes_of(last, fair)
             self.record(new)
-            self.stop[new] = reasons(new, lanes_of(point, fair), Z)
+            self.stop[new] = self.reasons(new, lanes_of(point, fair), Z)
             start, ahead = lanes_of(self.first, new)
             closes = passes(start, ahead, Z, tangent, self.Z[:, new], self.tangent[:, new])
             self.stop[new[(self.stop[new] == "") & (self.count[new] >= most)]] = TOO_MANY
@@ -323,36 +336,26 @@ class Tracks:
         self.count[tracks] += 1
         self.log.append((tracks, self.Z[:, tracks], self.tangent[:, tracks]))
 
-    def advance(
-        self,
-        active: np.ndarray,
-        correct: Callable[[np.ndarray, np.ndarray], Any],
-        judge: Callable[[Any, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    ) -> tuple[Any, np.ndarray]:
+    def advance(self, active: np.ndarray) -> tuple[Point, np.ndarray]:
         """Try a step of some tracks.
 
         Parameters
         ----------
         active : ndarray of int, shape (j,)
-        correct : callable
-            The corrected points (with `Z`, `direction` and `ok`) of predicted ones (c, j), in planes normal to (c, j).
-        judge : callable
-            Which of the corrected points are fair (j,), besides what the step control demands, and what it is to keep
-            near its target (j,), by the points, the predicted ones and the distances between them.
 
         Returns
         -------
-        point : object
+        point : Point
             The corrected points.
         fair : ndarray of bool, shape (j,)
             Which of them were accepted; the next step of the other tracks is shorter.
         """
         h, border = self.step[active], self.tangent[:, active].copy()
         guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
-        point = correct(self._near(active, guess, border), border)
+        point = self.correct(active, self._near(active, guess, border), border)
         error = np.linalg.norm(point.Z - guess, axis=0)
         cosine = (point.direction * border).sum(axis=0)
-        fair, measure = judge(point, guess, error)
+        fair, measure = self.judge(active, point, guess, error)
         fair = fair & point.ok & self.control.accepts(error, h, np.abs(cosine))
         new = active[fair]
         tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]

@@ -14,7 +14,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import LOST, Branch
 from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
-from gaitsweep.tasks.continuation.locate import TestFunction, fold_error, locate_root, value_of
+from gaitsweep.tasks.continuation.locate import TestFunction, locate_root, value_of
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.tracking import branch_point_determinant, correct
@@ -192,9 +192,7 @@ def state_at(problem: Problem, point: Evaluation, lane: int) -> dict[str, Any]:
 def _error(kind: str, problem: Problem, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
     error = known
-    if kind == "fold":
-        error = fold_error(point, lane)
-    elif kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
+    if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
         error += slope_error(problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])

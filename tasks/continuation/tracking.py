@@ -9,7 +9,6 @@ number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -28,6 +27,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.registry import SLOPES
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import sections
 from gaitsweep.tasks.step.simulate import MAX_LOG_ANGLE
@@ -50,7 +50,7 @@ _CONTROL = StepControl(
 #: Gaits of several steps that flips begin lie near each other.
 _CONTROL_OF_SEVERAL = replace(_CONTROL, shortest=1e-12, max_bend=0.2)
 #: Of these the largest multiplier up to which branches are followed, and the largest change of the multipliers' sum
-#: over a continuation step, so that no flip is passed unseen.
+#: over a continuation step.
 MAX_MULTIPLIER, _MAX_CHANGE = 20.0, 0.6
 #: Largest error of predicted event times.
 _MAX_TIME_ERROR = 0.1
@@ -176,12 +176,11 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
     upwards[-1] = 1.0
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
-    tracks = _Branches(problem.some(lanes), first, lanes, sign * upwards[:, lanes], step)
-    tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
+    tracks = _Branches(problem.some(lanes), lanes_of(first, lanes), sign * upwards[:, lanes], step, problem.steps > 1)
     tracks.stop[~first.ok[lanes]] = "no start"
     followed = [
         Track(each.Z[:, :-1], each.tangent[:, :-1], HALVED) if each.stop_reason == HALVED else each
-        for each in tracks.follow(tracks.correct, tracks.judge, tracks.reasons, _MAX_NODES)
+        for each in tracks.follow(_MAX_NODES)
     ]
     return list(zip(followed[:n], followed[n:], strict=True))
 
@@ -189,13 +188,6 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
 def _trace(point: Point) -> np.ndarray:
     """Sum of the multipliers, shape (n,)."""
     return np.trace(point.at.jacobians, axis1=1, axis2=2)
-
-
-def _of_several(fair: np.ndarray, error: np.ndarray, point: Point, trace: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which points of gaits of several steps are fair, and a measure of their errors that counts multipliers too."""
-    change = np.abs(_trace(point) - trace)
-    worth = _CONTROL.target * (2 * change / _MAX_CHANGE) ** (1 / _CONTROL.power)
-    return fair & (change < _MAX_CHANGE), np.maximum(error, worth)
 
 
 def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.ndarray:
@@ -219,32 +211,30 @@ def points_along(problem: Problem, first: Point, direction: np.ndarray, step: fl
     step : float
         Length of the first step.
     """
-    point = first.oriented(direction[:, None])
-    tracks = Tracks(_CONTROL_OF_SEVERAL, point.Z, point.direction, step)
-
-    def judge(new: Point, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _of_several(np.ones(1, bool), error, new, _trace(point))
-
-    yield point
+    tracks, alone = _Branches(problem, first, direction[:, None], step, several=True), np.array([0])
+    yield first.oriented(tracks.tangent)
     while tracks.step[0] > tracks.control.shortest:
-        new, fair = tracks.advance(np.array([0]), functools.partial(correct, problem), judge)
+        point, fair = tracks.advance(alone)
         if fair[0]:
-            point = new.oriented(tracks.tangent)
-            yield point
+            tracks.record(alone)
+            yield point.oriented(tracks.tangent)
 
 
 class _Branches(Tracks):
-    """Branches in progress, with the sides of the determinants that vanish where branches cross."""
+    """Branches in progress from n points, along the tangents on the side of an orientation (c, n).
 
-    def __init__(self, problem: Problem, first: Point, lanes: np.ndarray, orientation: np.ndarray, step: float):
-        self.problem, tangent = problem, first.direction[:, lanes]
-        tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        self.recent = np.zeros((_CHECK_EVERY // 3, *tangent.shape))
-        control = _CONTROL if problem.steps == 1 else _CONTROL_OF_SEVERAL
-        super().__init__(control, first.Z[:, lanes], tangent, step)
-        self.trace = _trace(first)[lanes]
-        # Of the last points, and of those that were tried after them.
-        self.side, self.tried = np.zeros(len(lanes)), np.zeros(len(lanes))
+    With `several`, as beside flips, steps are so short that no flip is passed unseen. `passed` and `tried` (2, n) are,
+    at the last points and at those tried after them, the sign of the determinant that vanishes where branches cross and
+    the sum of the multipliers.
+    """
+
+    def __init__(self, problem: Problem, first: Point, orientation: np.ndarray, step: float, several: bool):
+        first = first.oriented(orientation)
+        self.problem, self.several = problem, several
+        self.recent = np.zeros((_CHECK_EVERY // 3, *first.Z.shape))
+        self.passed = np.array([np.sign(branch_point_determinant(first, orientation)), _trace(first)])
+        self.tried = self.passed.copy()
+        super().__init__(_CONTROL_OF_SEVERAL if several else _CONTROL, first.Z, first.direction, step)
 
     def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
         return correct(self.problem.some(tracks), guess, border)
@@ -252,25 +242,37 @@ class _Branches(Tracks):
     def judge(
         self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        self.tried[:, tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks])), _trace(point)
+        (side, trace), (new_side, new_trace) = self.passed[:, tracks], self.tried[:, tracks]
         # Another root of a guard is another solution, even if the gait is nearly the same.
         fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(axis=0)
-        self.tried[tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks]))
-        fair &= (self.side[tracks] * self.tried[tracks] >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
-        return (fair, error) if self.problem.steps == 1 else _of_several(fair, error, point, self.trace[tracks])
+        fair &= (side * new_side >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
+        if not self.several:
+            return fair, error
+        change = np.abs(new_trace - trace)
+        worth = self.control.target * (2 * change / _MAX_CHANGE) ** (1 / self.control.power)
+        return fair & (change < _MAX_CHANGE), np.maximum(error, worth)
 
     def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
-        self.side[tracks], self.trace[tracks], why = self.tried[tracks], _trace(point), _stop_reasons(point)
+        why = _stop_reasons(point)
         if self.problem.steps > 1:
             why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
-            why[due[~_are_steps(self.problem, self, tracks[due])]] = NOT_A_STEP
+            why[due[~self._are_steps(tracks[due])]] = NOT_A_STEP
         return why
 
     def record(self, tracks: np.ndarray) -> None:
+        self.passed[:, tracks] = self.tried[:, tracks]
         self.recent[self.count[tracks] % len(self.recent), :, tracks] = self.Z[:, tracks].T
         super().record(tracks)
+
+    def _are_steps(self, tracks: np.ndarray) -> np.ndarray:
+        """Whether any of the last points of some tracks is a step that happens, shape (j,)."""
+        Z = self.recent[:, :, tracks]
+        check = check_steps(self.problem.some(np.tile(tracks, len(Z))), np.hstack([*Z]))
+        return np.asarray(check.step.reshape(len(Z), -1).any(axis=0))
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -292,14 +294,6 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     """
     tangent = point.direction * np.sign((point.direction * direction).sum(axis=0))
     return np.linalg.det(bordered_matrix(point.at.derivative, tangent))
-
-
-def _are_steps(problem: Problem, tracks: _Branches, which: np.ndarray) -> np.ndarray:
-    """Whether any of the last points of some tracks is a step that happens, shape (len(which),)."""
-    Z = tracks.recent[:, :, which]
-    lanes = np.tile(which, len(Z))
-    check = check_steps(problem.some(lanes), Z.transpose(1, 0, 2).reshape(len(Z[0]), -1))
-    return np.asarray(check.step.reshape(-1, len(which)).any(axis=0))
 
 
 def check_steps(problem: Problem, Z: np.ndarray) -> StepCheck:

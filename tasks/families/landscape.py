@@ -18,7 +18,6 @@ from gaitsweep.tasks.continuation.extremes import (
     Points,
     best,
     find,
-    join,
     may_be,
     nothing,
     roles,
@@ -32,6 +31,7 @@ from gaitsweep.tasks.families.manifold import Manifold
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
@@ -112,14 +112,14 @@ def points_at(
     """
     n, problem = len(unit), maker.problem(unit)
     if not manifolds:
-        return nothing(problem, 0), np.ones(n, bool), np.zeros((n, 0), np.int8)
+        return nothing(problem), np.ones(n, bool), np.zeros((n, 0), np.int8)
     predicted = [manifold.predict(unit)[0] for manifold in manifolds]
     kinds = np.array([manifold.kind for manifold in manifolds])
     froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
     left = np.column_stack([manifold.region.holds(unit) for manifold in manifolds])
     near = ~np.logical_or.reduce([manifold.region.is_near(unit) for manifold in manifolds])
     flags = np.where(left, -1, 0).astype(np.int8)
-    parts = [nothing(problem, 0)]
+    parts = [nothing(problem)]
     served = {name: np.full(n, np.inf) for name in QUANTITIES}
     while left.any():
         due = left.copy() if every else np.zeros_like(left)
@@ -140,7 +140,7 @@ def points_at(
                 value = values(name, points.log_slope, points.log_froude)
                 served[name][lanes] = np.minimum(served[name][lanes], np.where(which, value, np.inf))
             parts.append(points)
-    return join(parts), near, flags
+    return join_lanes(parts), near, flags
 
 
 def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
@@ -223,7 +223,7 @@ class _Surveyor:
         points = find(problem, survey_lines(problem, COARSE), self.window, self.log_speed)
         lines = []
         for i, keys in enumerate(self.box.at(unit)):
-            own = points.some(points.line == i)
+            own = lanes_of(points, points.line == i)
             own.line = np.zeros(len(own.line), int)
             lines.append(_Line(self.structure, keys, own))
         self.lines += lines
@@ -296,7 +296,7 @@ class _Surveyor:
                     if not rivals:
                         return True
                     new, _, _ = points_at(self.maker, self.manifolds[-1:], self.unit, self.window, every=True)
-                    own = join([own, new])
+                    own = join_lanes([own, new])
         return False
 
     def patterns(self) -> set[bytes]:

@@ -11,6 +11,7 @@ from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.step_map import SAMPLES
 
@@ -210,7 +211,7 @@ def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarr
         side = 1 if "kneestrike_at" in kind else -1
         Z = step.Z[:, lanes] + side * _INSIDE * step.direction[:, lanes]
     else:
-        stride = step.at.stride.some(lanes)
+        stride = lanes_of(step.at.stride, lanes)
     _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)
     walks[lanes] = check.anthropomorphic
     return walks

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from gaitsweep.tasks.fixed_points.rounding import (
 )
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES, matvec
@@ -91,21 +91,6 @@ class Polished:
         """Similarity coordinates and event times, shape (m + phases, n)."""
         return np.vstack([np.log(self.y[:1] * self.scale), self.y[1:] / self.y[0], self.times])
 
-    def assign(self, lanes: np.ndarray, other: Polished) -> None:
-        """Replace some lanes by those of other gaits.
-
-        Parameters
-        ----------
-        lanes : ndarray of int, shape (k,)
-        other : Polished
-            Of k lanes.
-        """
-        for name, values in vars(self).items():
-            if isinstance(values, AnyStride):
-                values.assign(lanes, other.stride)
-            else:
-                values[..., lanes] = getattr(other, name)
-
 
 @dataclass(frozen=True)
 class Guesses:
@@ -123,11 +108,6 @@ class Guesses:
     gradient: np.ndarray
     rounding_std: np.ndarray
     leg_passes: np.ndarray
-
-
-def join(parts: Sequence[Guesses]) -> Guesses:
-    """Guesses of several parts, one after another."""
-    return Guesses(*(np.concatenate([getattr(p, f.name) for p in parts], axis=-1) for f in fields(Guesses)))
 
 
 def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
@@ -200,12 +180,12 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         parameters = some.parameters(slope[unsure], scale[unsure])
         better = some.map(y[:, unsure], times[:, unsure], parameters, samples=samples)
         better.one.impact = stride.one.impact[..., unsure]
-        stride.assign(unsure, better)
+        replace_lanes(stride, unsure, better)
         last[:, unsure] = 0.0
     step = strikes_fall_in_order(stride.closing, times)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
-        known = stride.some(lanes) if sampled else None
+        known = lanes_of(stride, lanes) if sampled else None
         _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), known)
         step[lanes], leg_passes = check.step, leg_passes.copy()
         leg_passes[lanes] = check.leg_passes
@@ -274,5 +254,5 @@ def _polish(
         before[lanes] = eta[lanes]
         w[:, lanes] += step[:, lanes]
         update, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes], samples=samples)
-        stride.assign(lanes, update)
+        replace_lanes(stride, lanes, update)
     return stride, scale, w

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -127,17 +126,6 @@ class Strides:
         newton = self.newton.reshape(self.steps, len(self.one.y), self.y.shape[1]).swapaxes(0, 1)
         self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
         self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
-
-    def some(self, lanes: np.ndarray) -> Strides:
-        """Return some lanes, ndarray of int of shape (j,)."""
-        return Strides(self.one.some(lanes), self.y[:, lanes], self.guessed[:, lanes])
-
-    def assign(self, lanes: np.ndarray, other: Any) -> None:
-        """Replace some lanes, ndarray of int of shape (j,), by those of other strides."""
-        self.one.assign(lanes, other.one)
-        self.y[:, lanes], self.guessed[:, lanes] = other.y, other.guessed
-        for name in ("times", "residual", "derivative", "inverse", "_moved"):
-            vars(self).pop(name, None)
 
 
 #: What was evaluated of a gait: its step, or its steps.

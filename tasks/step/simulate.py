@@ -10,7 +10,7 @@ correction. A lane's bits depend on its initial state alone.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import heyoka as hy
 import numpy as np
@@ -20,6 +20,7 @@ from gaitsweep.tasks.mechanics.impacts import heelstrike
 from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
 from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.crossing import crossing, guard
+from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Problem, scale_of
 from gaitsweep.tasks.step.symbols import end_of_step, lock_knee
 
@@ -359,8 +360,8 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
     if n > _SIDE_BY_SIDE:
         parts = np.split(np.arange(n), range(_SIDE_BY_SIDE, n, _SIDE_BY_SIDE))
         blocks = [stride(problem.some(part), y[:, part], slope[part], exact) for part in parts]
-        joined = {f.name: np.concatenate([getattr(b, f.name) for b in blocks], axis=-1) for f in fields(SimulatedSteps)}
-        return SimulatedSteps(**joined)
+        joined: SimulatedSteps = join_lanes(blocks)
+        return joined
     steps, scale, parameters = _scan(problem, y, slope)
     lanes = np.flatnonzero(steps.outcome == STRUCK)
     if exact:

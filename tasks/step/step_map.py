@@ -93,15 +93,6 @@ class Stride:
         """
         return [phase / self.y[0] for phase in self.motion]
 
-    def some(self, lanes: np.ndarray) -> Stride:
-        """Return some lanes.
-
-        Parameters
-        ----------
-        lanes : ndarray of int, shape (k,)
-        """
-        return self.mapped(lambda values: values[..., lanes])
-
     def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Stride:
         """Return a stride of changed arrays."""
         changed = copy.copy(self)
@@ -123,20 +114,6 @@ class Stride:
         """Correct the states at the impacts to the fixed point."""
         self.impact = self.impact + matvec(self.impact_by_y, self.newton)
         self.knee = self.knee + matvec(self.knee_by_y, self.newton)
-
-    def assign(self, lanes: np.ndarray, other: Any) -> None:
-        """Replace some lanes by those of another stride.
-
-        Parameters
-        ----------
-        lanes : ndarray of int, shape (k,)
-        other : Stride
-            Of k lanes.
-        """
-        for name, values in vars(self).items():
-            new = getattr(other, name)
-            for a, b in zip(values, new, strict=True) if isinstance(values, list) else [(values, new)]:
-                a[..., lanes] = b
 
 
 def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:

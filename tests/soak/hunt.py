@@ -11,11 +11,11 @@ from scipy.optimize import differential_evolution, minimize
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
-from gaitsweep.tasks.continuation.lockstep import lanes_of
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton_step
-from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, join
+from gaitsweep.tasks.fixed_points.polish import Guesses, Polished
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -201,7 +201,7 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     pieces = [(number, *each) for number, branch in enumerate(branches) for each in branch.guesses(np.log(slope))]
     if not pieces:
         return outcome
-    guesses = join([branches[k].known_guesses(Z, segment, slope[index]) for k, index, Z, segment in pieces])
+    guesses = join_lanes([branches[k].known_guesses(Z, segment, slope[index]) for k, index, Z, segment in pieces])
     start = time.process_time()
     at = settle_on_branches(problem, guesses, [(problem, branches[k], segment) for k, _, _, segment in pieces])
     seconds = (time.process_time() - start) / len(guesses.slope)

@@ -26,6 +26,7 @@ from gaitsweep.tasks.families.manifold_maker import Maker, _Extension
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.map_designs import _Rows, _solve, design
 from gaitsweep.tasks.mechanics.lumped import common_structure
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.statics import statics
@@ -437,7 +438,7 @@ def test_a_row_of_differences_is_the_derivative():
 def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
     problem = lanes("A", detuning=0.3, m_h=0.5)
     points = find(problem, survey_lines(problem, COARSE), WINDOW)
-    flip = points.some(np.flatnonzero((points.kind == "flip") & points.walks)[:1])
+    flip = lanes_of(points, np.flatnonzero((points.kind == "flip") & points.walks)[:1])
     differences = []
     monkeypatch.setattr(defining, "gradient", lambda *_: differences.append(1))
     solved = solve(problem, "flip", flip.Z + 1e-4, rows=1.2 * flip.rows)
@@ -448,7 +449,7 @@ def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
 def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
     surveyed = []
     monkeypatch.setattr(landscapes, "survey_lines", lambda problem, _: surveyed.append(len(problem.lanes)))
-    monkeypatch.setattr(landscapes, "find", lambda problem, *_: extremes.nothing(problem, 0))
+    monkeypatch.setattr(landscapes, "find", lambda problem, *_: extremes.nothing(problem))
     walker, keys = PLANES["A"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []

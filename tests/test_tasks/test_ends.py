@@ -11,11 +11,12 @@ from gaitsweep.tasks.continuation import locate
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import locate_root, settle_on_branches
 from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.fixed_points.polish import UNKNOWN, join, settle
+from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
 from gaitsweep.tasks.mechanics.lumped import lump
 from gaitsweep.tasks.registry import GAITS, STATUSES
 from gaitsweep.tasks.solve_points import lines
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.verify_step import strikes_fall_in_order, verify
 from lines import FAILURES, branches, of_label, repeats, solved
 from soak.bounds import compared
@@ -56,7 +57,7 @@ def test_a_guess_that_newton_loses_is_located_on_its_branch():
     settled = settle_on_branches(problem, bad, [(problem, branch, at)])
     assert settled.converged.all()
     np.testing.assert_allclose(settled.y * settled.scale, wanted.y * wanted.scale, rtol=2e-15)
-    both = [join([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
+    both = [join_lanes([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
     assert np.array_equal(settle_on_branches(problem, *both).y, np.hstack([settled.y, wanted.y, settled.y]))
     # Newton's method leads to the other gait.
     stray = replace(good, w=other[:-1] + 1e-3)
@@ -71,7 +72,7 @@ def test_only_guesses_that_are_lost_are_settled_again(monkeypatch):
     problem, branch, at, good, _ = between_nodes()
     settled = []
     monkeypatch.setattr(locate, "settle", lambda p, g, **k: settled.append(g.w.shape[1]) or settle(p, g, **k))
-    guesses = join([good, replace(good, w=good.w + 2.0), good])
+    guesses = join_lanes([good, replace(good, w=good.w + 2.0), good])
     assert settle_on_branches(problem, guesses, [(problem, branch, np.repeat(at, 3))]).converged.all()
     assert settled == [3, 1]
 

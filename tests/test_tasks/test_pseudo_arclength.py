@@ -26,9 +26,6 @@ class Equations:
     residual: Any
     derivative: Any
 
-    def assign(self, lanes, other):
-        self.residual[:, lanes], self.derivative[..., lanes] = other.residual, other.derivative
-
 
 def circles(squares):
     def linearise(lanes, Z):
@@ -37,6 +34,16 @@ def circles(squares):
         return Equations(residual, np.array([[2 * x, 2 * y, 0 * x], [y, x, 0 * x - 1]]))
 
     return lambda guess, border: bordered_newton(linearise, lambda *_: 1e-15, NEWTON, guess, border, [0, 1])
+
+
+class Circles(Tracks):
+    def __init__(self, squares, step):
+        radius = np.sqrt(squares)
+        self.solve = circles(squares)
+        super().__init__(CONTROL, np.array([radius, 0 * radius, 0 * radius]), unit_tangents(radius), step)
+
+    def correct(self, tracks, guess, border):
+        return self.solve(guess, border)
 
 
 def unit_tangents(radius):
@@ -58,18 +65,11 @@ def test_points_tangents_and_times_of_circles():
 
 def test_tracks_side_by_side_go_once_round_and_as_each_does_alone():
     def followed(squares):
-        radius = np.sqrt(squares)
-        Z = np.array([radius, 0 * radius, 0 * radius])
-        tracks = Tracks(CONTROL, Z, unit_tangents(radius), 0.2)
+        tracks = Circles(squares, 0.2)
         turned, rounds = np.zeros(len(squares)), []
         for _ in range(140):
             before = tracks.Z.copy()
-
-            def judge(point, guess, error):
-                return np.ones(len(error), bool), error
-
-            active = np.arange(len(squares))
-            tracks.advance(active, circles(squares), judge)
+            tracks.advance(np.arange(len(squares)))
             turned += np.arctan2(
                 before[0] * tracks.Z[1] - before[1] * tracks.Z[0], (before[:2] * tracks.Z[:2]).sum(axis=0)
             )
@@ -84,24 +84,30 @@ def test_tracks_side_by_side_go_once_round_and_as_each_does_alone():
 
 
 def test_a_step_that_turns_too_far_is_refused_and_halved():
-    tracks = Tracks(CONTROL, np.array([[0.5], [0.0], [0.0]]), unit_tangents(np.array([0.5])), 0.4)
-    _, fair = tracks.advance(np.array([0]), circles(SQUARES[2:]), lambda p, g, e: (np.ones(1, bool), e))
+    tracks = Circles(SQUARES[2:], 0.4)
+    _, fair = tracks.advance(np.array([0]))
     assert not fair[0] and tracks.step[0] == 0.2
     np.testing.assert_array_equal(tracks.Z[:, 0], [0.5, 0.0, 0.0])
 
 
 def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
     """In the plane of the predicted point, so that the corrected one is the same: only sooner reached."""
-    radius = np.sqrt(SQUARES)
-    tracks = Tracks(CONTROL, np.array([radius, 0 * radius, 0 * radius]), unit_tangents(radius), 0.15)
+    begun, predicted = [], []
+
+    class Told(Circles):
+        def correct(self, tracks, guess, border):
+            begun.append((guess, border))
+            return super().correct(tracks, guess, border)
+
+        def judge(self, tracks, point, guess, error):
+            predicted.append((point.Z, guess))
+            return super().judge(tracks, point, guess, error)
+
+    tracks = Told(SQUARES, 0.15)
     for k in range(3):
-        begun, predicted, has_two = [], [], tracks.back > 0
-        tracks.advance(
-            np.arange(3),
-            lambda guess, border, begun=begun: begun.append((guess, border)) or circles(SQUARES)(guess, border),
-            lambda point, guess, e, at=predicted: at.append((point.Z, guess)) or (np.ones(3, bool), e),
-        )
-        ((start, border),), ((reached, guess),) = begun, predicted
+        has_two = tracks.back > 0
+        tracks.advance(np.arange(3))
+        (start, border), (reached, guess) = begun[-1], predicted[-1]
         np.testing.assert_allclose(((start - guess) * border).sum(axis=0), 0.0, atol=1e-15)
         near, far = (np.linalg.norm(reached - Z, axis=0) for Z in (start, guess))
         assert (near[has_two] < 0.7 * far[has_two]).all() and (start == guess)[:, ~has_two].all()
@@ -120,18 +126,18 @@ def test_hermites_polynomial_is_the_cubic_through_both_points_and_tangents():
 def test_a_curve_that_closes_in_the_step_in_which_it_stops_for_another_reason_is_closed():
     """It had the other reason, and was taken for one with two ends."""
 
-    def followed(most):
-        solve = circles(SQUARES[2:])
-        tracks = Tracks(CONTROL, np.array([[0.5], [0.0], [0.0]]), unit_tangents(np.array([0.5])), 0.1)
-        (track,) = tracks.follow(
-            lambda _, guess, border: solve(guess, border),
-            lambda _, point, guess, error: (np.ones(1, bool), error),
-            lambda *_: np.array(["" if tracks.count[0] < most else "elsewhere"]),
-            1000,
-        )
+    class Stopped(Circles):
+        def reasons(self, tracks, point, last):
+            return np.array(["" if self.count[0] < most else "elsewhere"])
+
+    def followed():
+        (track,) = Stopped(SQUARES[2:], 0.1).follow(1000)
         return track.stop_reason, track.Z.shape[1]
 
-    reason, n = followed(1000)
+    most = 1000
+    reason, n = followed()
     assert (reason, n > 4) == ("closed", True)
-    assert followed(n) == ("closed", n)
-    assert followed(n - 1) == ("elsewhere", n - 1)
+    most = n
+    assert followed() == ("closed", n)
+    most = n - 1
+    assert followed() == ("elsewhere", n - 1)
