@@ -18,7 +18,7 @@ import numpy as np
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
-from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, FOUND
+from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 
@@ -156,7 +156,7 @@ def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
     """
     shape, multipliers = packing.shape, packing.multipliers
     status, reason = points.values["status"], points.values["reason"]
-    gaits = 1 + int(np.flatnonzero(np.isin(status, FOUND).any(axis=0)).max(initial=-1))
+    gaits = 1 + int(np.flatnonzero(np.isin(status, OF_GAITS).any(axis=0)).max(initial=-1))
     pieces, columns = list[Packed](), dict[str, int]()
     for name, array in points.values.items():
         extent = _extent(name, shape, multipliers)
