@@ -12,6 +12,8 @@ STATUS_NAMES = {code: name for name, code in ALL_STATUSES.items()}
 ANSWERS = tuple(STATUSES[name] for name in outcomes.ANSWERS)
 #: Statuses of gaits that were found.
 FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
+#: Statuses of gaits that there are, found or not.
+OF_GAITS = tuple(code for name, code in STATUSES.items() if name != "no_gait")
 #: Reason of points that nobody has computed.
 NOT_ATTEMPTED = "The run has not reached it."
 

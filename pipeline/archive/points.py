@@ -15,12 +15,12 @@ from gaitsweep.pipeline.archive.written import Sentences, Written, line_descript
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.outcomes import count
-from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, STATUS_NAMES, of_atlas
+from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, OF_GAITS, STATUS_NAMES, of_atlas
 from gaitsweep.pipeline.store.packing import Packed, pack_values
 from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack, unpacked
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
-from gaitsweep.tasks.registry import GAITS, STATUSES, VARIABLES, Variable
+from gaitsweep.tasks.registry import GAITS, VARIABLES, Variable
 
 
 class PointWriter:
@@ -60,9 +60,8 @@ class PointWriter:
         """Count the points of a chunk, and note its sentences and the gaits that it has."""
         head = self.plan.store.chunk(key) if key in self.plan.store else Head(self._record(chunk, key)[0])
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
-        solved = [code for name, code in STATUSES.items() if name != "no_gait"]
         self.written.counts += count(rows, STATUS_NAMES)
-        self._is_solved |= np.isin(list(rows), solved).any(axis=0)
+        self._is_solved |= np.isin(list(rows), OF_GAITS).any(axis=0)
         self._texts |= sentences
         if head.has_failed(self.columns):
             is_one = len(rows) == len(sentences) == 1  # as where nothing was computed

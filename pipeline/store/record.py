@@ -18,7 +18,7 @@ import numpy as np
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
-from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, FOUND
+from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 
@@ -62,24 +62,25 @@ class Points:
         Raises
         ------
         ValueError
-            If there is not a result for each line, or a variable has not the shape of its points.
+            If a variable has not the shape of the points, or they are not those of the lines.
         """
         results = [result for _, result in returned] if "lines" in params else [returned]
-        slopes, parts = len(params["slope"]), list[Points]()
-        if len(results) != len(params.get("lines", results)):
-            raise ValueError(f"{len(results)} results are returned of {len(params['lines'])} lines")
+        parts, count = list[Points](), len(params.get("lines", [None])) * len(params["slope"])
         for result in results:
             names = ("status", *(name for name in params["want"] if name not in ("status", "reason")))
             values = {name: np.asarray(result[name], VARIABLES[name].dtype) for name in names}
             for name, array in values.items():
-                if array.shape[:2] != values["status"].shape or len(array) != slopes:
-                    raise ValueError(f"`{name}` has shape {array.shape} for {slopes} points")
+                if array.shape[:2] != values["status"].shape:
+                    raise ValueError(f"`{name}` has shape {array.shape}, `status` {values['status'].shape}")
             sentences = [str(sentence) for sentence in result["reasons"]] or [""]
             reason = np.asarray(result["reason"])
             occurs = np.flatnonzero(np.bincount(reason.ravel(), minlength=len(sentences))).tolist()
             numbers = np.array([sentence_number(sentence) for sentence in sentences], _REASON)
             parts.append(cls({**values, "reason": numbers[reason]}, {int(numbers[k]): sentences[k] for k in occurs}))
-        return joined(parts)
+        points = joined(parts) if len(parts) > 1 else parts[0]
+        if len(points) != count:
+            raise ValueError(f"{len(points)} points are returned of {count}")
+        return points
 
     @classmethod
     def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> "Points":
@@ -155,7 +156,7 @@ def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
     """
     shape, multipliers = packing.shape, packing.multipliers
     status, reason = points.values["status"], points.values["reason"]
-    gaits = 1 + int(np.flatnonzero(np.isin(status, FOUND).any(axis=0)).max(initial=-1))
+    gaits = 1 + int(np.flatnonzero(np.isin(status, OF_GAITS).any(axis=0)).max(initial=-1))
     pieces, columns = list[Packed](), dict[str, int]()
     for name, array in points.values.items():
         extent = _extent(name, shape, multipliers)

@@ -391,11 +391,19 @@ def test_a_result_of_another_shape_is_refused(wrong):
         Points.of_task({**result, **wrong}, {"want": tuple(wrong), "slope": np.empty(4)})
 
 
-def test_a_result_is_refused_that_is_not_of_each_line():
-    own, result = points(1, 4)
+def test_a_gait_that_no_point_has_found_keeps_its_branch():
+    _, result = points(1, 4)
+    result["status"][2, 2], result["branch"][2, 2] = 2, 7  # it has not converged
+    own = Points.of_task(result, {"want": ("stance_angle", "branch"), "slope": np.empty(4)})
+    kept = unpacked(*pack(own, Packing(Shape((4,), (4,), 0), 3, ["long"])))
+    assert kept.values["branch"].shape == (4, 3) and kept.values["branch"][2, 2] == 7
+
+
+def test_a_result_is_refused_that_is_not_of_all_points():
+    _, result = points(1, 4)
     params = {"want": ("stance_angle",), "slope": np.empty(4), "lines": [{}, {}]}
-    assert len(Points.of_task([({}, result)] * 2, params)) == 2 * len(own)
-    with pytest.raises(ValueError, match="1 results are returned of 2 lines"):
+    assert len(Points.of_task([({}, result)] * 2, params)) == len(Points.of_task([({}, points(2, 4)[1])], params)) == 8
+    with pytest.raises(ValueError, match="4 points are returned of 8"):
         Points.of_task([({}, result)], params)
 
 
