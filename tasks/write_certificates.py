@@ -145,9 +145,9 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _special(kind: str, walker: str, slope: float, gait: str, half: float) -> dict[str, Any]:
-    """A flip or fold of a walker beside a gait."""
-    found = enclose_special({"kind": kind, "walker": walker, "slope": slope, "gait": gait, "half": half})
+def _special(kind: str, walker: str, slope: float, half: float) -> dict[str, Any]:
+    """A flip or fold of a walker's long gaits."""
+    found = enclose_special({"kind": kind, "walker": walker, "slope": slope, "gait": "long", "half": half})
     del found["multipliers"]
     m = _dimension(walker)
     box = {name: x for name, x in found["box"].items() if name in (*STATE[:m], *STATE[3:], "slope")}
@@ -185,9 +185,9 @@ _GAITS = (
 #: What proves each statement, the longest work first.
 _STATEMENTS: dict[str, Callable[[], dict[str, Any]]] = {
     "D-long-tube": partial(_tube, "D", "long", "0.009", "0.0150"),
-    "D-flip": partial(_special, "flip", "D", 0.015, "long", 1e-15),
-    "C-flip": partial(_special, "flip", "C", 0.0765, "long", 1e-13),
-    "physical-fold": partial(_special, "fold", "physical", 0.0192, "long", 1e-8),
-    "physical-straight-fold": partial(_special, "fold", "physical-straight", 0.0155, "long", 1e-8),
+    "D-flip": partial(_special, "flip", "D", 0.015, 1e-15),
+    "C-flip": partial(_special, "flip", "C", 0.0765, 1e-13),
+    "physical-fold": partial(_special, "fold", "physical", 0.0192, 1e-8),
+    "physical-straight-fold": partial(_special, "fold", "physical-straight", 0.0155, 1e-8),
     **{"-".join(gait): partial(_gait, *gait) for gait in _GAITS},
 }
