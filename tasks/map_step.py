@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from gaitsweep.tasks.simulate_steps import check_state, section_problem, take_step
-from gaitsweep.tasks.step.problem import Problem, scale_of
+from gaitsweep.tasks.simulate_steps import begin, take_step
+from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
-from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 
 
@@ -42,19 +41,13 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     The swing shank of a kneed walker starts with the rate that a heelstrike gives it, which the state determines. Point
     feet are mapped in all three coordinates, although after a heelstrike the thigh's rate follows from the others.
     """
-    walker = resolve(params["walker"], params.get("set"))
-    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
-    check_state(state)
-    problem = section_problem(walker)
+    problem, parameters, y, start = begin(params)
+    walker, scale = problem.walker, parameters[1]
     time_unit = walker.time_unit
     units = np.array([1.0, time_unit, time_unit])  # by which the walker's are multiplied
-    scale = scale_of(state[:1])
-    parameters = problem.parameters(slope, scale)
-    y = problem.section_of((state * units)[:, None], slope) / scale
-    start = problem.step.start(y, parameters)[: problem.step.start_size, 0]
     located = take_step(problem, start, parameters[:, 0])
     if located.outcome != STRUCK:
-        cause = CAUSES[located.outcome]
+        state, cause = np.array(params["state"], float), CAUSES[located.outcome]
         raise WalkerError("state", tuple(state.tolist()), f"leads to no heelstrike ({cause})")
     step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
     times = step.times

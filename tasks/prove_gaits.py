@@ -32,8 +32,7 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     table = params["walker"] if isinstance(params["walker"], Mapping) else {}
     check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})
-    numbers = {k: v if isinstance(v, bool) else float(v) for k, v in (params.get("set") or {}).items()}
-    walker = in_doubles(table) or params["walker"]
+    walker, numbers = in_doubles(table) or params["walker"], in_doubles(params.get("set") or {})
     solved = solve_one({"walker": walker, "slope": float(params["slope"]), "set": numbers})
     keys, kneed = exact(params["walker"], params.get("set"))
     setting = Setting(keys, kneed, decimal(params["slope"]))

@@ -68,16 +68,9 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     WalkerError
         If the walker or the state is invalid.
     """
-    walker = resolve(params["walker"], params.get("set"))
-    problem = section_problem(walker)
-    time_unit = walker.time_unit
-    n, phases = int(params["steps"]), problem.phases
-    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
-    check_state(state)
-    scale = scale_of(state[0])
-    parameters = problem.parameters(slope, scale[None])
-    y = problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope) / scale
-    x = problem.map.start(y, parameters)[: problem.map.start_size, 0]
+    problem, parameters, _, x = begin(params)
+    walker, scale = problem.walker, parameters[1, 0]
+    n, phases, time_unit = int(params["steps"]), problem.phases, walker.time_unit
     states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
     motion = np.full((n, 4, phases, SAMPLES + 1), np.nan)
     outcome, taken = STRUCK, 0
@@ -112,26 +105,40 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def section_problem(walker: Walker) -> Lanes:
-    """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
-    return Lanes([walker], general_structure(walker.knees))
-
-
-def check_state(state: np.ndarray) -> None:
-    """Check that a state lies on the section.
+def begin(params: Mapping[str, Any]) -> tuple[Lanes, np.ndarray, np.ndarray, np.ndarray]:
+    """What steps from a state begin with.
 
     Parameters
     ----------
-    state : ndarray, shape (3,)
-        Stance angle [rad], stance rate and thigh rate.
+    params : mapping
+        `walker`, `set`, `slope` and `state`, as `simulate_steps` takes them.
+
+    Returns
+    -------
+    problem : Lanes
+    parameters : ndarray, shape (n_parameters, 1)
+        Slope, scale and constants.
+    y, x : ndarray, shape (3, 1) and (4,) or (6,)
+        The state in section coordinates, and as angles and rates of the links; scaled.
 
     Raises
     ------
     WalkerError
-        If the stance leg is not in front of the ground's normal, or so far that the walker has fallen.
+        If the walker or the state is invalid.
     """
+    problem, slope = section_problem(resolve(params["walker"], params.get("set"))), np.array([float(params["slope"])])
+    state, time_unit = np.array(params["state"], float), problem.walker.time_unit
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")
+    scale = scale_of(state[:1])
+    parameters = problem.parameters(slope, scale)
+    y = problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope) / scale
+    return problem, parameters, y, problem.map.start(y, parameters)[: problem.map.start_size, 0]
+
+
+def section_problem(walker: Walker) -> Lanes:
+    """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
+    return Lanes([walker], general_structure(walker.knees))
 
 
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from flint import arb, ctx
@@ -17,6 +18,9 @@ from gaitsweep.tasks.proofs.records import STATE, guess, quoted
 from gaitsweep.tasks.proofs.stability import multipliers
 from gaitsweep.tasks.prove_gaits import prove_one
 from gaitsweep.tasks.solve_at_slope import solve_one
+
+#: What each certificate proves, by its name.
+_STATEMENTS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def names(params: Mapping[str, Any] | None = None) -> list[str]:
@@ -55,11 +59,13 @@ def certify(params: Mapping[str, Any]) -> dict[str, Any]:
     name = params["name"]
     if name not in _STATEMENTS:
         raise ValueError(f"there is no statement {name}")
-    return {"name": name, **_STATEMENTS[name]()}
+    about = _STATEMENTS[name]
+    return {"name": name, **_KINDS[about["kind"]](about)}
 
 
-def _gait(walker: str, label: str, slope: str) -> dict[str, Any]:
-    (proof,) = prove_one({"walker": walker, "slope": slope, "gait": label, "accuracy": 1e-12})["gaits"]
+def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
+    walker, label, slope = about["walker"], about["gait"], about["slope"]
+    (proof,) = prove_one({**about, "accuracy": 1e-12})["gaits"]
     if not proof["proved"]:
         raise tubes.NotProvedError(proof["reason"])
     stable = {True: "stable", False: "unstable", None: "of a stability not shown"}[proof["stable"]]
@@ -145,16 +151,17 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _special(kind: str, walker: str, slope: float, gait: str, half: float) -> dict[str, Any]:
-    """A flip or fold of a walker beside a gait."""
-    found = enclose_special({"kind": kind, "walker": walker, "slope": slope, "gait": gait, "half": half})
+def _special(about: Mapping[str, Any]) -> dict[str, Any]:
+    """A flip or fold, without the multipliers and rates that follow."""
+    found = enclose_special(about)
     del found["multipliers"]
-    m = _dimension(walker)
+    m = _dimension(about["walker"])
     box = {name: x for name, x in found["box"].items() if name in (*STATE[:m], *STATE[3:], "slope")}
     return {**found, "box": box}
 
 
-def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
+def _tube(about: Mapping[str, Any]) -> dict[str, Any]:
+    walker, label, low, high = (about[name] for name in ("walker", "gait", "slope", "to"))
     keys, kneed = exact(walker)
     family = tubes.Family(keys, kneed, tubes.BY_SLOPE)
     cover = covers.stable_over(family, _start(walker, label, float(low)), (decimal(low), decimal(high)))
@@ -174,20 +181,5 @@ def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
     }
 
 
-#: Both gaits of the paper's walkers at one slope, and E's long step down to vanishing slopes.
-_GAITS = (
-    *(("D", g, "0.009") for g in ("long", "short")),
-    *((w, g, "0.01") for w in "EFBAC" for g in ("long", "short")),
-    ("physical", "long", "0.036"),
-    ("physical-straight", "long", "0.036"),
-    *(("E", "long", s) for s in ("0.003", "0.001", "0.0003", "0.0001")),
-)
-#: What proves each statement, the longest work first.
-_STATEMENTS: dict[str, Callable[[], dict[str, Any]]] = {
-    "D-long-tube": partial(_tube, "D", "long", "0.009", "0.0150"),
-    "D-flip": partial(_special, "flip", "D", 0.015, "long", 1e-15),
-    "C-flip": partial(_special, "flip", "C", 0.0765, "long", 1e-13),
-    "physical-fold": partial(_special, "fold", "physical", 0.0192, "long", 1e-8),
-    "physical-straight-fold": partial(_special, "fold", "physical-straight", 0.0155, "long", 1e-8),
-    **{"-".join(gait): partial(_gait, *gait) for gait in _GAITS},
-}
+#: What proves a statement of each kind.
+_KINDS = {"gait": _gait, "flip": _special, "fold": _special, "tube": _tube}

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.polynomial.polynomial import polyfromroots
+from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.mechanics.contact import THIGH, Chain, total
 from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
@@ -76,11 +76,11 @@ def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray
     return value, position
 
 
-def _through(x: np.ndarray, middle: np.ndarray) -> list[np.ndarray]:
+def _through(x: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Coefficients of the polynomials through sampled functions around their samples `middle`, shape (n,)."""
     lane = np.arange(x.shape[1])
     values = [x[middle + k, lane] for k in range(-_SIDE, _SIDE + 1)]
-    return [total(c * value for c, value in zip(row.tolist(), values, strict=True)) for row in _POWERS]
+    return np.stack([total(c * value for c, value in zip(row.tolist(), values, strict=True)) for row in _POWERS])
 
 
 def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,14 +129,9 @@ def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
         return np.where((_SIDE * np.abs(t - passes) < 1) & (depth > 0), depth, 0.0)
 
 
-def _polynomial(powers: list[np.ndarray], t: np.ndarray, order: int = 0) -> np.ndarray:
-    """Value or derivative of a polynomial, coefficients in ascending order."""
-    for _ in range(order):
-        powers = [k * c for k, c in enumerate(powers)][1:]
-    value = powers[-1]
-    for c in reversed(powers[:-1]):
-        value = value * t + c
-    return value
+def _polynomial(powers: np.ndarray, t: np.ndarray, order: int = 0) -> np.ndarray:
+    """Values or derivatives of polynomials, one a lane."""
+    return np.asarray(polyval(t, polyder(powers, order), tensor=False))
 
 
 def _ratio(force: np.ndarray) -> np.ndarray:

@@ -53,6 +53,8 @@ class Chain:
         knee, thigh, shank = walker.knee / leg, walker.thigh_centre / leg, walker.shank_centre / leg
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
+        #: From foot centre to foot centre, link by link.
+        self.to_foot = (-self.foot, -knee, knee, self.foot)
         m_t, m_s = walker.m_t / mass, walker.m_s / mass
         rows = [
             [shank - self.foot, 0, 0, 0],
@@ -247,9 +249,8 @@ class Chain:
         -------
         ndarray, shape (4, ...)
         """
-        knee = -1j * self.l - self.foot
         e = np.exp(1j * q)
-        return np.stack([(arm * e[j]).real for j, arm in enumerate((-self.foot, -knee, knee, self.foot))])
+        return np.stack([(arm * e[j]).real for j, arm in enumerate(self.to_foot)])
 
     def lift(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """Second derivative of the swing foot's height by time, over g.
@@ -262,9 +263,8 @@ class Chain:
         -------
         ndarray, shape (...)
         """
-        knee = -1j * self.l - self.foot
         e = np.exp(1j * q)
-        turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate((-self.foot, -knee, knee, self.foot)))
+        turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate(self.to_foot))
         return (self.rise(q) * acceleration).sum(axis=0) - turning
 
 

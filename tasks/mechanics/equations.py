@@ -24,22 +24,11 @@ from typing import Any, TypeAlias
 import heyoka as hy
 
 from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics.vector import Vector
 
 #: A symbolic expression; heyoka's are compiled types without annotations.
 Sym: TypeAlias = Any
 ZERO, ONE = hy.expression(0.0), hy.expression(1.0)
-
-
-@dataclass(frozen=True)
-class Complex:
-    """A complex number of symbols; multiplication by exp(i angle) is all the mechanics needs."""
-
-    re: Sym
-    im: Sym
-
-    def rotate(self, sine: Sym, cosine: Sym) -> Complex:
-        """Rotate by an angle of that sine and cosine."""
-        return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
 
 class Symbols:
@@ -56,12 +45,12 @@ class Symbols:
         values = dict(zip(names, self.variables, strict=True)) | {k: hy.expression(v) for k, v in structure.units}
         self.slope, self.scale = values["slope"], values["scale"]
         self.R, self.l, self.eps, self.C_aa = values["R"], values["l"], values["eps"], values["C_aa"]
-        self.S_a = Complex(values["S_a_re"], values["S_a_im"])
-        self.S_b = Complex(values["S_b_re"], values["S_b_im"])
+        self.S_a = Vector(values["S_a_re"], values["S_a_im"])
+        self.S_b = Vector(values["S_b_re"], values["S_b_im"])
         self.C_bb = values["C_bb"]
         if structure.kneed:
-            self.S_c = Complex(values["S_c_re"], values["S_c_im"])
-            self.C_cc, self.H = values["C_cc"], Complex(values["H_re"], values["H_im"])
+            self.S_c = Vector(values["S_c_re"], values["S_c_im"])
+            self.C_cc, self.H = values["C_cc"], Vector(values["H_re"], values["H_im"])
 
     def hold(self, value: Sym) -> Sym:
         """An expression of parameters alone, as the flow's own parameter where this is a flow."""
@@ -71,15 +60,15 @@ class Symbols:
             self.held_values.append(value)
         return hy.par[self.held_values.index(value)]
 
-    def rotate(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
+    def rotate(self, constant: Vector, factor: Sym, trig: tuple[Sym, Sym]) -> Vector:
         """Product of a factor, a constant and e^{i angle}, the angle given by its sine and cosine."""
-        return Complex(self.hold(factor * constant.re), self.hold(factor * constant.im)).rotate(*trig)
+        return Vector(self.hold(factor * constant.x), self.hold(factor * constant.y)).rotate(*trig)
 
-    def locked(self) -> tuple[Complex, Sym]:
+    def locked(self) -> tuple[Vector, Sym]:
         """S and inertia of the whole swing leg with its knee locked."""
         if not hasattr(self, "S_c"):
             return self.S_b, self.C_bb
-        return (Complex(self.S_b.re + self.S_c.re, self.S_b.im + self.S_c.im), self.C_bb + self.C_cc + 2.0 * self.H.re)
+        return (self.S_b + self.S_c, self.C_bb + self.C_cc + 2.0 * self.H.x)
 
 
 class Motion:
@@ -119,10 +108,10 @@ class Motion:
         square, eps = self.square, hold(p.eps)
         self.weighted = list(zip([p.S_a, *(S for S, _ in swing)], tilt, strict=True))
 
-        def rolling(S: Complex, j: int) -> tuple[Sym, Sym]:
+        def rolling(S: Vector, j: int) -> tuple[Sym, Sym]:
             """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
             normal = S.rotate(sine, cosine)
-            return p.rotate(normal, p.R, tilt[j]).im, p.rotate(normal, s * p.R, tilt[j]).re
+            return p.rotate(normal, p.R, tilt[j]).y, p.rotate(normal, s * p.R, tilt[j]).x
 
         def between(i: int, j: int) -> tuple[Sym, Sym]:
             """Sine and cosine of the angle from one link to another; a flow has them cheaper than their products."""
@@ -134,14 +123,14 @@ class Motion:
 
         self.y, self.m = rolling(p.S_a, 0)
         self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
-        self.f[0] = -(self.m * square[0]) - p.rotate(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
+        self.f[0] = -(self.m * square[0]) - p.rotate(p.S_a, ONE / s, tilt[0]).x - hold(p.R * sine / s)
         #: An entry for each swing link, from 1.
         self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
         for j, (S, C) in enumerate(swing, start=1):
             trig = between(0, j)
-            K = Complex(p.l * S.im, -p.l * S.re)
+            K = Vector(p.l * S.y, -p.l * S.x)
             roll, roll_by = rolling(S, j)
-            c, by_stance = p.rotate(K, ONE, trig).re, p.rotate(K, s, trig).im
+            c, by_stance = p.rotate(K, ONE, trig).x, p.rotate(K, s, trig).y
             k, by_swing = c + roll, roll_by - by_stance
             self.c.append(c)
             self.k.append(k)
@@ -149,10 +138,10 @@ class Motion:
             self.by_swing.append(by_swing)
             self.M[0][j], self.M[j][0], self.M[j][j] = eps * k, k, hold(C)
             self.f[0] = self.f[0] - eps * (by_swing * square[j])
-            self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).re
+            self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).x
         if free_knee:
             trig = between(1, 2)
-            self.h, self.h_by = p.rotate(p.H, ONE, trig).re, p.rotate(p.H, s, trig).im
+            self.h, self.h_by = p.rotate(p.H, ONE, trig).x, p.rotate(p.H, s, trig).y
             self.M[1][2] = self.M[2][1] = self.h
             self.f[1] = self.f[1] + self.h_by * square[2]
             self.f[2] = self.f[2] - self.h_by * square[1]
@@ -163,7 +152,7 @@ class Motion:
         p, s, n = self.p, self.p.scale, len(u)
         eps, s2, eps_s2 = (p.hold(x) for x in (p.eps, s * s, p.eps * s * s))
         twice = [2.0 * x for x in self.rate]
-        falling = [p.rotate(S, ONE, trig).im for S, trig in self.weighted]
+        falling = [p.rotate(S, ONE, trig).y for S, trig in self.weighted]
         by_q = [[ZERO] * n for _ in range(n)]
         by_rate = [[ZERO] * n for _ in range(n)]
         by_q[0][0] = 2.0 * (self.m * u[0]) - s2 * (self.y * self.square[0]) - falling[0]
@@ -186,7 +175,7 @@ class Motion:
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""
         p = self.p
-        stance, *swing = (p.rotate(S, ONE / p.scale, trig).im for S, trig in self.weighted)
+        stance, *swing = (p.rotate(S, ONE / p.scale, trig).y for S, trig in self.weighted)
         return [stance + p.hold(p.R * hy.cos(p.slope) / p.scale), *swing]
 
 

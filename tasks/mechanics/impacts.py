@@ -9,12 +9,8 @@ from __future__ import annotations
 
 import heyoka as hy
 
-from gaitsweep.tasks.mechanics.equations import ZERO, Complex, Solver, Sym, Symbols, rows
-
-
-def _dot(u: Complex, v: Complex) -> Sym:
-    """Scalar product of two vectors."""
-    return u.re * v.re + u.im * v.im
+from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.vector import Vector
 
 
 def heelstrike(
@@ -48,13 +44,12 @@ def heelstrike(
     new = p.scale * angle
     old = -p.scale * angle if old_angle is None else p.scale * old_angle
     trig_new, trig_old = (hy.sin(new), hy.cos(new)), (hy.sin(old), hy.cos(old))
-    hip_new = Complex(-p.R - p.l * trig_new[1], -p.l * trig_new[0])
-    hip_old = Complex(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
+    hip_new = Vector(-p.R - p.l * trig_new[1], -p.l * trig_new[0])
+    hip_old = Vector(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
 
-    def sweep(S: Complex, trig: tuple[Sym, Sym]) -> Complex:
+    def sweep(S: Vector, trig: tuple[Sym, Sym]) -> Vector:
         """Momentum that a unit rate gives a leg of first moment S."""
-        rotated = S.rotate(*trig)
-        return Complex(-rotated.im, rotated.re)
+        return S.rotate(*trig).normal()
 
     S, J = p.locked()
     swing_angle = -angle if old_angle is None else old_angle
@@ -65,12 +60,12 @@ def heelstrike(
     if old_angle is not None:
         hips = p.R**2.0 + p.R * p.l * (trig_new[1] + trig_old[1]) + p.l**2.0 * hy.cos(new - old)
     momentum = [
-        (hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
-        + p.eps * (_dot(hip_new, sweep(S, trig_new)) + J) * swing_rate
+        (hips + p.eps * (sweep(S, trig_new).dot(hip_old) + hip_new.dot(sweep(S, trig_old)))) * stance_rate
+        + p.eps * (hip_new.dot(sweep(S, trig_new)) + J) * swing_rate
     ]
-    swing = [(p.S_b, p.C_bb + p.H.re), (p.S_c, p.C_cc + p.H.re)] if free_knee else [(S, J)]
+    swing = [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)] if free_knee else [(S, J)]
     for S_j, inertia in swing:
-        momentum.append((_dot(sweep(S_j, trig_old), hip_old) + inertia) * stance_rate)
+        momentum.append((sweep(S_j, trig_old).dot(hip_old) + inertia) * stance_rate)
     return Solver(M)(momentum)
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from heyoka import real128
 
+from gaitsweep.tasks.mechanics.vector import Vector
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -65,9 +66,9 @@ def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str
     l = key["l_t"] * cos_T + d * cos_S
     length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
     R, l = key["R"] / length, l / length
-    knee = _Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
-    thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
-    shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
+    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
+    thigh = Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
+    shank = Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
     # For a massless leg only ratios of the swing leg's constants remain: a unit mass where the shank's was.
     eps = np.where(massless, zero, one)
     m_t, m_s = np.where(massless, zero, key["m_t"] / mass), np.where(massless, one, key["m_s"] / mass)
@@ -78,9 +79,9 @@ def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str
     C_bb = m_t * (thigh.dot(thigh) + _power(key["r_t"] / length, two)) + m_s * knee.dot(knee)
     C_cc = m_s * (shank.dot(shank) + _power(key["r_s"] / length, two))
     # H = conj(knee) S_c.
-    H = _Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
+    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
     inertia = C_bb + C_cc + two * H.x
-    constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", S * eps + _Vector(zero, l))}
+    constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", S * eps + Vector(zero, l))}
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
     constants["C_aa"] = R * R + l * l + two * l * eps * S.y + eps * inertia
     if knees:
@@ -101,35 +102,14 @@ def _power(x: np.ndarray, exponent: np.ndarray) -> np.ndarray:
     return np.array(list(map(pow, x.tolist(), exponent.tolist()))) if x.dtype == float else np.power(x, exponent)
 
 
-@dataclass(frozen=True)
-class _Vector:
-    """Vectors of legs, in any type of number."""
-
-    x: np.ndarray
-    y: np.ndarray
-
-    def __add__(self, other: _Vector) -> _Vector:
-        return _Vector(self.x + other.x, self.y + other.y)
-
-    def __mul__(self, factor: Any) -> _Vector:
-        return _Vector(self.x * factor, self.y * factor)
-
-    def __truediv__(self, divisor: Any) -> _Vector:
-        return _Vector(self.x / divisor, self.y / divisor)
-
-    def dot(self, other: _Vector) -> Any:
-        """Scalar product."""
-        return self.x * other.x + self.y * other.y
-
-
-def _aligned(v: _Vector) -> _Vector:
+def _aligned(v: Vector) -> Vector:
     """Vector with parts that are only rounding set to zero: tuned to within doubles is tuned."""
     x, y = (np.abs(part.astype(float)) for part in (v.x, v.y))
     size = 4e-16 * np.maximum(x, y)
-    return _Vector(np.where(x > size, v.x, v.x - v.x), np.where(y > size, v.y, v.y - v.y))
+    return Vector(np.where(x > size, v.x, v.x - v.x), np.where(y > size, v.y, v.y - v.y))
 
 
-def _pair(name: str, v: _Vector) -> dict[str, Any]:
+def _pair(name: str, v: Vector) -> dict[str, Any]:
     """A complex constant as `_re` and `_im`."""
     return {f"{name}_re": v.x, f"{name}_im": v.y}
 

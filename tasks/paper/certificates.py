@@ -10,11 +10,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.tasks.paper.claim import CONSISTENT, PROVED, REPRODUCED, ClaimResult
+from gaitsweep.tasks.paper.claim import BACKED, CONSISTENT, PROVED, REPRODUCED, ClaimResult
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "reference" / "proofs"
-#: Certificates of each claim; the first one's interval of slopes must hold the number its verdict rests on.
-BACKED = {"D2": ("D-flip", "D-long-tube"), "P1": ("physical-fold", "physical-straight-fold")}
 #: Relative error of a slope computed in doubles.
 ROUNDING = 1e-12
 

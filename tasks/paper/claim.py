@@ -128,6 +128,8 @@ def found(
 TEXTS = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 #: What is said of the numbers found, by claim.
 _SAID = {id: text.pop("computed") for id, text in TEXTS.items()}
+#: Certificates that back a claim; the first one's interval of slopes must hold the number its verdict rests on.
+BACKED: dict[str, list[str]] = {id: text.pop("certificates") for id, text in TEXTS.items() if "certificates" in text}
 #: The numbers that the paper prints, by claim, and one that a claim has beside its own by the name that it has there.
 PRINTED = {id: Printed(*text.pop("number", ())) for id, text in TEXTS.items()}
 PRINTED |= {name: Printed(*pair) for text in TEXTS.values() for name, pair in text.pop("numbers", {}).items()}

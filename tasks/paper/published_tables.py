@@ -10,24 +10,17 @@ from gaitsweep.tasks.paper.claim import NOT_CHECKABLE, Found, claim, found, verd
 from gaitsweep.tasks.paper.kneed_chaos import chaos
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
-from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, interval
+from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, PUBLISHED, interval
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
 
 #: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
 VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
-#: Figure 10 as printed: whether steps (short, long) scale as slope^(1/3) at those slopes, and the faster gait at
-#: vanishing and at larger slopes. None: no entry.
-PRINTED = {
-    "D": ((True, True, True), (True, True, True), "short", "short"),
-    "E": ((False, None, True), (True, True, True), "long", "short"),
-    "A": ((False, None, True), (True, True, True), "long", "short"),
-    "C": ((False, None, True), (False, True, True), "long", "short"),
-}
-#: Largest deviation of an exponent of the stance angle in a cell that is reproduced, and the walkers whose chaos the
-#: paper reports.
-TOLERANCE, CHECKED_FOR_CHAOS = 0.01, ("D", "C")
+#: Powers of slope in the stance angle and of speed in the power, by what figure 10 prints.
+_LAWS = {"P ∝ v⁴, θ* ∝ γ¹ᐟ³": (1 / 3, 4), "P ∝ v², θ* ∝ γ": (1, 2)}
+#: Largest deviation of an exponent of the stance angle in a cell that is reproduced.
+TOLERANCE = 0.01
 #: What an interval says of each parameter.
 _OF_PARAMETERS = ("sensitivity", "angle_sensitivity", "half_unit", "contribution")
 ROWS = ("D", "E", "F", "A", "B", "C")
@@ -113,35 +106,22 @@ def _cells(paper: Paper) -> list[dict[str, Any]]:
 
     `deviation` is in the exponent of the stance angle, or a tenth of that of the power; NaN without an entry.
     """
-    cells: list[dict[str, Any]] = []
-
-    def enter(column: str, printed: str, computed: str, deviation: float, slopes: str = "") -> None:
-        said = NOT_CHECKABLE
+    cells, rows, words = [], {row["walker"]: row for row in figure10(paper)}, ("no", "yes")
+    for name, column, when, printed in PUBLISHED["figure10"]:
+        row, said = rows[name], NOT_CHECKABLE
+        if printed in _LAWS:
+            gait, (of_slope, of_speed) = column.removesuffix("-step scaling"), _LAWS[printed]
+            angle, power = row[f"{gait}_angle_{when}"], row[f"{gait}_power_{when}"]
+            computed = f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}"
+            deviation = max(abs(angle - of_slope), abs(power - of_speed) / 10)
+        else:
+            is_yes = {"zero-slope capable": "zero_slope_capable", "chaos": "chaotic"}
+            computed = words[row[is_yes[column]]] if column in is_yes else row[f"faster_{when}"]
+            deviation = np.nan if printed == "not checked" else float(computed != printed)
         if not np.isnan(deviation):
             said = verdict(deviation < TOLERANCE, deviation < 10 * TOLERANCE)
-        cell = {"walker": name, "column": column, "slopes": slopes, "printed": printed, "computed": computed}
+        cell = {"walker": name, "column": column, "slopes": when, "printed": printed, "computed": computed}
         cells.append({**cell, "verdict": said, "deviation": deviation})
-
-    rows, words = {row["walker"]: row for row in figure10(paper)}, ("no", "yes")
-    for name, (short, long, vanishing, larger) in PRINTED.items():
-        row = rows[name]
-        capable, chaotic = row["zero_slope_capable"], row["chaotic"]
-        enter("zero-slope capable", "yes", words[capable], 1.0 - capable)
-        for gait, laws in (("short", short), ("long", long)):
-            for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
-                if cube is None:
-                    continue
-                angle, power = row[f"{gait}_angle_{when}"], row[f"{gait}_power_{when}"]
-                deviation = max(abs(angle - (1 / 3 if cube else 1)), abs(power - (4 if cube else 2)) / 10)
-                printed = "P ∝ v⁴, θ* ∝ γ¹ᐟ³" if cube else "P ∝ v², θ* ∝ γ"
-                enter(f"{gait}-step scaling", printed, f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}", deviation, when)
-        for when, printed in (("vanishing", vanishing), ("larger", larger)):
-            faster = row[f"faster_{when}"]
-            enter("faster gait", printed, faster, float(faster != printed), when)
-        if name in CHECKED_FOR_CHAOS:
-            enter("chaos", "yes", words[chaotic], 1.0 - chaotic)
-        else:
-            enter("chaos", "not checked", words[chaotic], np.nan)
     return cells
 
 

@@ -42,15 +42,16 @@ class Landmark:
     point: str = ""
 
 
-_PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
+#: What the paper prints in figures.
+PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
 #: Half a unit of every rounded key, in the key's unit, by walker.
 HALF_UNITS: dict[str, dict[str, float]] = {
-    walker: rounded["half_units"] for rounded in _PUBLISHED["rounded"] for walker in rounded["walkers"]
+    walker: rounded["half_units"] for rounded in PUBLISHED["rounded"] for walker in rounded["walkers"]
 }
 #: Landmarks compared with numbers of the paper, and those of figure 6.
 LANDMARKS = {
     name: Landmark(name, **{**mark, "printed": PRINTED[mark["printed"]] if "printed" in mark else NOT_PRINTED})
-    for name, mark in _PUBLISHED["landmarks"].items()
+    for name, mark in PUBLISHED["landmarks"].items()
 }
 
 

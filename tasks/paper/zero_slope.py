@@ -66,9 +66,9 @@ def _half_knee_loss(paper: Paper) -> float:
 
 
 @memoize
-def mass_limit(paper: Paper, slope: float = 1e-9) -> float:
-    """Find the largest foot mass ratio whose long step is stable at a vanishing slope [rad]."""
-    gaits, q = paper.line("E"), np.array([np.log(slope)])
+def mass_limit(paper: Paper) -> float:
+    """Find the largest foot mass ratio whose long step is stable at a vanishing slope."""
+    gaits, q = paper.line("E"), np.array([np.log(VANISHING)])
     long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[:, 0]))
     w = long[:-1]
 

@@ -175,7 +175,7 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
     knees the leg's is that of thigh and of the shank as a point at the knee.
     """
     k = {name: arb(value) for name, value in keys.items()}
-    if _is(k["eps_T"], 0):
+    if keys["eps_T"] == 0:
         return
     sine_T, cosine_T = k["eps_T"].sin(), k["eps_T"].cos()
     sine = k["l_t"] * sine_T / (k["l_s"] - k["R"])
@@ -188,14 +188,10 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
     if not kneed:
         forward += k["c_s"] * sine - arb(keys["w_s"]) * cosine
         down += along
-    if not _is(k["m_t"], 0):
+    if keys["m_t"] != 0:
         shank = k["m_s"] / k["m_t"]
         size = abs(k["c_t"] * cosine_T - k["w_t"] * sine_T + shank * down) / cosine_T
         yield "w_t", (shank * forward - k["c_t"] * sine_T) / cosine_T, size
-
-
-def _is(value: arb, number: int) -> bool:
-    return bool(value == number)
 
 
 def _named(name: str) -> tuple[Numbers, bool]:
