@@ -11,6 +11,7 @@ from gaitsweep.tasks import registry
 from gaitsweep.tasks.dynamics.initial_states import r_sequence
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.fixed_points.search import distinct
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
@@ -195,15 +196,5 @@ def deflated(problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: fl
 
 def _merge(w: np.ndarray, hits: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Merge columns of w closer than a tolerance, in order of their angle, and add up their hits."""
-    order = np.lexsort(np.round(w, 6)[::-1])
-    kept: list[int] = []
-    count: list[int] = []
-    for i in order:
-        for k, j in enumerate(kept):
-            if np.abs(w[:, i] - w[:, j]).max() <= tolerance:
-                count[k] += int(hits[i])
-                break
-        else:
-            kept.append(int(i))
-            count.append(int(hits[i]))
-    return w[:, kept], np.array(count, int)
+    kept, same = distinct(w, np.zeros(w.shape[1], int), tolerance)
+    return w[:, kept], np.bincount(same, hits, len(kept)).astype(int)

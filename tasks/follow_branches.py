@@ -119,7 +119,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         # Closer samples show the error of the minimum of a sampled force.
         error = least(point.Z, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
-        records.append(record("end_contact_lost", problem, point.at, 0, slope_error + 64 * EPS))
+        records.append(record("end_contact_lost", point.at, 0, slope_error + 64 * EPS))
     return records
 
 

@@ -49,12 +49,11 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     followed = _searched(problem, branches, steps, single, [])
     begins = single if steps == 1 else _flips_of(problem, followed)
     while steps < n:
-        half, twice = problem.of_steps(steps), problem.of_steps(2 * steps)
         steps, followed = 2 * steps, []
         for flip in begins:
-            begun = doubled(half, flip, _EXPECTED)
+            begun = doubled(flip, _EXPECTED)
             if begun and not is_known(followed, begun[0].Z[:, 0]):
-                followed += _along(twice, begun[0], begun[2], begins)
+                followed += _along(problem.of_steps(steps), begun[0], begun[2], begins)
         followed += _searched(problem, branches, steps, single, followed)
         begins = _flips_of(problem, followed)
     return ranked(followed)

@@ -53,10 +53,9 @@ _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 @dataclass(frozen=True)
 class _Event:
-    """A fold or flip of a family, its problem, the relative error of its slope, and the gaits between which it lies."""
+    """A fold or flip of a family, the relative error of its slope, and the gaits between which it lies."""
 
     kind: str
-    problem: Problem
     gait: Evaluation
     error: float
     beside: tuple[Point, ...] = ()
@@ -121,11 +120,11 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             ratios = scaling.ratios(flips)
             ratio = iter(ratios)
             for event in family:
-                state = state_at(event.problem, event.gait, 0)
-                check = check_steps(event.problem, event.gait.Z)
+                of_event, state = event.gait.problem, state_at(event.gait, 0)
+                check = check_steps(of_event, event.gait.Z)
                 values = (
                     name,
-                    event.problem.steps,
+                    of_event.steps,
                     event.kind,
                     event.slope,
                     event.error,
@@ -161,8 +160,9 @@ def _unbracketed(low: float, high: float, accumulation: float, end: float) -> st
 
 def _spread_around(event: _Event) -> np.ndarray:
     """Initial conditions near the steps of a gait, in turn, shape (m, _ORBITS)."""
-    n, w = event.problem.steps, event.gait.w
-    Y = np.exp(w[0]) * sections(w, event.problem.m, n)[0][:, :, 0].T
+    problem, w = event.gait.problem, event.gait.w
+    n = problem.steps
+    Y = np.exp(w[0]) * sections(w, problem.m, n)[0][:, :, 0].T
     steps = np.arange(_ORBITS) * n // _ORBITS if n > _ORBITS else np.arange(_ORBITS) % n
     return Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(Y), _ORBITS) - 1))
 
@@ -171,7 +171,7 @@ def _is_same(a: _Event, b: _Event) -> bool:
     """Whether two folds are one."""
     if a.kind != b.kind or abs(a.q - b.q) >= 1e-9:
         return False
-    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.problem.m, a.problem.steps) < 1e-3
+    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, a.gait.problem.steps) < 1e-3
 
 
 def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Point]:
@@ -277,7 +277,7 @@ def _follow_family(
         # The next interval by Feigenbaum's law from the last.
         expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
         period *= 2
-        begun = doubled(flip.problem, flip.gait, expected) if period <= longest else None
+        begun = doubled(flip.gait, expected) if period <= longest else None
     if period <= longest:
         return events, f"No gait of period {period} was found beside the flip."
     return events, f"The longest period of the search, {longest}, is reached."
@@ -301,7 +301,7 @@ def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: f
             if not solved.ok[0]:
                 return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
             error = slope_error(problem, kind, solved.Z[:, 0])
-            event = _Event(kind, problem, evaluate(problem, solved.Z), error, (before, after))
+            event = _Event(kind, evaluate(problem, solved.Z), error, (before, after))
             if not low <= event.q <= high:
                 return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
             return event, ""

@@ -12,12 +12,13 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.fixed_points.polish import unmeasured
+from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
 from gaitsweep.tasks.fixed_points.search import search, starts
 from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.measures.gaits import describe
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from gaitsweep.tasks.solve_points import atlas, points, solve, spans
+from gaitsweep.tasks.solve_points import atlas, points, spans
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.tuning import untuned
@@ -145,7 +146,9 @@ def _search_slope(
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
-    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT, accuracy, limits)
+    slopes = np.full(w.shape[1], slope)
+    at = settle(problem, unmeasured(problem, w, slopes), accuracy=accuracy)
+    solved = describe(problem, problem.walker, at, slopes, _WANT, limits)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

@@ -16,7 +16,7 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
 from gaitsweep.tasks.continuation.refine import COARSE, FINE
 from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER
-from gaitsweep.tasks.fixed_points.polish import Guesses, settle
+from gaitsweep.tasks.fixed_points.polish import Guesses
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.interpolate import Interpolation
 from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
@@ -309,15 +309,3 @@ def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarr
     low = np.minimum(branch.ratio[segment], branch.ratio[segment + 1])
     high = np.maximum(branch.ratio[segment], branch.ratio[segment + 1])
     return (~(low > 0.6) & ("long" in wanted)) | (~(high < 0.4) & ("short" in wanted))
-
-
-def solve(
-    problem: Problem,
-    guesses: Guesses,
-    want: Sequence[str],
-    accuracy: float = 0.0,
-    limits: Mapping[str, float] | None = None,
-) -> Arrays:
-    """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
-    at = settle(problem, guesses, accuracy=accuracy)
-    return describe(problem, problem.walker, at, guesses.slope, want, limits)

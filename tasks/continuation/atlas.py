@@ -91,7 +91,7 @@ def branches_along(
             branch = yield from _with_folds(branch)
             if is_closed and steps.all():
                 branch = _cut_at_fold(branch)
-            branch = begun_at_flips(problem, branch, flips)
+            branch = begun_at_flips(branch, flips)
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order(gait), gait)
             branch = yield from checked(branch, gait)

@@ -16,7 +16,6 @@ from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.continuation.tracking import HALVED, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
-from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
 from gaitsweep.tasks.step.step_map import matvec
 
@@ -29,13 +28,11 @@ _NEAR = 0.05
 _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
-def doubled(problem: Problem, flip: Evaluation, expected: float) -> tuple[Point, np.ndarray, float] | None:
+def doubled(flip: Evaluation, expected: float) -> tuple[Point, np.ndarray, float] | None:
     """Begin the branch of twice as many steps at a flip.
 
     Parameters
     ----------
-    problem : Problem
-        Of the flip.
     flip : Evaluation
         Of one lane, with a multiplier of -1.
     expected : float
@@ -51,12 +48,13 @@ def doubled(problem: Problem, flip: Evaluation, expected: float) -> tuple[Point,
     -----
     The first point is solved for at fixed a, where the branch of fewer steps has no point.
     """
-    twice, q = problem.of_steps(2 * problem.steps), float(flip.q[0])
-    base = _twice(problem, flip)
+    steps = flip.problem.steps
+    twice, q = flip.problem.of_steps(2 * steps), float(flip.q[0])
+    base = _twice(flip)
     values, vectors = np.linalg.eig(flip.stride.jacobian[..., 0])
     v = np.real(vectors[:, [np.argmin(np.abs(values + 1))]])
     each, half = flip.stride.singles, []
-    for i in range(problem.steps):
+    for i in range(steps):
         half.append(v)
         v = matvec(each.jacobian[:, :, [i]], v)
     change = np.concatenate([*half, *(-part for part in half)]) / flip.stride.y[0]
@@ -86,39 +84,38 @@ def _relative(w: np.ndarray, m: int) -> np.ndarray:
     return np.append(1.0, w[1:m])[:, None]
 
 
-def _twice(problem: Problem, flip: Evaluation) -> np.ndarray:
+def _twice(flip: Evaluation) -> np.ndarray:
     """A flip as gaits of twice as many steps, begun at each of its own: similarity coordinates (2 (m + k), steps)."""
-    y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, problem.m, problem.steps))
-    w = np.repeat(joined(flip.w[:1], y, durations), problem.steps, axis=1)
-    return begun_at(w, 2 * problem.m, 2 * problem.steps, np.arange(problem.steps))
+    m, steps = flip.m, flip.problem.steps
+    y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, m, steps))
+    w = np.repeat(joined(flip.w[:1], y, durations), steps, axis=1)
+    return begun_at(w, 2 * m, 2 * steps, np.arange(steps))
 
 
-def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Evaluation]) -> Branch:
+def begun_at_flips(branch: Branch, flips: Sequence[Evaluation]) -> Branch:
     """Branch of several steps with the flips of half as many as its ends, where its halves meet.
 
     Parameters
     ----------
-    problem : Problem
-        Of the branch.
     branch : Branch
     flips : sequence of Evaluation
         Of gaits of half as many steps.
     """
     if HALVED not in branch.why:
         return branch
-    m, half = problem.m, problem.of_steps(problem.steps // 2)
+    m, steps = branch.m, branch.steps
     for side in (0, 1):
         if branch.why[side] != HALVED:
             continue
         w = branch.Z[:-1, -side]
-        near = [(np.abs(_twice(half, flip) - w[:, None]).max(axis=0), flip) for flip in flips]
+        near = [(np.abs(_twice(flip) - w[:, None]).max(axis=0), flip) for flip in flips]
         apart, flip = min(near, key=lambda each: float(each[0].min()), default=(np.array([np.inf]), None))
         if flip is None or apart.min() > _NEAR:
             branch = branch.ending(side, NO_FURTHER)
             continue
-        at = _twice(half, flip)[:, int(apart.argmin())]
+        at = _twice(flip)[:, int(apart.argmin())]
         # The halves leave the flip to opposite sides; all else changes by the square of the distance.
-        y, durations = (part - np.roll(part, half.steps, axis=0) for part in sections(w[:, None], m, problem.steps))
+        y, durations = (part - np.roll(part, steps // 2, axis=0) for part in sections(w[:, None], m, steps))
         along = np.concatenate([similarity(_relative(at, m), y.reshape(m, 1))[:, 0], np.cumsum(durations), [0.0]])
         Z = np.append(at, flip.q[0])
         apart = np.abs(branch.Z - Z[:, None]).max(axis=0)
@@ -127,5 +124,5 @@ def begun_at_flips(problem: Problem, branch: Branch, flips: Sequence[Evaluation]
         branch, node = branch.part(kept), branch.Z[:, kept[-side]]
         along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
         branch = branch.insert(side * len(branch.q), Z, along)
-        branch = branch.ending(side, "branch_point", slope_error(half, "flip", flip.Z[:, 0]))
+        branch = branch.ending(side, "branch_point", slope_error(flip.problem, "flip", flip.Z[:, 0]))
     return branch

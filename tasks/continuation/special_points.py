@@ -49,7 +49,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     found += [(k + 0.5, kind, point, 0, 0.0) for kind, k, point in crossings(problem, branch, nodes, kinds)]
     records = []
     for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
-        own = record(kind, problem, point.at, lane, _error(kind, problem, point, lane, known))
+        own = record(kind, point.at, lane, _error(kind, point, lane, known))
         if kind == "end_zero_step":
             own |= _limit_of_short_steps(branch, lane)
         records.append({**own, "place": place})
@@ -176,7 +176,7 @@ def _strikes_with_knee(point: Point, lane: int) -> bool:
     return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
 
 
-def state_at(problem: Problem, point: Evaluation, lane: int) -> dict[str, Any]:
+def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
     """State at the start of a point's step, of several that with the largest stance angle.
 
     Returns
@@ -184,29 +184,30 @@ def state_at(problem: Problem, point: Evaluation, lane: int) -> dict[str, Any]:
     dict
         `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
     """
+    problem = point.problem
     y, scale = problem.section(from_largest(point.w[:, [lane]], problem.m, problem.steps))
     state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
-def _error(kind: str, problem: Problem, point: Point, lane: int, known: float) -> float:
+def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
     error = known
     if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
-        error += slope_error(problem, "foot_at_kneestrike", point.Z[:, lane])
+        error += slope_error(point.at.problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
-        error += slope_error(problem, kind, point.Z[:, lane])
+        error += slope_error(point.at.problem, kind, point.Z[:, lane])
     elif not (kind == "branch_point" and known):  # that of a flip at which the branch begins is known
         error += float(np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max())
     return error + 8 * EPS
 
 
-def record(kind: str, problem: Problem, point: Evaluation, lane: int, error_bound: float) -> dict[str, Any]:
+def record(kind: str, point: Evaluation, lane: int, error_bound: float) -> dict[str, Any]:
     """Describe a special point as `special_points` does, but for its place."""
     return {
         "kind": kind,
         "slope": float(np.exp(point.q[lane])),
-        **state_at(problem, point, lane),
+        **state_at(point, lane),
         "period": float(point.times[-1, lane]),
         "error_bound": error_bound,
         "Z": tuple(point.Z[:, lane].tolist()),

@@ -132,7 +132,9 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
     def solve(w: np.ndarray, group: np.ndarray, apart: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
         lanes = problem.some(group // len(slopes))
         w, converged = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
-        return _distinct(w[:, converged], group[converged], apart)
+        w, group = w[:, converged], group[converged]
+        kept, _ = distinct(w, group, apart)
+        return w[:, kept], group[kept]
 
     limits = {"max_iterations": _MAX_ITERATIONS, "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases]}
     # Only what converges with coarse integration is integrated exactly.
@@ -141,18 +143,27 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
     return [[w[:, group == i + len(slopes) * line] for line in lines] for i in range(len(slopes))]
 
 
-def _distinct(w: np.ndarray, group: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of w in a fixed order, without those nearer than `apart` to one that is kept and shares their group."""
-    order = np.lexsort([*np.round(w, 6)[::-1], group])
-    w, group = w[:, order], group[order]
-    keep: list[int] = []
-    for i in range(w.shape[1]):
-        # Groups follow each other: those kept of this one are the last.
-        near = False
-        for j in reversed(keep):
-            if group[i] != group[j] or near:
-                break
-            near = bool(np.abs(w[:, i] - w[:, j]).max() <= apart)
-        if not near:
-            keep.append(i)
-    return w[:, keep], group[keep]
+def distinct(w: np.ndarray, group: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which solutions remain, in a fixed order, if those nearer than `apart` to one that remains of their group go.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+    group : ndarray of int, shape (n,)
+    apart : float
+
+    Returns
+    -------
+    kept : ndarray of int, shape (k,)
+        Their numbers.
+    same : ndarray of int, shape (n,)
+        For each solution the place in `kept` of that which stands for it.
+    """
+    kept, same, first = list[int](), np.zeros(w.shape[1], int), 0
+    for i in np.lexsort([*np.round(w, 6)[::-1], group]).tolist():
+        if kept and group[kept[-1]] != group[i]:
+            first = len(kept)
+        near = np.abs(w[:, kept[first:]] - w[:, [i]]).max(axis=0) <= apart
+        same[i] = first + near.argmax() if near.any() else len(kept)
+        kept += [] if near.any() else [i]
+    return np.array(kept, int), same

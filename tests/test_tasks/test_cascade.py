@@ -85,7 +85,7 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
         return low + 0.25 * (high - low), low + 0.5 * (high - low)
 
     monkeypatch.setattr(locate_cascade, "_first_gaits", lambda *_: [None])
-    family = [locate_cascade._Event("flip", problem, gait, 0.0) for gait in gaits]
+    family = [locate_cascade._Event("flip", gait, 0.0) for gait in gaits]
     monkeypatch.setattr(locate_cascade, "_follow_family", lambda *_: (family, ""))
     monkeypatch.setattr(locate_cascade, "lost", lost)
     found = cascade({"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}])

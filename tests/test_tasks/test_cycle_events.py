@@ -69,7 +69,7 @@ def determinant(a):
 
 def flip_in_113_bits(event):
     """Slope of a flip: the secant method on det(M + 1), the gait at each slope by Newton on all sections."""
-    problem = event.problem
+    problem = event.gait.problem
     exact, constants = _extended_step_map(problem.structure, 1), lump(problem.walker, R)
     constants = [constants[name] for name in problem.structure.constants]
     Y, times = map(wide, steps_of(problem, event.gait.Z[:, 0]))
@@ -117,7 +117,7 @@ def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, lo
     for event in some(family(walker, low, high, longest)):
         slope = flip_in_113_bits(event)
         error = abs(float((R(event.slope) - slope) / slope))
-        tell(f"{walker}, period {event.problem.steps}: error {error:.1e}, bound {event.error:.1e}")
+        tell(f"{walker}, period {event.gait.problem.steps}: error {error:.1e}, bound {event.error:.1e}")
         assert error < event.error < 1e-11
 
 
@@ -177,5 +177,5 @@ def test_a_slope_that_is_off_is_told(first):
         Z = event.gait.Z[:, 0]
         for off in (1e-9, -3e-8):
             moved = Z + off * np.eye(len(Z))[-1]
-            assert slope_error(event.problem, event.kind, moved) == pytest.approx(abs(off), rel=1e-3)
-        assert 0 < slope_error(event.problem, event.kind, Z) < 1e-12
+            assert slope_error(event.gait.problem, event.kind, moved) == pytest.approx(abs(off), rel=1e-3)
+        assert 0 < slope_error(event.gait.problem, event.kind, Z) < 1e-12

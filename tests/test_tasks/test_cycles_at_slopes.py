@@ -218,7 +218,7 @@ def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip():
         Z, why = branch.Z[:, order], (HALVED, "") if side == 0 else ("", HALVED)
         cut = type(branch)(several.m, Z, branch.tangent[:, order], np.zeros(len(Z.T)), why, steps=2)
         other = correct(problem, flip.Z + 0.04 * np.append(np.arange(len(flip.w)) < problem.m, 1)[:, None], None).at
-        ended = begun_at_flips(several, cut, [other, flip])
+        ended = begun_at_flips(cut, [other, flip])
         assert ended.why[side] == "branch_point" and 0 < ended.end_errors[side] < 1e-12
         end, beside = ((0, 1), (-1, -2))[side]
         assert ended.q[end] == flip.q[0] and ended.tangent[-1, end] == 0
@@ -227,7 +227,7 @@ def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip():
         along = chord @ ended.tangent[:, end]
         assert np.sign(along) == 1 - 2 * side
         assert abs(along) == pytest.approx(np.linalg.norm(chord), rel=1e-3)
-        assert begun_at_flips(several, cut, [other]).why[side] == "no further point"
+        assert begun_at_flips(cut, [other]).why[side] == "no further point"
 
 
 def test_an_accuracy_spares_digits():
