@@ -1,13 +1,15 @@
 """Tables in the archive: one netCDF group each, its columns along the dimension `row`, or arrays over the grid."""
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from gaitsweep.pipeline import serialize
-from gaitsweep.pipeline.archive import arrays, layout
+from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive.attributes import of_axis, over_steps
 from gaitsweep.pipeline.archive.written import write_strings, write_variable
 from gaitsweep.pipeline.dispatch import resolve
@@ -17,6 +19,17 @@ from gaitsweep.tasks import registry
 from gaitsweep.tasks.columns import COLUMNS
 
 Columns = dict[str, np.ndarray]
+#: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
+_LAYOUTS = {
+    "basin": ("slope", "stance_angle", "stance_rate"),
+    "stable_manifold": ("slope", "point"),
+    "orbits": ("slope", "start", "stride"),
+}
+#: Names of dimensions that differ from the columns'.
+_RENAMED = {"stride": "step"}
+#: Dimensions along which a column is constant.
+_CONSTANT = {"repeats_to": ("stride",), "swing_rate": ("stance_angle",)}
+_FILTERS = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
 
 
 def write(file: Any, plan: Plan) -> None:
@@ -115,8 +128,8 @@ def _stack(parts: list[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    if set(arrays.LAYOUTS.get(group, ("",))) <= set(columns):
-        arrays.write(file, plan, group, columns, _attributes)
+    if set(_LAYOUTS.get(group, ("",))) <= set(columns):
+        _arrays(file, plan, group, columns)
         return
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
@@ -127,6 +140,70 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
             continue
         options = {"fill_value": np.nan if values.dtype.kind == "f" else False, **layout.filters(len(values))}
         write_variable(netcdf_group, name, ("row",), values, attributes, **options)
+
+
+def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
+    """Write the rows of a table as arrays over the lines' axes and the table's own dimensions.
+
+    A coordinate that differs from case to case, as the ranges of basins do by default, is an array over the cases and
+    its own index.
+    """
+    study, lines = plan.study, plan.graph.grid
+    dims = [*lines.lines, "slope"]
+    known = {"walker": np.array(study.names), **{axis.name: axis.values for axis in study.axes}}
+    sizes = [len(known[d]) for d in dims]
+    case = np.ravel_multi_index([pd.Index(known[d]).get_indexer(columns[d]) for d in dims], sizes)
+    netcdf_group = file.createGroup(group)
+    netcdf_group.createDimension("slope", len(study.slope))
+    _variable(netcdf_group, "slope", ("slope",), study.slope, _attributes(plan, group, "slope"))
+    inner: dict[str, tuple[np.ndarray, int]] = {}
+    for name in _LAYOUTS[group][1:]:
+        dim = _RENAMED.get(name, name)
+        place, values = _positions(case, columns[name])
+        inner[name] = place, values.shape[-1]
+        netcdf_group.createDimension(dim, values.shape[-1])
+        if values.ndim == 1:
+            _variable(netcdf_group, dim, (dim,), values, _attributes(plan, group, name))
+        else:
+            array = np.full((math.prod(sizes), values.shape[-1]), np.nan)
+            array[np.unique(case)] = values
+            shaped = array.reshape(*sizes, -1)
+            _variable(netcdf_group, f"{name}_values", (*dims, dim), shaped, _attributes(plan, group, name))
+    for name, values in columns.items():
+        if name in (*dims, "walker", *inner) or name in lines.sizes:
+            continue
+        kept = [c for c in inner if c not in _CONSTANT.get(name, ())]
+        shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
+        text, words = values.dtype.kind == "U", np.unique(values)
+        codes = np.searchsorted(words, values).astype(np.int8) if text else values
+        is_whole = codes.dtype.kind in "iu"
+        array = np.full(shape, -1 if is_whole else np.nan, np.int32 if is_whole else "f8")
+        array[(case, *(inner[c][0] for c in kept))] = codes
+        described: dict[str, Any] = dict(_attributes(plan, group, name))
+        if text:
+            described |= {
+                "flag_values": np.arange(len(words), dtype=np.int8),
+                "flag_meanings": " ".join(str(word).replace(" ", "_") for word in words),
+            }
+        if is_whole:
+            array = array.astype(np.int8 if text else np.min_scalar_type(-array.max() - 1))
+        names = (*dims, *(_RENAMED.get(c, c) for c in kept))
+        _variable(netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described)
+
+
+def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of each coordinate, and the coordinates: shape (n,) if all cases share them, else (cases, n)."""
+    every, place = np.unique(values, return_inverse=True)
+    by_case = pd.Series(values).groupby(case)
+    if values.dtype.kind != "f" or (by_case.nunique() == len(every)).all():
+        return place, every
+    return by_case.rank("dense").to_numpy(int) - 1, np.array([np.unique(own) for _, own in by_case])
+
+
+def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any]) -> None:
+    fill = np.nan if values.dtype.kind == "f" and name not in dims else False
+    filters = _FILTERS if values.size and dims else {}
+    write_variable(group, name, dims, values, attributes, fill_value=fill, **filters)
 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:

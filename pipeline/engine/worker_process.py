@@ -201,9 +201,8 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
     _local.used = [0.0, 0.0]
     if request.packing:
         lines = request.params.get("lines")
-        found, atlases = _run_part(request, request.packing, None if lines is None else np.arange(len(lines)))
-        whole = found[0] if len(found) == 1 else pack(joined([unpacked(*one) for one in found]), request.packing)
-        answer = {"record": whole, "atlases": atlases}
+        record, atlases = _run_part(request, None if lines is None else np.arange(len(lines)))
+        answer = {"record": record, "atlases": atlases}
     else:
         outcome, result = _ask(request, *_EXTERNAL)
         if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
@@ -217,12 +216,13 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
     return number, {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_part(request: Request, packing: Packing, places: np.ndarray | None) -> tuple[list[Record], list[Atlas]]:
-    """Records of the points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
+def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list[Atlas]]:
+    """Record of the points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
 
     If they fail together, they are run in smaller parts, down to the point responsible.
     """
-    params, slopes = request.params, request.params["slope"]
+    params, slopes, packing = request.params, request.params["slope"], request.packing
+    assert packing
     size, outcome = 1 if places is None else len(places), ""
     parts: Any = None
     is_point = places is None and len(slopes) == 1
@@ -231,14 +231,14 @@ def _run_part(request: Request, packing: Packing, places: np.ndarray | None) -> 
     if outcome == "ok":
         head, payload, *atlases = parts
         lines = [] if places is None else places.tolist()
-        return [(head, payload)], [(k, "ok", "", atlas) for k, atlas in zip(lines, atlases, strict=False)]
+        return (head, payload), [(k, "ok", "", atlas) for k, atlas in zip(lines, atlases, strict=False)]
     if is_point:
-        return [pack(Points.of_ending(1, outcome, parts, params["want"]), packing)], []
+        return pack(Points.of_ending(1, outcome, parts, params["want"]), packing), []
     if places is not None and size == 1:
         return _run_alone(request, packing, int(places[0]))
     whole, each = (len(slopes), 1) if places is None else (size, len(slopes))
     pieces = max(_PIECES, math.ceil(whole / max(1, request.most // each)) if request.most else 0)
-    found, of_lines = list[Record](), list[Atlas]()
+    found, of_lines = list[Points](), list[Atlas]()
     for piece in np.array_split(np.arange(whole), min(whole, pieces)):
         if places is None:
             part, shape, own = {"slope": slopes[piece]}, Shape.of_rows(1, len(piece)), None
@@ -246,13 +246,13 @@ def _run_part(request: Request, packing: Packing, places: np.ndarray | None) -> 
             part = {"lines": [params["lines"][k] for k in piece.tolist()]}
             shape, own = Shape.of_rows(len(piece), each), places[piece]
         smaller = replace(packing, shape=shape, lines=None)
-        records, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), smaller, own)
-        found += records
+        record, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), own)
+        found.append(unpacked(*record))
         of_lines += of_part
-    return found, of_lines
+    return pack(joined(found), packing), of_lines
 
 
-def _run_alone(request: Request, packing: Packing, place: int) -> tuple[list[Record], list[Atlas]]:
+def _run_alone(request: Request, packing: Packing, place: int) -> tuple[Record, list[Atlas]]:
     """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     (line,) = request.params["lines"]
@@ -261,6 +261,6 @@ def _run_alone(request: Request, packing: Packing, place: int) -> tuple[list[Rec
     outcome, result = _ask(alone, *_EXTERNAL)
     if outcome != "ok":
         ending = Points.of_ending(len(params["slope"]), outcome, of_atlas(result), params["want"])
-        return [pack(ending, packing)], [(place, outcome, result, b"")]
+        return pack(ending, packing), [(place, outcome, result, b"")]
     of_points = replace(request, function=points, params={**params, "line": line}, inputs=result)
-    return _run_part(of_points, packing, None)[0], [(place, "ok", "", result[0])]
+    return _run_part(of_points, None)[0], [(place, "ok", "", result[0])]

@@ -59,7 +59,7 @@ class Table:
         return len(self.rows) > _OPEN_ROWS
 
 
-def head(column: str) -> str:
+def _head(column: str) -> str:
     """Heading of a column: the paper's symbol where there is one, else the name in words."""
     return str(WORDS["columns"].get(column, spaced(column)))
 
@@ -79,7 +79,7 @@ def from_frame(
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
     units = frame.attrs.get("units", {})
     shown = {str(c): column_cells(str(c), frame) for c in frame.columns}
-    names = ["steps" if c == "period" and c in counts else head(str(c)) for c in frame]
+    names = ["steps" if c == "period" and c in counts else _head(str(c)) for c in frame]
     heads = [with_unit(name, print_units(units.get(c, ""))) for c, name in zip(frame, names, strict=True)]
     rows = [list(row) for row in zip(*shown.values(), strict=True)] if len(frame) else []
     return Table(caption, heads, rows, note, [frame.attrs.get("meanings", {}).get(c, "") for c in frame], name, whole)
@@ -140,6 +140,64 @@ def special_points(source: Source) -> Table | None:
         return None
     table = named("special_points", frame, 2 * MAX_ROWS)
     return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
+
+
+def results(source: Source) -> list[Table]:
+    """Make every table of results in the archive that is not shown elsewhere on its page."""
+    captions, elsewhere = WORDS["tables"], WORDS["elsewhere"]["tables"]
+    order = [*captions, *sorted(source.tables.keys() - captions.keys())]
+    names = [name for name in order if name not in elsewhere and not name.startswith("fits/")]
+    return [_result(name, frame) for name in names if (frame := source.table(name)) is not None]
+
+
+def _result(name: str, frame: pd.DataFrame) -> Table:
+    if name in ("figure9", "figure10") and "walker" in frame:
+        return _transposed(name, frame)
+    if name == "figure10_cells":
+        return _printed_cells(name, frame)
+    # States and bounds of a design's gaits are in the archive and the CSV file.
+    begins, ends = ("stance_", "thigh_rate", "shank_rate", "surveyed"), "_error"
+    aside = [c for c in frame if name == "design" and (str(c).startswith(begins) or str(c).endswith(ends))]
+    return named(name, frame.drop(columns=aside), whole=frame)
+
+
+def _transposed(name: str, frame: pd.DataFrame) -> Table:
+    """A table with one column per walker and one row per quantity, as the paper prints it."""
+    rows = []
+    for column in frame.columns.drop(["walker", "description"], errors="ignore"):
+        flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
+        # The residual of a condition that is met exactly is rounding.
+        met = column.endswith("_offset")
+        values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
+        rows.append([cell(_head(column)), *values])
+    meanings = frame["description"] if "description" in frame else [""] * len(frame)
+    return Table(
+        WORDS["tables"][name]["caption"],
+        ["", *map(str, frame["walker"])],
+        rows,
+        "",
+        ["", *meanings],
+        most=1 + len(meanings),
+    )
+
+
+def _printed_cells(name: str, frame: pd.DataFrame) -> Table:
+    """The paper's figure 10: a row per walker, in each cell what is printed and computed, by range of slopes."""
+    columns = list(dict.fromkeys(frame["column"]))
+    rows = []
+    for walker, cells in frame.groupby("walker", sort=False):
+        row = [cell(str(walker))]
+        for column in columns:
+            lines = []
+            for entry in cells[cells["column"] == column].itertuples():
+                sign = WORDS["verdicts"].get(entry.verdict, {}).get("sign", "–")
+                where = f"γ {entry.slopes}: " if entry.slopes else ""
+                computed = re.sub(r"\^(\d+\.\d+)", r"ᵖ, p = \1", str(entry.computed))
+                lines.append(f"{sign} {where}{entry.printed}\n    computed {computed}")
+            row.append(Cell("\n".join(lines)))
+        rows.append(row)
+    words = WORDS["tables"][name]
+    return Table(words["caption"], ["walker", *columns], rows, words["note"])
 
 
 def points(source: Source) -> pd.DataFrame:

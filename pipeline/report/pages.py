@@ -21,7 +21,7 @@ import rjsmin
 
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
-from gaitsweep.pipeline.report import entry, folder, html_tables, paper, results
+from gaitsweep.pipeline.report import entry, folder, html_tables, paper
 from gaitsweep.pipeline.report.figures import Undrawn, draw, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
@@ -178,7 +178,7 @@ def _study(source: Source, slug: str) -> tuple[str, dict[str, str]]:
         "residuals": html_tables.residuals(source),
         "fits": html_tables.fits(source),
         "special": html_tables.special_points(source),
-        "results": results.tables(source),
+        "results": html_tables.results(source),
     }
     absent = html_tables.points(source)
     listed = html_tables.listed(absent)

@@ -49,22 +49,31 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
 class Line:
     """One walker with every axis but `slope` fixed, and the archive's data along it.
 
-    `at` is its place: `walker`, by name, then the values of the axes.
+    `at` is its place: `walker`, by name, then the values of the axes; `followed` are the rows of its branches, if
+    the study follows them.
     """
 
     at: dict[str, Any]
     label: str
     data: xr.Dataset
     command: str
+    followed: pd.DataFrame
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
         """Yield a frame for each piece of a branch: `slope`, variables, state, `stable` (1, 0 or NaN) and `gait`.
 
         Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
         pieces, and `gait` is the label of each point. Slopes at which the piece has no gait are kept, as NaN, so that
-        gaps are drawn as gaps. In an archive without branches a curve follows a label.
+        gaps are drawn as gaps. In an archive without branches a curve follows a label; of a branch that is followed a
+        piece has the columns of its table.
         """
         data, dims = self.data, ("slope", "gait")
+        if "gait" not in data.dims:
+            for _, rows in self.followed.groupby("branch", sort=False):
+                falls = rows["slope"].diff().bfill() < 0
+                parts = rows.groupby((falls != falls.shift()).cumsum())
+                yield from (part.sort_values("slope") for _, part in parts)
+            return
         names = [
             v
             for v in dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
@@ -290,11 +299,12 @@ class Source:
     @cached_property
     def lines(self) -> list[Line]:
         """Every line of the grid, in grid order."""
-        return list(self._lines()) if "slope" in self.grid.dims and "gait" in self.grid.dims else []
+        has_gaits = "slope" in self.grid.dims and "gait" in self.grid.dims
+        return list(self._lines()) if has_gaits or self.table("branches", "branch", "slope") is not None else []
 
     def _lines(self) -> Iterator[Line]:
         across = [d for d in self.axes if d != "slope"]
-        walkers = list(self.walkers)
+        walkers, followed = list(self.walkers), self.tables.get("branches", pd.DataFrame())
         for place in itertools.product(*(range(self.grid.sizes[d]) for d in across)):
             at = dict(zip(across, place, strict=True))
             settings = {d: float(self.grid[d].values[i]) for d, i in at.items() if d != "walker"}
@@ -304,7 +314,7 @@ class Source:
             named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
             label = axis_values({**named, **varying})
             line = {"walker": walker, **settings}
-            yield Line(line, label, self.grid.isel(at), self.command(line))
+            yield Line(line, label, self.grid.isel(at), self.command(line), rows_at(followed, line))
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs; None if there is none."""

@@ -19,7 +19,6 @@ from gaitsweep.pipeline.report.figures import (
     laws,
     maps,
     measured,
-    quantities,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -44,7 +43,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "heatmap": maps.heatmap,
     "basin": maps.basin,
     "design": design_maps.design,
-    **{name: partial(quantities.draw, name) for name in quantities.QUANTITIES},
+    **{name: partial(families.quantity, name) for name in families.QUANTITIES},
     "measured": measured.measured,
     "lyapunov": bifurcation.lyapunov,
     "exponents": laws.exponents,

@@ -1,7 +1,8 @@
-"""Gait families: stance angle against slope (the paper's figures 5 and 11), and residuals of the power laws."""
+"""Gaits along lines: stance angle (the paper's figures 5 and 11), other quantities, and residuals of the power laws."""
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,40 @@ from gaitsweep.pipeline.report.figures.style import (
     colour,
     dash,
     draw_gait,
+    draw_guide,
     end_labels,
     thin,
     write_at,
 )
 from gaitsweep.pipeline.report.source import RATES, Line, Source, rows_at
-from gaitsweep.pipeline.report.words import plain, shorten
+from gaitsweep.pipeline.report.words import WORDS, plain, shorten, spaced, with_unit
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One figure: its heading, variables read, abscissa, and words at values marked across it.
+
+    What is drawn is the first variable; of losses, the share of all but the first. A quantity of another unit than 1 is
+    named with the unit of its first variable.
+    """
+
+    heading: str
+    reads: tuple[str, ...]
+    abscissa: str = "slope"
+    guides: Mapping[str, str] = field(default_factory=dict)
+
+    def value(self, frame: pd.DataFrame) -> pd.Series:
+        """What is drawn, of each row of a frame; power over m g √(g l) follows from the dimensionless speed."""
+        if self.abscissa == "froude_speed":
+            return frame["froude_speed"] * np.sin(frame["slope"])
+        first, *others = (frame[name].fillna(0.0) if "knee" in name else frame[name] for name in self.reads)
+        is_loss = self.reads[0] == "loss_normal"
+        return 1 - first / sum(others, start=first) if is_loss else first
+
+
+QUANTITIES = {
+    name: Quantity(words["heading"], **words["drawn"]) for name, words in WORDS["figures"].items() if "drawn" in words
+}
 
 
 def loglog(source: Source) -> Sketch | None:
@@ -40,7 +69,7 @@ def loglog(source: Source) -> Sketch | None:
     printed = landmarks.rows(source)
     has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     if len(lines) > 1:
-        label_lines(sketch, lines, names, "left")
+        _label_lines(sketch, lines, names, "left")
     sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
     return _finish(sketch, names, fitted=fitted, crossings=crossings, printed=sentence)
 
@@ -55,8 +84,45 @@ def linear(source: Source) -> Sketch | None:
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     if 1 < len(lines) <= len(COLOURS):
-        label_lines(sketch, lines, names)
+        _label_lines(sketch, lines, names)
     return _finish(sketch, names)
+
+
+def quantity(name: str, source: Source) -> Sketch | None:
+    """Plot a quantity of every gait against slope or speed."""
+    shown = QUANTITIES[name]
+    if shown.abscissa == "speed" and "froude_speed" in source.grid:
+        shown = replace(shown, heading="power P/(m g √(g l))", reads=("froude_speed",), abscissa="froude_speed")
+    lines = [line for line in source.lines if set(shown.reads) <= set(line.data)]
+    if not any(np.isfinite(line.data[shown.reads[0]]).any() for line in lines):
+        return None
+    sketch = Sketch(name, 330)
+    (axes,) = sketch.panels
+    tips = {column: spaced(column) for column in ("slope", shown.abscissa, *shown.reads)}
+    for k, line in enumerate(lines):
+        for frame in line.curves(*shown.reads):
+            curve = thin(frame, max(60, 700 // len(lines)))
+            curve = curve.assign(value=shown.value(curve))
+            for gait in source.gaits:
+                _draw_curve(sketch, curve, gait, line, k, line.label, tips, shown.abscissa, "value")
+    if not sketch.pieces:
+        return None
+    data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
+    sketch.gait_keys(data)
+    if 1 < len(lines) <= len(COLOURS):
+        _label_lines(sketch, lines, names, x=shown.abscissa, y="value")
+    for at, words in shown.guides.items():
+        draw_guide(axes, float(at), words)
+    # Shares of several losses are drawn, which no measurement of one of them can be compared with.
+    if shown.abscissa == "slope" and len(shown.reads) == 1:
+        measured.draw(sketch, axes, source, shown.reads[0])
+    finite = data["value"][np.isfinite(data["value"])]
+    said = {"heading": shown.heading, "count": len(names), "low": finite.min(), "high": finite.max()}
+    if shown.abscissa != "slope":
+        across, upward = (source.units(v) for v in (shown.abscissa, shown.reads[0]))
+        speed = "speed v" if shown.abscissa == "speed" else spaced(shown.abscissa)
+        said |= {"x": with_unit(speed, across), "y": with_unit(shown.heading, upward)}
+    return sketch.finish(data.rename(columns={"value": shown.heading}), names, **said)
 
 
 def _draw_families(source: Source, name: str) -> tuple[Sketch, list[Line], list[str]] | None:
@@ -66,11 +132,11 @@ def _draw_families(source: Source, name: str) -> tuple[Sketch, list[Line], list[
     for k, line in enumerate(lines):
         curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
         for gait, curve in itertools.product(source.gaits, curves):
-            draw_curve(sketch, curve, gait, line, k, names[k], tips)
+            _draw_curve(sketch, curve, gait, line, k, names[k], tips)
     return (sketch, lines, names) if sketch.pieces else None
 
 
-def draw_curve(
+def _draw_curve(
     sketch: Sketch, curve: pd.DataFrame, gait: str, line: Line, k: int, name: str, tips: Mapping[str, str],
     x: str = "slope", y: str = "stance_angle",
 ) -> None:  # fmt: skip
@@ -83,7 +149,7 @@ def draw_curve(
         sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
 
 
-def label_lines(
+def _label_lines(
     sketch: Sketch,
     lines: Sequence[Line],
     names: Sequence[str],

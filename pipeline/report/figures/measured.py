@@ -1,6 +1,5 @@
 """The user's own measurements: drawn on the figures of their variables, and compared with the curves."""
 
-import itertools
 from typing import Any
 
 import numpy as np
@@ -43,34 +42,6 @@ def draw(sketch: Sketch, axes: Axes, source: Source, variable: str, at: dict[str
     sketch.last_key = _KEY
 
 
-def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.DataFrame]]]:
-    """Lines of the study: name, values of the axes, and curves with `slope`, `gait` and variables."""
-    if source.lines:
-        names = [v for v in variables(source) if v in source.grid]
-        return [(line.label, line.at, list(line.curves(*names))) for line in source.lines]
-    branches = source.tables.get("branches")
-    if branches is None:
-        return []
-    # Lines without a branch too, whose measurements must not be taken for another line's.
-    columns = [c for c in source.line_columns(branches) if source.grid.sizes.get(c, 1) > 1]
-    rows_of = dict(iter(branches.groupby(columns, sort=False))) if columns else {(): branches}
-    lines = []
-    for place in itertools.product(*(source.grid[c].values.tolist() for c in columns)):
-        at, rows = dict(zip(columns, place, strict=True)), rows_of.get(place, branches[:0])
-        name = ", ".join(str(v) for v in at.values()) or source.walker
-        pieces = [piece for _, branch in rows.groupby("branch", sort=False) for piece in _monotone(branch)]
-        lines.append((name, at, pieces))
-    return lines
-
-
-def _monotone(branch: pd.DataFrame) -> list[pd.DataFrame]:
-    """Pieces of a branch between its folds, each by rising slope."""
-    direction = np.sign(np.diff(branch["slope"].to_numpy(), prepend=np.nan))
-    direction[0] = direction[1] if len(direction) > 1 else 1
-    piece = np.cumsum(np.diff(direction, prepend=direction[0]) != 0)
-    return [rows.sort_values("slope") for _, rows in branch.groupby(piece)]
-
-
 def residuals(source: Source) -> pd.DataFrame:
     """Compare every measurement with the curve at its slope.
 
@@ -82,7 +53,7 @@ def residuals(source: Source) -> pd.DataFrame:
         several gaits the nearest is taken, unless the measurement names one.
     """
     frame, rows = table(source), []
-    lines = [(rows_at(frame, at, _SAME), curves) for _, at, curves in _branch_lines(source)]
+    lines = [(rows_at(frame, line.at, _SAME), list(line.curves(*variables(source)))) for line in source.lines]
     compared = [part.index for part, _ in lines]
     # Measurements between the values of an axis are on no line; they are listed without a computed value.
     lines.append((frame.drop(np.concatenate(compared)) if compared else frame, []))
@@ -128,14 +99,15 @@ def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: f
 
 def measured(source: Source) -> Sketch | None:
     """Plot every measured variable against slope, with the curves and their measurements."""
-    names = [v for v in variables(source) if any(v in c for _, _, curves in _branch_lines(source) for c in curves)]
+    curves = {line.label: list(line.curves(*variables(source))) for line in source.lines}
+    names = [v for v in variables(source) if any(v in curve for of_line in curves.values() for curve in of_line)]
     if not names or "slope" not in table(source):
         return None
     sketch = Sketch("measured", 60 + 250 * len(names), len(names), sharex=True)
-    lines, rows = _branch_lines(source), table(source)
+    rows = table(source)
     for axes, name in zip(sketch.panels, names, strict=True):
-        for k, (label, _, curves) in enumerate(lines):
-            for whole in curves:
+        for k, (label, of_line) in enumerate(curves.items()):
+            for whole in of_line:
                 curve = thin(whole)
                 for gait in curve["gait"].unique() if name in curve else ():
                     part = curve[(curve["gait"] == gait) & curve[name].notna()]
@@ -147,7 +119,7 @@ def measured(source: Source) -> Sketch | None:
         set_heading(axes, titled(name, source.units(name)))
     data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
     sketch.gait_keys(data[["gait"]])
-    sketch.line_keys([label for label, _, _ in lines])
+    sketch.line_keys(list(curves))
     left = residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
     worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
