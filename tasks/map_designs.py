@@ -217,20 +217,23 @@ def _solve(
 
 
 class _Rows:
-    """Rows of the table, one for each of n designs; slopes and speeds are logarithms, speeds over sqrt(g leg)."""
+    """Rows of the table, one for each of n designs.
+
+    `at` has what is known of the point at which each quantity is reached: logarithms of slope and speed, over
+    sqrt(g leg), their errors, its `kind`, or why there is none, whether stable gaits are next to it, and the gait.
+    """
 
     def __init__(self, n: int, log_speed: float | None = None):
         self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[: -len(COSTS)]
-        self.value = {name: np.full(n, np.nan) for name in names}
-        self.error = {name: np.full(n, np.nan) for name in names}
-        self.kind = {name: np.full(n, _NO_WALKER, "U32") for name in names}
-        self.fastest_slope = np.full(n, np.nan)
-        self.state = {name: np.full((4, n), np.nan) for name in _OF}
+        numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
+        self.at: dict[str, Arrays] = {
+            name: {column: np.full(n, np.nan) for column in numbers}
+            | {"kind": np.full(n, _NO_WALKER, "U32"), "gait": np.full(n, "", "U8")}
+            for name in names
+        }
         self.surveyed = np.zeros(n, int)
         self.attractor = np.full(n, _NO_GAIT, "U32")
         self.steps = np.full((2, n), np.nan)
-        self.stable_at_least_cost = np.full(n, np.nan)
-        self.gait_at = {name: np.full(n, "", "U8") for name in COSTS}
 
     def store(
         self,
@@ -248,40 +251,28 @@ class _Rows:
         self.surveyed[numbers[kept]] = surveyed
         walks = np.zeros(n, bool)
         walks[points.line[in_window(points, window) | (points.walks & (points.kind == ANY_SLOPE))]] = True
-        for name, value in self.value.items():
+        for name, at in self.at.items():
             point = chosen[name]
             there = np.flatnonzero(kept & (point >= 0))
-            row, which = numbers[there], point[there]
-            is_speed = name == "fastest_stable_speed"
-            value[row] = (points.log_froude if is_speed else points.log_slope)[which]
-            self.error[name][row] = (points.speed_error if is_speed else points.error)[which]
-            self.kind[name][row] = points.kind[which]
-            if name == "least_cost":
-                self.stable_at_least_cost[row] = points.stable[which]
-            if name in COSTS:
-                self.gait_at[name][row] = np.where(points.long[which], *GAITS[:2])
+            if len(there):
+                for column, values in _reached(problem.some(there), points.some(point[there])).items():
+                    at[column][numbers[there]] = values
             absent = kept & (point < 0)
-            self.kind[name][numbers[absent]] = _NO_GAIT
+            at["kind"][numbers[absent]] = _NO_GAIT
             if name != "smallest_slope":
-                self.kind[name][numbers[absent & (walks | any_slope)]] = _NEVER_STABLE
-            if name in _OF and len(there):
-                Z, own, slope = points.Z[:, which], problem.some(there), np.exp(points.log_slope[which])
-                y = np.vstack([np.exp(Z[0]), np.exp(Z[0]) * Z[1 : problem.m]])
-                self.state[name][:, row] = own.start(y, slope)
-                if is_speed:
-                    self.fastest_slope[row] = slope
+                at["kind"][numbers[absent & (walks | any_slope)]] = _NEVER_STABLE
         if any_slope:
-            self.kind["smallest_slope"][numbers[kept]] = ANY_SLOPE
+            self.at["smallest_slope"]["kind"][numbers[kept]] = ANY_SLOPE
 
     def further(self, options: Mapping[str, Any]) -> Arrays:
         """The columns that options ask for."""
         out: Arrays = {}
         if options["at_speed"] is not None:
             for name in COSTS:
-                slope = np.exp(self.value[name])
-                out |= {f"{name}_of_transport": np.sin(slope), f"{name}_error": self.error[name]}
-                out |= {f"slope_at_{name}": slope, f"gait_at_{name}": self.gait_at[name]}
-            out["stable_at_least_cost"] = self.stable_at_least_cost
+                at, slope = self.at[name], np.exp(self.at[name]["log_slope"])
+                out |= {f"{name}_of_transport": np.sin(slope), f"{name}_error": at["error"]}
+                out |= {f"slope_at_{name}": slope, f"gait_at_{name}": at["gait"]}
+            out["stable_at_least_cost"] = self.at["least_cost"]["stable"]
         if options["at_slope"] is not None:
             out["attractor"] = self.attractor
             if options["ground"]:
@@ -290,26 +281,33 @@ class _Rows:
 
     def columns(self, walkers: WalkerArray) -> Arrays:
         """The table's columns, in the walkers' units."""
-        froude = np.exp(self.value["fastest_stable_speed"])
-        any_slope = self.kind["smallest_slope"] == ANY_SLOPE
+        smallest, stable, fastest = (self.at[name] for name in _OF)
+        froude, any_slope = np.exp(fastest["log_froude"]), smallest["kind"] == ANY_SLOPE
         unit = [1.0, *3 * [walkers.time_unit]]
-        states = {
-            name + _OF[of]: value / by
-            for of, state in self.state.items()
-            for name, value, by in zip(_STATE, state, unit, strict=True)
-        }
-        error = {name: np.where(any_slope & (name == "smallest_slope"), 0.0, e) for name, e in self.error.items()}
         return {
-            "smallest_slope": np.where(any_slope, 0.0, np.exp(self.value["smallest_slope"])),
-            "smallest_slope_error": error["smallest_slope"],
-            "smallest_at": self.kind["smallest_slope"],
-            "largest_stable_slope": np.exp(self.value["largest_stable_slope"]),
-            "largest_stable_slope_error": error["largest_stable_slope"],
-            "stability_lost_by": self.kind["largest_stable_slope"],
+            "smallest_slope": np.where(any_slope, 0.0, np.exp(smallest["log_slope"])),
+            "smallest_slope_error": np.where(any_slope, 0.0, smallest["error"]),
+            "smallest_at": smallest["kind"],
+            "largest_stable_slope": np.exp(stable["log_slope"]),
+            "largest_stable_slope_error": stable["error"],
+            "stability_lost_by": stable["kind"],
             "fastest_stable_speed": froude * np.sqrt(walkers.g * walkers.leg),
-            "fastest_stable_speed_error": error["fastest_stable_speed"],
+            "fastest_stable_speed_error": fastest["speed_error"],
             "fastest_froude_speed": froude,
-            "fastest_slope": self.fastest_slope,
-            **states,
+            "fastest_slope": np.exp(fastest["log_slope"]),
+            **{
+                name + of: self.at[at][name] / by
+                for at, of in _OF.items()
+                for name, by in zip(_STATE, unit, strict=True)
+            },
             "surveyed": self.surveyed,
         }
+
+
+def _reached(problem: Lanes, points: Points) -> Arrays:
+    """What is known of points at which quantities of designs are reached, as `_Rows` has it."""
+    angle, slope = np.exp(points.Z[0]), np.exp(points.log_slope)
+    state = problem.start(np.vstack([angle, angle * points.Z[1 : problem.m]]), slope)
+    names = ("log_slope", "error", "log_froude", "speed_error", "stable", "kind")
+    known = {name: getattr(points, name) for name in names} | {"gait": np.where(points.long, *GAITS[:2])}
+    return known | dict(zip(_STATE, state, strict=True))

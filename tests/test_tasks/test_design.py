@@ -96,8 +96,8 @@ def test_a_gait_on_the_edge_but_for_rounding_is_in_the_window():
     window = (np.log(0.01), np.log(0.02))
     rows = _Rows(1)
     rows.store(branches("D")[0], np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), window, surveyed=1)
-    assert rows.kind["smallest_slope"].tolist() == ["window"]
-    assert rows.kind["largest_stable_slope"].tolist() == ["never stable"]
+    assert rows.at["smallest_slope"]["kind"].tolist() == ["window"]
+    assert rows.at["largest_stable_slope"]["kind"].tolist() == ["never stable"]
 
 
 def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
