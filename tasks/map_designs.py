@@ -23,6 +23,7 @@ from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_planes import charts
 from gaitsweep.tasks.solve_planes import lines as lines_of_plane
 from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.resolve import resolve_many
 from gaitsweep.tasks.walkers.statics import is_tuned
@@ -255,7 +256,7 @@ class _Rows:
             point = chosen[name]
             there = np.flatnonzero(kept & (point >= 0))
             if len(there):
-                for column, values in _reached(problem.some(there), points.some(point[there])).items():
+                for column, values in _reached(problem.some(there), lanes_of(points, point[there])).items():
                     at[column][numbers[there]] = values
             absent = kept & (point < 0)
             at["kind"][numbers[absent]] = _NO_GAIT
