@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from gaitsweep.tasks.simulate_steps import check_state, section_problem, take_step
-from gaitsweep.tasks.step.problem import Problem, scale_of
+from gaitsweep.tasks.simulate_steps import begin, take_step
+from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
@@ -43,19 +43,14 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     feet are mapped in all three coordinates, although after a heelstrike the thigh's rate follows from the others.
     """
     walker = resolve(params["walker"], params.get("set"))
-    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
-    check_state(state)
-    problem = section_problem(walker)
-    time_unit = walker.time_unit
+    problem, y, parameters = begin(walker, params)
+    time_unit, scale = walker.time_unit, parameters[1]
     units = np.array([1.0, time_unit, time_unit])  # by which the walker's are multiplied
-    scale = scale_of(state[:1])
-    parameters = problem.parameters(slope, scale)
-    y = problem.section_of((state * units)[:, None], slope) / scale
     start = problem.step.start(y, parameters)[: problem.step.start_size, 0]
     located = take_step(problem, start, parameters[:, 0])
     if located.outcome != STRUCK:
         cause = CAUSES[located.outcome]
-        raise WalkerError("state", tuple(state.tolist()), f"leads to no heelstrike ({cause})")
+        raise WalkerError("state", tuple(map(float, params["state"])), f"leads to no heelstrike ({cause})")
     step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
     times = step.times
     before, after = (_start(problem, section, parameters) for section in (y, step.image))

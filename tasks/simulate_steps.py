@@ -69,14 +69,9 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker or the state is invalid.
     """
     walker = resolve(params["walker"], params.get("set"))
-    problem = section_problem(walker)
-    time_unit = walker.time_unit
+    problem, y, parameters = begin(walker, params)
+    time_unit, scale = walker.time_unit, parameters[1, 0]
     n, phases = int(params["steps"]), problem.phases
-    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
-    check_state(state)
-    scale = scale_of(state[0])
-    parameters = problem.parameters(slope, scale[None])
-    y = problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope) / scale
     x = problem.map.start(y, parameters)[: problem.map.start_size, 0]
     states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
     motion = np.full((n, 4, phases, SAMPLES + 1), np.nan)
@@ -117,21 +112,34 @@ def section_problem(walker: Walker) -> Lanes:
     return Lanes([walker], general_structure(walker.knees))
 
 
-def check_state(state: np.ndarray) -> None:
-    """Check that a state lies on the section.
+def begin(walker: Walker, params: Mapping[str, Any]) -> tuple[Lanes, np.ndarray, np.ndarray]:
+    """Where a walker begins to step.
 
     Parameters
     ----------
-    state : ndarray, shape (3,)
-        Stance angle [rad], stance rate and thigh rate.
+    walker : Walker
+    params : mapping
+        `slope` [rad] and `state`, stance angle [rad], stance rate and thigh rate, in the walker's units.
+
+    Returns
+    -------
+    problem : Lanes
+        As `section_problem` has it.
+    y : ndarray, shape (3, 1)
+        The state, scaled.
+    parameters : ndarray, shape (n_parameters, 1)
 
     Raises
     ------
     WalkerError
         If the stance leg is not in front of the ground's normal, or so far that the walker has fallen.
     """
+    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")
+    problem, scale = section_problem(walker), scale_of(state[:1])
+    y = problem.section_of((state * [1.0, walker.time_unit, walker.time_unit])[:, None], slope) / scale
+    return problem, y, problem.parameters(slope, scale)
 
 
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:
