@@ -285,13 +285,16 @@ class Branch:
             x[~direct] = 0.5 * (a + b)
         return x
 
-    def pieces(self) -> list[tuple[int, int]]:
-        """First and last nodes of the pieces over which the slope is monotone."""
+    def turns(self) -> list[int]:
+        """Nodes between the ends at which the slope turns: folds."""
         # A fold's node may be so near the next that their slopes differ by rounding only; their tangents do not.
         change, rate = np.diff(self.q), self.tangent[-1]
         rising = np.sign(np.where(np.abs(change) < 1e-13, rate[:-1] + rate[1:], change))
-        cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
-        return list(itertools.pairwise(cuts))
+        return [int(node) for node in np.nonzero(np.diff(rising))[0] + 1]
+
+    def pieces(self) -> list[tuple[int, int]]:
+        """First and last nodes of the pieces over which the slope is monotone."""
+        return list(itertools.pairwise([0, *self.turns(), len(self.q) - 1]))
 
     def folds(self) -> np.ndarray:
         """Return the nodes that are folds; the one at which a closed branch is cut is its first and last.
@@ -303,7 +306,7 @@ class Branch:
         ndarray of int, shape (k,)
         """
         ends = [i for i, why in zip((0, len(self.q) - 1), self.why, strict=True) if why in ("fold", "branch_point")]
-        return np.array(sorted([*ends, *(first for first, _ in self.pieces()[1:])]), int)
+        return np.array(sorted([*ends, *self.turns()]), int)
 
     def distance_from_fold(self) -> np.ndarray:
         """Return how far each segment is from the branch's nearest fold in ln slope.

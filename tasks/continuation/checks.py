@@ -73,7 +73,7 @@ def _failing(branch: Branch) -> Procedure[np.ndarray]:
     """Which segments fail, shape (n - 1,)."""
     n = len(branch.q) - 1
     failing = _too_long(branch)
-    for fold, _ in branch.pieces()[1:]:
+    for fold in branch.turns():
         # A node at which the slope turns is a fold: it falls on one side and rises on the other.
         sides = branch.tangent[-1, [fold - 1, fold + 1]]
         failing[[fold - 1, fold]] |= sides.prod() > 0

@@ -49,7 +49,7 @@ def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance:
         _with_radius(
             problem,
             branch,
-            place[run][_thinned(plane(Z[:, run]), np.isin(place[run], _folds(branch)), tolerance)],
+            place[run][_thinned(plane(Z[:, run]), np.isin(place[run], branch.turns()), tolerance)],
             tolerance,
         )
         for run in runs
@@ -101,11 +101,6 @@ def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndar
     return place[kept], Z[:, kept]
 
 
-def _folds(branch: Branch) -> np.ndarray:
-    """Places of the folds."""
-    return np.array([float(first) for first, _ in branch.pieces()[1:]])
-
-
 def plane(Z: np.ndarray) -> np.ndarray:
     """Return ln slope, ln angle and ln period of points.
 
@@ -143,19 +138,13 @@ def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndar
     kept = [0]
     for stop in stops[1:]:
         while kept[-1] < stop:
-            i = kept[-1]
-            good, bad = i + 1, None
-            length = 2
-            while good < stop and bad is None:
-                j = min(i + length, int(stop))
+            i, bad = kept[-1], None
+            good, length = i + 1, 2
+            # Twice as far each time, until a line is too long; then by halves.
+            while good < stop and (bad is None or bad - good > 1):
+                j = min(i + length, int(stop)) if bad is None else (good + bad) // 2
                 if apart(points[i + 1 : j], points[i], points[j]).max() <= 0.8 * tolerance:
                     good, length = j, 2 * length
-                else:
-                    bad = j
-            while bad is not None and bad - good > 1:
-                j = (good + bad) // 2
-                if apart(points[i + 1 : j], points[i], points[j]).max() <= 0.8 * tolerance:
-                    good = j
                 else:
                     bad = j
             kept.append(good)

@@ -58,7 +58,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
 
 def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
     """Return the folds and the ends of a branch, which are nodes: their kinds, nodes, and known errors of ln slope."""
-    found = [("fold", first, 0.0) for first, _ in branch.pieces()[1:]]
+    found = [("fold", node, 0.0) for node in branch.turns()]
     for side, why in enumerate(branch.why):
         # Both ends of a closed branch are one fold.
         if not (side and branch.why == ("fold", "fold")):

@@ -51,9 +51,8 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     y : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
         Their section coordinates.
     """
-    m, n = problem.m, len(slope)
-    # ln angle, ratio of rates and section of the gaits, a row for each piece of a branch.
-    angle, ratio, sections = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, m, n))
+    # Of each piece of a branch ln angle, ratio of rates and section of the gaits.
+    pieces: list[np.ndarray] = []
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
             at = settle_on_branches(
@@ -62,12 +61,12 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
             converged = at.converged & at.step
             # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
             nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
-            piece = np.full((m + 2, n), np.nan)
+            piece = np.full((problem.m + 2, len(slope)), np.nan)
             piece[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
             piece[1, index] = np.where(converged, gait_ratio(at.stride), nodes)
             piece[2:, index] = np.where(converged, at.y * at.scale, np.nan)
-            angle, ratio = np.vstack([angle, piece[:1]]), np.vstack([ratio, piece[1:2]])
-            sections = np.concatenate([sections, piece[None, 2:]])
-    has_label = (places(angle, ratio) == GAITS.index(label)) & np.isfinite(sections).all(axis=1)
+            pieces.append(piece)
+    angle, ratio, sections = np.split(np.array(pieces).reshape(-1, problem.m + 2, len(slope)), [1, 2], axis=1)
+    has_label = (places(angle[:, 0], ratio[:, 0]) == GAITS.index(label)) & np.isfinite(sections).all(axis=1)
     index, row = np.nonzero(has_label.T)
     return index, sections[row, :, index].T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gaitsweep.tasks.step.lanes import replace_lanes
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
@@ -41,9 +42,7 @@ def verify_steps(
     lanes = np.nonzero(check.doubt)[0]
     if len(lanes):
         fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
-        closer = verified(fine)
-        for name in ("step", "leg_passes", "doubt"):
-            getattr(check, name)[lanes] = getattr(closer, name)
+        replace_lanes(check, lanes, verified(fine))
     return stride, check
 
 

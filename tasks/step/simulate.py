@@ -17,7 +17,7 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from gaitsweep.tasks.mechanics.impacts import heelstrike
-from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
+from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler, whole_groups
 from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.crossing import crossing, guard
 from gaitsweep.tasks.step.lanes import join_lanes
@@ -116,11 +116,7 @@ class Scanner:
     @staticmethod
     def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes (k, n) padded to whole SIMD groups."""
-        n = inputs[0].shape[1]
-        padded = np.empty((sum(map(len, inputs)), n + -n % (LANES)))
-        np.concatenate(inputs, out=padded[:, :n])
-        padded[:, n:] = padded[:, n - 1 : n]
-        return function(padded)[:, :n]
+        return function(whole_groups(np.concatenate(inputs), LANES))[:, : inputs[0].shape[1]]
 
     def _advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """States after a time step h (n,) of the formula, of three links or two."""

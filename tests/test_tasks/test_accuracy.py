@@ -202,7 +202,7 @@ def test_a_panel_of_two_folds_is_inverted():
 def test_gaits_of_a_label_beside_a_fold_are_integrated():
     """Where their angles differ by four accuracies or less, which is near the fold alone."""
     problem, found = branches("physical-straight")
-    fold = [b.q[first] for b in found for first, _ in b.pieces()[1:]]
+    fold = [b.q[first] for b in found for first in b.turns()]
     slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, slope)
     parts, integrated = made.parts(slope)

@@ -73,7 +73,7 @@ class Outcome:
 def slopes(random, branches, window):
     """Slopes of a line: in a window, and near folds and ends of its branches that lie in it; the number of these."""
     low, high = np.log(window)
-    places = [b.q[at] for b in branches for at in (f for f, _ in b.pieces()[1:])]
+    places = [b.q[at] for b in branches for at in b.turns()]
     places += [b.q[-k] for b in branches for k in (0, 1)]
     places = [q for q in places if low < q < high]
     near = [

@@ -132,7 +132,7 @@ def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
 def test_of_a_fold_one_side_is_followed(monkeypatch):
     """Both were, through all their doublings, and one was dropped."""
     followed, switch = [], locate_cascade.doubled
-    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[0].steps) or switch(*a))
+    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[0].problem.steps) or switch(*a))
     found = doublings("D", 0.0122, 0.0128, n=4, families=[3], periods=6, steps=0, starts=200)
     assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [3]
 

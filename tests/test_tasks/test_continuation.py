@@ -451,7 +451,7 @@ def test_a_step_to_another_root_of_a_guard_is_refused():
 @pytest.mark.parametrize("name", ["physical", "physical-straight"])
 def test_a_coarse_atlas_tells_gaits_beside_a_fold_apart(name, distance):
     problem, fine = branches(name)
-    folds = [b.q[first] for b in fine for first, _ in b.pieces()[1:]]
+    folds = [b.q[first] for b in fine for first in b.turns()]
     for branch in survey(problem, COARSE):
         for q in folds:
             for side in (-1, 1):

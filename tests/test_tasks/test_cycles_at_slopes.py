@@ -135,7 +135,7 @@ def test_every_gait_is_listed_once_under_its_label():
 def test_the_two_gaits_beside_a_fold_are_on_two_pieces():
     problem, known = atlas_of("D")
     (branch,) = cycle_branches(problem, known, 3)
-    ((fold, _),) = branch.pieces()[1:]
+    (fold,) = branch.turns()
     assert np.exp(branch.q[fold]) == pytest.approx(0.0122808, abs=1e-7)
     # So near that both lie between the fold and the next node.
     at = branch.guesses(branch.q[[fold]] + 1e-12)

@@ -34,7 +34,7 @@ def points(problem, branches, slopes, **params):
 
 def special(problem, branch):
     """Folds and flips of a branch: kinds, ln slopes, the side of the gaits, their pieces, and the room there."""
-    turns = [0, *(first for first, _ in branch.pieces()[1:]), len(branch.q) - 1]
+    turns = [0, *branch.turns(), len(branch.q) - 1]
     q = branch.q[turns]
 
     def piece(segment):

@@ -126,7 +126,7 @@ TINY_FOLD = {
 def test_gaits_beside_a_fold_at_a_tiny_slope_settle_in_more_digits(shank):
     problem, found = branches("A", **TINY_FOLD, l_s=shank)
     (branch,) = [b for b in found if len(b.pieces()) == 2]
-    ((fold, _),) = branch.pieces()[1:]
+    (fold,) = branch.turns()
     slope = np.exp(branch.q[fold]) * (1 + np.array([5e-13, 1e-12, 1e-11, 1e-10, 1e-8]))
     angles = []
     for index, Z, segment in branch.guesses(np.log(slope)):
