@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.archive import read, structure
+from gaitsweep.pipeline.archive import layout, read, structure
 from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.statuses import FOUND
 from gaitsweep.tasks.registry import VARIABLES, Variable
@@ -31,7 +31,7 @@ def verify(path: Path) -> list[str]:
 def _unlisted(file: Any) -> Iterator[str]:
     """Variables without a checksum."""
     sums = json.loads(getattr(file, "checksums", "{}"))
-    yield from (f"`{name}` is not as it was written." for name in file.variables if name not in sums)
+    yield from (f"`{name}` is not as it was written." for name, _ in layout.variables(file) if name not in sums)
 
 
 def _out_of_place(file: Any) -> Iterator[str]:

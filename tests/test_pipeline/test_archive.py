@@ -325,6 +325,8 @@ def _edit(path, change):
         (lambda f: f.renameVariable("period", "x"), "`period` is missing."),
         (lambda f: f.renameGroup("fits", "x"), "`fits/scaling/exponent` is missing."),
         (lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0), "`fits/scaling/exponent` is not as it was written."),
+        (lambda f: f.createVariable("x", "f8", ()), "`x` is not as it was written."),
+        (lambda f: f["fits/scaling"].createVariable("x", "f8", ()), "`fits/scaling/x` is not as it was written."),
         (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
         (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
         (lambda f: f.setncattr("provenance", "[1]"), "`provenance` is not JSON."),

@@ -53,13 +53,13 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
 }
 
 
-def _sketch(name: str, source: Source) -> Sketch | None:
-    """Sketch a figure; None where the archive lacks its data, or a column of its tables."""
+def _of_tables(name: str, source: Source) -> Sketch | None:
+    """Sketch a figure from the tables that it needs; None where the archive lacks one, a column or other data."""
     tables = [source.table(table, *columns) for table, columns in WORDS["figures"][name].get("tables", {}).items()]
     return None if any(table is None for table in tables) else _DRAWN[name](source, *tables)
 
 
-FIGURES = {name: partial(_sketch, name) for name in _DRAWN}
+FIGURES = {name: partial(_of_tables, name) for name in _DRAWN}
 
 
 class Undrawn(Exception):
