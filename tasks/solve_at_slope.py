@@ -78,7 +78,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
         if not gaits:
-            log += [str(point["reasons"][1]), str(point["reasons"][5]), nearest]
+            log += [*point["reasons"][[status.NO_LONG, status.NO_SHORT]].tolist(), nearest]
     angle, ratio = (
         np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio")
     )
@@ -122,7 +122,7 @@ def _solve_cycles(line: dict[str, Any], slope: float, asked: Mapping[str, Any]) 
         # The heelstrike is at another angle than the one before.
         end = map_step({"walker": line["walker"], "set": line["set"], "slope": slope, "state": state})["state"][0]
         records.append(_record(label, slope, gait, walker, float(end)))
-    log = [] if records else [str(point["reasons"][1])]
+    log = [] if records else [str(point["reasons"][status.NO_LONG])]
     return _answer(records, walker.si, log)
 
 

@@ -10,11 +10,8 @@ CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
 #: Gaits with values.
 SOLVED = (CONVERGED, LESS_ACCURATE)
 
-SETTLED = "Converged, and verified to be a step."
-NO_FURTHER = "No further gait was found at this slope."
-NEWTON_LOST = "Newton's method did not converge from the atlas's guess."
-COARSE = "Converged to a step, but its error bound exceeds the accuracy wanted."
-NOT_A_STEP = "The solution is not a step: a guard is crossed before the event solved for."
+#: Places of the sentences among `reasons`.
+SETTLED, NO_LONG, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, NO_SHORT, TOO_COARSE = range(7)
 
 
 def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: Sequence[float] = ()) -> str:
@@ -62,10 +59,14 @@ def absent(label: str, where: str) -> str:
     return f"No {label} gait at this slope: no branch found over {where} has one here."
 
 
-#: Index of `COARSE` in `reasons`.
-COARSE_REASON = 6
-
-
 def reasons(long: str, short: str) -> list[str]:
     """Sentences in the order in which `reason` indexes them, with those of points without a long or a short gait."""
-    return [SETTLED, long, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, short, COARSE]
+    return [
+        "Converged, and verified to be a step.",
+        long,
+        "No further gait was found at this slope.",
+        "Newton's method did not converge from the atlas's guess.",
+        "The solution is not a step: a guard is crossed before the event solved for.",
+        short,
+        "Converged to a step, but its error bound exceeds the accuracy wanted.",
+    ]

@@ -47,7 +47,7 @@ def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
     for name in names:
         shape = (n, len(GAITS), multipliers) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
-    out["reason"][:] = [1, 5, 2, 2]
+    out["reason"][:] = [status.NO_LONG, status.NO_SHORT, status.NO_FURTHER, status.NO_FURTHER]
     return out
 
 
@@ -126,7 +126,7 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
     bound = out["error_bound"] + unit
     coarse = (out["status"] == status.CONVERGED) & (bound > accuracy)
-    out["status"][coarse], out["reason"][coarse] = status.LESS_ACCURATE, status.COARSE_REASON
+    out["status"][coarse], out["reason"][coarse] = status.LESS_ACCURATE, status.TOO_COARSE
     for name, values in out.items():
         if name == "error_bound":
             values[:] = np.where(coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy))
@@ -203,7 +203,7 @@ def describe(
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
-        "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
+        "reason": np.where(at.converged, np.where(at.step, status.SETTLED, status.NOT_A_STEP), status.NEWTON_LOST),
         "residual": np.abs(stride.residual / residual_sizes(stride.y, problem.phases)).max(axis=0),
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),

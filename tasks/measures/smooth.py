@@ -149,7 +149,13 @@ class Smooth:
             In the walker's units.
         """
         n = len(slope)
-        known = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
+        known = {
+            "status": status.CONVERGED,
+            "reason": status.SETTLED,
+            "error_bound": error,
+            "branch": branch,
+            "piece": piece,
+        }
         solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
         solved |= {name: columns[name] for name in want if name in _MULTIPLIERS}
         return self._variables(slope, columns) | without_knees(want, self.walker, n) | solved

@@ -108,11 +108,8 @@ def flow(
         h = left if left <= step else arb(min(step, float(left) / 2))
         h, (rest, rest_derivative), excess = _fitting(body, slope, state, derivative, h, accuracy, by_slope)
         last = h is left
-        thin = _motion(body, own_slope, middle, order)
-        wide = _motion(body, slope, state, order)
-        change = Variation(wide, derivative, by_slope)
-        for _ in range(order - 1):
-            change.grow()
+        thin, wide = Motion(body, own_slope, middle, order - 1), Motion(body, slope, state, order - 1)
+        change = Variation(wide, derivative, by_slope, order - 1)
         piece = Piece(time, h, _closed(wide, rest))
         pieces.append(piece)
         t_c, t = (duration[0] - time, duration[1] - time) if last else (h, h)
@@ -172,13 +169,6 @@ def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]
     return [min(x, c + d, key=lambda ball: float(ball.rad())) for x, c, d in zip(state, middle, away, strict=True)]
 
 
-def _motion(body: Body, slope: arb, state: State, order: int) -> Motion:
-    motion = Motion(body, slope, state)
-    for _ in range(order - 1):
-        motion.grow()
-    return motion
-
-
 def _closed(motion: Motion, rest: State) -> list[Series]:
     """Series with the remainder as their last coefficient."""
     return [[*s, r] for s, r in zip(motion.series, rest, strict=True)]
@@ -192,16 +182,13 @@ def _remainder(
     if box is None:
         return None
     try:
-        motion = Motion(body, slope, box)
-        motion.grow()
+        motion = Motion(body, slope, box, 1)
         all_derivatives = enclose_derivative(Variation(motion, derivative, by_slope), h)
         for _ in range(order - 1):
             motion.grow()
     except ZeroDivisionError:
         return None
-    change = Variation(motion, all_derivatives, by_slope)
-    for _ in range(order):
-        change.grow()
+    change = Variation(motion, all_derivatives, by_slope, order)
     return [s[order] for s in motion.series], change.terms[order]
 
 
@@ -260,8 +247,7 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
         start.nrows(), start.ncols(), [arb(0, x.abs_upper()) for x in size.entries()[: len(start.entries())]]
     )
     for _ in range(2):
-        trial = Variation(change.motion, enclosure, change.by_slope)
-        trial.grow()
+        trial = Variation(change.motion, enclosure, change.by_slope, 1)
         enclosure = start + trial.terms[1] * span
     return enclosure
 

@@ -65,6 +65,8 @@ class Motion:
     slope : arb [rad]
     state : sequence of arb
         Angles, then rates at the start.
+    order : int
+        Coefficients of the accelerations to begin with.
 
     Attributes
     ----------
@@ -72,7 +74,7 @@ class Motion:
         Angles, rates and accelerations; `grow` appends to them.
     """
 
-    def __init__(self, body: Body, slope: arb, state: Sequence[arb]):
+    def __init__(self, body: Body, slope: arb, state: Sequence[arb], order: int = 0):
         self.body, self.n = body, len(state) // 2
         q, w = state[: self.n], state[self.n :]
         self.q: list[Series] = [[x] for x in q]
@@ -99,6 +101,8 @@ class Motion:
         self.joint: tuple[Series, Series] = ([], [])
         self.mass_00: Series = []
         self.inverse = arb_mat(0, 0)
+        for _ in range(order):
+            self.grow()
 
     @property
     def series(self) -> list[Series]:
@@ -240,18 +244,22 @@ class Variation:
         Derivatives of (q, w) at the start.
     by_slope : arb_mat, shape (1, d), optional
         Derivatives of the slope itself.
+    order : int
+        Coefficients beyond the first to begin with, no more than those of the motion.
 
     Attributes
     ----------
     terms : list of arb_mat, shape (2 n, d)
     """
 
-    def __init__(self, motion: Motion, start: arb_mat, by_slope: arb_mat | None = None):
+    def __init__(self, motion: Motion, start: arb_mat, by_slope: arb_mat | None = None, order: int = 0):
         self.motion, self.terms, self.by_slope = motion, [start], by_slope
         self.rows: list[arb_mat] = []
         self.masses: list[arb_mat] = []
         self.accelerations: list[arb_mat] = []
         self.columns = start.ncols()
+        for _ in range(order):
+            self.grow()
 
     def grow(self) -> None:
         """Append one coefficient; the motion must be at least as long."""
@@ -303,8 +311,7 @@ def velocity(body: Body, slope: arb, state: Sequence[arb]) -> list[arb]:
     -------
     list of arb
     """
-    motion = Motion(body, slope, state)
-    motion.grow()
+    motion = Motion(body, slope, state, 1)
     return [*state[motion.n :], *(a[0] for a in motion.a)]
 
 

@@ -87,17 +87,11 @@ def test_the_variations_are_the_limit_of_differences(name, links):
 
     def moved(k):
         shifted = [start + k * h * d for start, d in zip(x, direction, strict=False)]
-        motion = Motion(body, arb(SLOPE) + k * h * direction[-1], shifted)
-        for _ in range(order):
-            motion.grow()
+        motion = Motion(body, arb(SLOPE) + k * h * direction[-1], shifted, order)
         return [s[order] for s in motion.series]
 
-    motion = Motion(body, arb(SLOPE), x)
-    for _ in range(order):
-        motion.grow()
-    change = Variation(motion, arb_mat([[d] for d in direction[:-1]]), arb_mat([[direction[-1]]]))
-    for _ in range(order):
-        change.grow()
+    motion = Motion(body, arb(SLOPE), x, order)
+    change = Variation(motion, arb_mat([[d] for d in direction[:-1]]), arb_mat([[direction[-1]]]), order)
     for low, high, found in zip(moved(-1), moved(1), change.terms[order].entries(), strict=True):
         assert abs((high - low) / (2 * h) - found) < 1e-50
 
@@ -147,9 +141,7 @@ def test_the_first_box_holds_the_motion_all_along():
     x = state(3)
     time = arb(h * body.time_unit)
     box = enclose(body, arb(SLOPE), x, time)
-    motion = Motion(body, arb(SLOPE), x)
-    wide = Motion(body, arb(SLOPE), box)
-    wide.grow()
+    motion, wide = Motion(body, arb(SLOPE), x), Motion(body, arb(SLOPE), box, 1)
     start = arb_mat([[int(i == j) for j in range(6)] for i in range(6)])
     all_along = enclose_derivative(Variation(wide, start), time)
     change = Variation(motion, start)

@@ -332,14 +332,14 @@ def test_rounding_to_bits():
 def test_a_bound_beyond_the_accuracy_is_told():
     out = {
         "status": np.array([[0, 0, 2, 0]]),
-        "reason": np.array([[0, 0, 3, 0]]),
+        "reason": np.array([[0, 0, status.NEWTON_LOST, 0]]),
         "error_bound": np.array([[1e-7, 2e-6, np.nan, 0.9e-6]]),
         "stance_angle": np.array([[0.1234567890123, 0.2, np.nan, 0.3]]),
     }
     found = {name: values.copy() for name, values in out.items()}
     to_accuracy(found, 1e-6)
     assert found["status"].tolist() == [[0, status.LESS_ACCURATE, 2, 0]]
-    assert found["reason"].tolist() == [[0, status.COARSE_REASON, 3, 0]]
+    assert found["reason"].tolist() == [[0, status.TOO_COARSE, status.NEWTON_LOST, 0]]
     assert found["error_bound"][0, 3] <= 1e-6
     assert found["error_bound"][0, 0] > 1e-7
     assert found["stance_angle"][0, 0] == pytest.approx(0.1234567890123, rel=1e-7)
