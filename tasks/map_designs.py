@@ -77,6 +77,10 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     keys = {key: np.atleast_1d(np.asarray(value, float)) for key, value in line.get("set", {}).items()}
     n = max((len(value) for value in keys.values()), default=1)
     keys = {key: np.broadcast_to(value, n) for key, value in keys.items()}
+
+    def line_of(i: int) -> dict[str, Any]:
+        return {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
+
     slope = np.asarray(params["slope"], float)
     window = float(np.log(slope.min())), float(np.log(slope.max()))
     walkers = _walkers(line["walker"], keys, n)
@@ -87,19 +91,11 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if "plane" in params:
         accepted = _over_plane(line, keys, params["plane"], window, rows)
         # Invalid designs are not solved.
-        possible = (
-            sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own) if at_slope is not None else []
-        )
-        if possible:
-            each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
-            request: dict[str, Any] = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT}
-            request |= {
-                "plane": params["plane"],
-                "slope_from": at_slope,
-                "slope_to": at_slope,
-                "slopes": 1,
-                "whole": True,
-            }
+        possible = sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own)
+        if at_slope is not None and possible:
+            each, slopes = [line_of(i) for i in possible], {"slope_from": at_slope, "slope_to": at_slope, "slopes": 1}
+            request = {"line": each[0], "lines": each, "slope": np.array([at_slope]), "want": _GAIT, **slopes}
+            request |= {"plane": params["plane"], "whole": True}
             gaits[:, possible] = _long(lines_of_plane(request, [charts(request, [])])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
@@ -110,8 +106,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             rows.store(problem, part, find(problem, branches, window, log_speed), window, surveyed=1)
             if at_slope is not None and "plane" not in params:
                 for i, of_line in zip(part.tolist(), branches, strict=True):
-                    own = {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
-                    request = {"line": own, "slope": np.array([at_slope]), "want": _GAIT}
+                    request = {"line": line_of(i), "slope": np.array([at_slope]), "want": _GAIT}
                     gaits[:, [i]] = _long(points(request, [to_arrays(of_line)]))
     if at_slope is not None:
         _disturb(walkers, gaits, at_slope, ground, rows)

@@ -18,6 +18,8 @@ from gaitsweep.tasks.step.simulate import STRUCK
 _SETTLED = 1e-8
 #: Steps within which an orbit may leave without its slope being rejected.
 _TRANSIENT = 60
+#: Rounds in which the bracket of a loss is divided, and by how many slopes, simulated side by side.
+_ROUNDS, _AT_ONCE = 3, 4
 
 
 def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int) -> np.ndarray:
@@ -51,9 +53,7 @@ def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, st
     return survives
 
 
-def lost(
-    problem: Problem, starts: np.ndarray, low: float, high: float, strides: int, at_once: int = 4, rounds: int = 3
-) -> tuple[float, float]:
+def lost(problem: Problem, starts: np.ndarray, low: float, high: float, strides: int) -> tuple[float, float]:
     """Bracket the slope at which an attractor is lost.
 
     Parameters
@@ -64,8 +64,6 @@ def lost(
         The bracket to begin with.
     strides : int
         Steps after the transient.
-    at_once, rounds : int
-        In each round the bracket is divided by this many slopes, simulated side by side.
 
     Returns
     -------
@@ -73,8 +71,8 @@ def lost(
         Neighbouring slopes of the last round. NaN for `low` where the attractor does not persist there either, and for
         `high` where it is not lost.
     """
-    for number in range(rounds):
-        slope = np.linspace(low, high, at_once + 2)
+    for number in range(_ROUNDS):
+        slope = np.linspace(low, high, _AT_ONCE + 2)
         if number:
             survives = np.array([True, *surviving_slopes(problem, starts, slope[1:-1], strides), False])
         else:  # the ends with the others

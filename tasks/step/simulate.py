@@ -10,12 +10,13 @@ correction. A lane's bits depend on its initial state alone.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import heyoka as hy
 import numpy as np
 
-from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Symbols, rows
+from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from gaitsweep.tasks.mechanics.impacts import heelstrike
 from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler, whole_groups
 from gaitsweep.tasks.mechanics.lumped import Structure
@@ -78,8 +79,8 @@ class Scanner:
     def __init__(self, structure: Structure):
         self.structure = structure
         self._step = {free: self._compile_step(free) for free in ((False, True) if structure.kneed else (False,))}
-        self._lock = self._compile_lock() if structure.kneed else None
-        self._strike = None if structure.kneed else self._compile_strike()
+        self._lock = self._compile(6, lock_knee) if structure.kneed else None
+        self._strike = None if structure.kneed else self._compile(4, functools.partial(end_of_step, structure))
 
     def _compile_step(self, free: bool) -> CompiledFunction:
         p = Symbols(self.structure)
@@ -94,24 +95,17 @@ class Scanner:
             stage = [x[i] + h * sum((a * d[i] for a, d in terms), ZERO) for i in range(2 * n)]
         return CompiledFunction(stage, [*x, h, *p.variables])
 
-    def _compile_lock(self) -> CompiledFunction:
-        p = Symbols(self.structure)
-        x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        return CompiledFunction(lock_knee(p, x), [*x, *p.variables])
-
-    def _compile_strike(self) -> CompiledFunction:
-        p = Symbols(self.structure)
-        x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        return CompiledFunction(end_of_step(self.structure, p, x), [*x, *p.variables])
+    def _compile(self, size: int, outputs: Callable[[Symbols, list[Sym]], list[Sym]]) -> CompiledFunction:
+        """Compile a function of a state and the parameters."""
+        p, x = Symbols(self.structure), list(hy.make_vars(*(f"x{i}" for i in range(size))))
+        return CompiledFunction(outputs(p, x), [*x, *p.variables])
 
     @functools.cached_property
     def _rates_on_uneven_ground(self) -> CompiledFunction:
         """Rates after a heelstrike from two links' state and the parameters, at any two angles of the legs."""
         prepare_compiler()
-        p = Symbols(self.structure)
-        x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        rates = heelstrike(p, x[1], x[2], x[3], self.structure.kneed, old_angle=x[0])
-        return CompiledFunction(rates, [*x, *p.variables])
+        kneed = self.structure.kneed
+        return self._compile(4, lambda p, x: heelstrike(p, x[1], x[2], x[3], kneed, old_angle=x[0]))
 
     @staticmethod
     def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:

@@ -191,7 +191,8 @@ def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatc
         return slope < 0.0137
 
     monkeypatch.setattr(crisis, "surviving_slopes", survives)
-    low, high = crisis.lost(None, None, 0.01, 0.02, 50, at_once=4, rounds=2)
+    monkeypatch.setattr(crisis, "_ROUNDS", 2)
+    low, high = crisis.lost(None, None, 0.01, 0.02, 50)
     assert (low, high) == pytest.approx((0.0136, 0.014)) and low < 0.0137 < high
     assert asked[0] == pytest.approx([0.01, 0.012, 0.014, 0.016, 0.018, 0.02])
     assert asked[1] == pytest.approx([0.0124, 0.0128, 0.0132, 0.0136])
