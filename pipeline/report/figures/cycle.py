@@ -14,8 +14,8 @@ from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, ev
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, plain, shorten, with_unit
 
-#: Steps of the archive that are read, evenly spread.
-_MAX_STEPS = 12
+#: Steps of the archive that are read, evenly spread, and poses drawn of one.
+_MAX_STEPS, _POSES = 12, 4
 
 
 @dataclass(frozen=True)
@@ -120,19 +120,19 @@ def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:
     return middle if len(middle) <= 2 else [middle[(len(middle) - 1) // 2]]
 
 
-def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 4) -> None:
+def _draw_strobe(axes: Axes, step: TracedStep) -> None:
     """Draw the walker at even times of two steps, each below its time in the graph."""
     body, frame, period = step.body, step.frame, step.period
     height = body.height
     apart = 1.15 * height
-    edges = -0.7 * apart, (2 * moments - 0.3) * apart
+    edges = -0.7 * apart, (2 * _POSES - 0.3) * apart
     axes.plot(edges, [0, 0], color=MUTED, lw=0.8)
     legs = {"color": LINE, "lw": 2.0, "zorder": 4}, {"color": INK, "lw": 0.8, "zorder": 3}
     for number in (0, 1):
-        for k in range(moments):
-            t = period * (k + 0.5) / moments
+        for k in range(_POSES):
+            t = period * (k + 0.5) / _POSES
             angles = [float(np.interp(t, frame["time"], frame[c])) for c in ("theta_st", "theta_th", "theta_sh")]
-            hip = complex((number * moments + k) * apart, complex(body.hip(angles[0])).imag)
+            hip = complex((number * _POSES + k) * apart, complex(body.hip(angles[0])).imag)
             draw_pose(axes, body, hip, angles, *(legs if number == 0 else legs[::-1]), 2.6)
     axes.set_xlim(*edges)
     axes.set_ylim(-0.06 * height, 1.08 * height)

@@ -52,6 +52,9 @@ MARKERS = "osD^vPXd"
 #: Largest numbers of panels, one for each line, and of rows of maps, one for each value of the other axes.
 MAX_PANELS, MAX_ROWS = 6, 4
 
+#: Least distance of names at the ends of curves [pt].
+_GAP = 11
+
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
 
@@ -67,9 +70,9 @@ def style() -> Iterator[None]:
         yield
 
 
-def canvas(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure of that size [pt]; one display unit is one point."""
-    figure = Figure(figsize=(width / 72, height / 72), dpi=72, layout="constrained")
+def canvas(height: float) -> Figure:
+    """An empty figure of that height [pt]; one display unit is one point."""
+    figure = Figure(figsize=(WIDTH / 72, height / 72), dpi=72, layout="constrained")
     FigureCanvasSVG(figure)
     return figure
 
@@ -226,9 +229,7 @@ def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list
     return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
-def end_labels(
-    axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str = "left", gap: float = 11
-) -> None:
+def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str) -> None:
     """Write names beside the ends (x, y) of curves, in their inks; those of one ink that would overlap share a line."""
     sign, (left, right), log = 1 if side == "right" else -1, axes.get_xlim(), axes.get_xscale() == "log"
     left, right = (np.log(left), np.log(right)) if log else (left, right)
@@ -242,7 +243,7 @@ def end_labels(
     placed: list[tuple[float, float, float, list[str], str]] = []
     for x, y, name, ink in sorted(labels, key=lambda item: item[1]):
         height = axes.transData.transform((x, y))[1]
-        if placed and abs(height - placed[-1][0]) < gap and placed[-1][4] == ink:
+        if placed and abs(height - placed[-1][0]) < _GAP and placed[-1][4] == ink:
             placed[-1][3].append(name)
         else:
             placed.append((height, x, y, [name], ink))
@@ -251,7 +252,7 @@ def end_labels(
     widen(min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH))))
     lowest = -np.inf
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
-        lift = max(0.0, lowest + gap - height)
+        lift = max(0.0, lowest + _GAP - height)
         lowest = height + lift
         text = shorten(_merge_names(sorted(names, key=order.index)))
         how = {"ha": "left" if sign > 0 else "right", "va": "center", "bbox": None}
