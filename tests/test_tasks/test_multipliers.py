@@ -116,11 +116,11 @@ def exact_multipliers(problem, found, g, slope):
     times = [found[name][g] / unit for name in ("kneestrike_time", "period")][-problem.phases :]
     w = np.array([[np.log(angle), *rates, *times]]).T
     at = settle(problem, unmeasured(problem, w, np.array([slope])))
-    gait = solved(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0], 1)
-    assert gait.last_step < 1e-15
+    y, times, *_, last_step = solved(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0], 1)
+    assert last_step < 1e-15
     step = _extended_step_map(problem.structure, 1)
     with mpmath.workdps(34):
-        return eigenvalues(derivative(step, gait.y, gait.times, step.parameters(problem.walker, slope, at.scale[0]))[0])
+        return eigenvalues(derivative(step, y, times, step.parameters(problem.walker, slope, at.scale[0]))[0])
 
 
 def compared(values, found, g):
