@@ -269,7 +269,7 @@ def test_wrong_patches_change_no_accepted_value(name):
     walker, keys, window = FAMILIES[name]
     family = Family.of({"walker": walker, "set": FIXED.get(name, {})}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-    cells = make_cells(family, box, tuple(np.log(window)), lambda part: 60 ** len(keys) * box.share(part), EACH).made
+    cells = make_cells(family, box, tuple(np.log(window)), lambda part: 3600 * box.share(part), EACH).made
     right = max(cells, key=lambda cell: len(cell.patches) * box.share(cell.box))
     at = right.box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
     slope = np.exp(np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7]))
