@@ -12,6 +12,8 @@ from gaitsweep.tasks.accuracy import nodes_for
 from gaitsweep.tasks.costs import ALONE, COSTS, OTHERS, POINTS, STARTING, Cost
 from gaitsweep.tasks.registry import OPTIONS, VARIABLES
 
+_FEW = 2.0  # time of one of few lines side by side, over that of one of many
+
 
 def starting(study: Study) -> float:
     """Processor time of a run that has anything to do, beside its tasks [s]."""
@@ -67,8 +69,11 @@ def of_point(study: Study, method: Method) -> float:
 
 
 def of_line_alone(study: Study) -> float:
-    """Processor time of a line of a plane that charts do not describe [s], with its points."""
-    return _total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT)
+    """Processor time of a line of a plane that charts do not describe [s], with its points.
+
+    A chunk has few of them, of which each takes longer than of many side by side.
+    """
+    return _FEW * (_total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT))
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
