@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 #: Share of the lines of a plane that are surveyed by themselves, because charts predict none of their gaits.
-ALONE = 0.05
+ALONE = 0.02
+#: Time of one of few lines side by side, as those are in a chunk, over that of one of many.
+FEW = 2.0
 
 
 @dataclass(frozen=True)

@@ -131,10 +131,11 @@ class PointWriter:
                     head, view = Head(data), memoryview(payload)
                     reasons = self.sentences.renumbered(head.unpack(view, "reason"))
                 for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
-                    if name == "reason":
-                        piece = pack_values(chunk.shape.unfold(reasons[:, column]), self.chunk)
-                    else:
-                        piece = head.piece(view, name, column) or self._same(name, chunk.shape.sizes)
+                    with self.plan.store.reading():
+                        if name == "reason":
+                            piece = pack_values(chunk.shape.unfold(reasons[:, column]), self.chunk)
+                        else:
+                            piece = head.piece(view, name, column) or self._same(name, chunk.shape.sizes)
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
                     out.write(name, corner, piece.data)
                     self.sums[name] += layout.chunk_checksum(piece.checksum, corner)

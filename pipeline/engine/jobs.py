@@ -86,7 +86,9 @@ class Jobs:
     def _from_source(self) -> Node | None:
         if self._ready:
             return self._ready.popleft()
-        node = next((node for node in self._source if node.key.key not in self._pending), None)
+        # Halves of planes may be there before the source comes to them.
+        known = self._pending, self._failed
+        node = next((node for node in self._source if not any(node.key.key in keys for keys in known)), None)
         if node is None and not (self._is_last or self.running or self._pending):
             self._source, self._is_last = self.plan.over_study(), True
             node = next(self._source, None)

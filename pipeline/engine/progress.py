@@ -143,7 +143,7 @@ class Progress:
             done, todo = self.done[name], self.todo[name]
             if self.lines_alone and name == "atlas":
                 todo = self.lines_alone.expected(todo)
-            if self.lines_alone and name != "charts":
+            if self.lines_alone and name in ("points", "atlas"):
                 mean_seconds = self.lines_alone.seconds(name)
             elif name == "points" and self.measured:
                 mean_seconds = self._seconds_of_a_point()
@@ -209,7 +209,7 @@ class _LinesAlone:
         """About how many of some lines are alone."""
         seen, alone = np.maximum(self.charted, self.computed)
         share = (self.usual * self.half + alone) / (self.half + seen)
-        return round(float(alone + share * max(0.0, lines - seen)))
+        return min(lines, round(float(alone + share * max(0.0, lines - seen))))
 
     def seconds(self, name: str) -> float:
         """Mean time of a point, or of a line alone [s]."""

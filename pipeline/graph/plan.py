@@ -2,7 +2,7 @@
 
 import functools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -81,14 +81,14 @@ class Plan:
         """Nodes of the charts of a chunk over a plane; the halves of one that is missing are not known."""
         return self.graph.charts_of(chunk, lambda charts: self.boxes(charts, "halves"))
 
-    def boxes(self, charts: Node, which: str) -> list[dict[str, Any]]:
-        """Parts of the box of charts, as `graph.boxes` has them; none while they are missing."""
-        key = charts.key.key
-        if self.is_missing(key):
-            return []
+    def boxes(self, charts: Node, which: str) -> Sequence[Mapping[str, Any]]:
+        """Parts of the box of charts, as `graph.boxes` has them; those that failed leave all of it alone."""
+        key, plane = charts.key.key, self.study.plane
+        outcome = self.store.outcome(key)
+        if outcome is None or outcome.status != "ok":
+            return [charts.box or plane.region] if outcome and plane and which == "alone" else []
         if key not in self._boxes:
-            data = self.store.result(key)
-            arrays = serialize.load(data) if data else {}
+            arrays = serialize.load(self.store.get(key)[1])
             self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
         return self._boxes[key][which]
 
@@ -194,7 +194,7 @@ class Plan:
 class Summary:
     """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and the estimated work in core seconds.
 
-    Of points, of lines that charts are for, and else of tasks.
+    Points are counted, the lines that charts are for, and all other tasks.
     """
 
     todo: dict[str, Counter[str]]

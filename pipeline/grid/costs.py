@@ -9,10 +9,8 @@ from gaitsweep.pipeline.grid.method import Method, method_of, variables
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.accuracy import nodes_for
-from gaitsweep.tasks.costs import ALONE, COSTS, OTHERS, POINTS, STARTING, Cost
+from gaitsweep.tasks.costs import ALONE, COSTS, FEW, OTHERS, POINTS, STARTING, Cost
 from gaitsweep.tasks.registry import OPTIONS, VARIABLES
-
-_FEW = 2.0  # time of one of few lines side by side, over that of one of many
 
 
 def starting(study: Study) -> float:
@@ -69,11 +67,8 @@ def of_point(study: Study, method: Method) -> float:
 
 
 def of_line_alone(study: Study) -> float:
-    """Processor time of a line of a plane that charts do not describe [s], with its points.
-
-    A chunk has few of them, of which each takes longer than of many side by side.
-    """
-    return _FEW * (_total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT))
+    """Processor time of a line of a plane that charts do not describe [s], with its points."""
+    return FEW * (_total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT))
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks import accuracy
-from gaitsweep.tasks.costs import ALONE, COSTS, POINTS, Cost
+from gaitsweep.tasks.costs import ALONE, COSTS, FEW, POINTS, Cost
 from gaitsweep.tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
 
 
@@ -74,7 +74,8 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
     line, point = (COSTS["atlas"], "long") if is_long and not is_smooth else (COSTS["atlas side by side"], "short")
     alone, charted = ("interpolated",) * 2 if is_smooth and is_long else (point, "plane")
     charts = study.planes * len(plane.axes) * each(COSTS["charts"][0])
-    by_charts = charts + study.lines * (ALONE * each(line[0]) + slopes * each(POINTS[charted]))
+    undescribed = ALONE * FEW * (each(COSTS["atlas side by side"][0]) + slopes * each(POINTS["short"]))
+    by_charts = charts + study.lines * (undescribed + slopes * each(POINTS[charted]))
     return by_charts, study.lines * (each(line[0]) + slopes * each(POINTS[alone]))
 
 

@@ -184,7 +184,8 @@ class _Followed(engine.Tracks):
         guess = hermite(self.Z, self.tangent, beyond.Z, tangent, length, share)
         guess[component] = edge[component]
         at = self.curve.correct(guess, np.eye(len(guess))[component])
-        self.end = at.Z, at.oriented(self.tangent).direction
+        if at.ok[0]:
+            self.end = at.Z, at.oriented(self.tangent).direction
         return bool(at.ok[0])
 
 

@@ -109,7 +109,8 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
     crossed: list[tuple[str, int, Procedure[Point]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
-        crosses[[0, -1]] &= np.array(branch.why) != kind  # nodes beside an end may lie on either side of it by rounding
+        for segment, end in zip((0, -1), branch.why, strict=True):
+            crosses[segment] &= end != kind  # nodes beside an end may lie on either side of it by rounding
         crossed += [
             (kind, int(i), locate_root(branch, int(i), test))
             for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]

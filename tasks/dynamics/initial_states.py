@@ -66,7 +66,7 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
             piece[1, index] = np.where(converged, gait_ratio(at.stride), nodes)
             piece[2:, index] = np.where(converged, at.y * at.scale, np.nan)
             pieces.append(piece)
-    angle, ratio, sections = np.split(np.array(pieces).reshape(-1, problem.m + 2, len(slope)), [1, 2], axis=1)
+    angle, ratio, sections = np.split(np.array(pieces).reshape(len(pieces), problem.m + 2, len(slope)), [1, 2], axis=1)
     has_label = (places(angle[:, 0], ratio[:, 0]) == GAITS.index(label)) & np.isfinite(sections).all(axis=1)
     index, row = np.nonzero(has_label.T)
     return index, sections[row, :, index].T

@@ -38,7 +38,7 @@ def replace_lanes(result: Any, lanes: np.ndarray, other: Any) -> None:
     """
     if isinstance(result, np.ndarray):
         result[..., lanes] = other
-    elif isinstance(result, list):
+    elif isinstance(result, tuple | list):
         for own, new in zip(result, other, strict=True):
             replace_lanes(own, lanes, new)
     elif dataclasses.is_dataclass(result):

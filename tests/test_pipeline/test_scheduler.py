@@ -360,21 +360,26 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
             study.listen.close(True)
 
 
-def test_a_half_that_is_being_made_is_not_made_again(tmp_path):
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_half_that_is_being_made_or_has_failed_is_not_made_again(tmp_path, fails):
     """Other chunks of its plane need it, too, which come after those of another plane."""
     low, high = _box([0.1, 0.0], [0.4, 5.0], 128.0), _box([0.1, 5.0], [0.4, 10.0], 128.0)
-    halved = {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
+    halved = serialize.dump({f"halves/{name}": np.array([low[name], high[name]]) for name in low})
     (tmp_path / "a.toml").write_text(PLANE.format("a") + "g = [1.0, 2.0]\n")
     with contextlib.closing(Store(tmp_path / "a")) as store:
-        jobs, taken = Jobs(Plan(parse.read(tmp_path / "a.toml"), store), Engine(2), lambda *_: None), []
+        plan = Plan(parse.read(tmp_path / "a.toml"), store, retry=True)
+        jobs, taken = Jobs(plan, Engine(2), lambda *_: None), []
         while job := jobs.take():
             taken.append(job[0])
             jobs.peek()
-            if job[0].box is None:
-                answer = {"seconds": 1.0, "outcome": "ok", "reason": "", "data": serialize.dump(halved)}
-                jobs.record(job[0], answer)
-    made = [node.key.key for node in taken]
-    assert len(set(made)) == len(made) == 6 and {node.task for node in taken} == {"charts"}
+            if job[0].task == "charts" and (fails or job[0].box is None):
+                answer = {"seconds": 1.0, "outcome": "raised", "reason": "It raised.", "data": b""}
+                is_half = job[0].box is not None
+                jobs.record(job[0], answer if is_half else answer | {"outcome": "ok", "reason": "", "data": halved})
+        made = [node for node in taken if node.task == "charts"]
+        assert len({node.key.key for node in made}) == len(made) == 6
+        boxes = plan.boxes(made[-1], "alone")  # all of one that failed
+        assert [box["lines"] for box in boxes] == ([128] if fails else [])
 
 
 def test_lines_that_charts_leave_alone_are_expected_as_often_as_they_were_seen(tmp_path):
@@ -385,7 +390,7 @@ def test_lines_that_charts_leave_alone_are_expected_as_often_as_they_were_seen(t
     usual = costs.seconds(study, "atlas") / costs.of_line_alone(study)
     assert lines.expected(300) == round(300 * usual)
     lines.add({"charted": 150, "alone": 60})
-    assert lines.expected(300) == round(60 + (150 * usual + 60) / 300 * 150)
+    assert lines.expected(300) == round(60 + (150 * usual + 60) / 300 * 150) and lines.expected(3) == 3
     # Of a run whose charts are stored only chunks tell.
     stored = progress._LinesAlone(study, 150)
     stored.add({"lines": 150, "alone": 60, "points": 2400, "seconds": 1.0})

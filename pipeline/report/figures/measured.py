@@ -99,14 +99,14 @@ def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: f
 
 def measured(source: Source) -> Sketch | None:
     """Plot every measured variable against slope, with the curves and their measurements."""
-    curves = {line.label: list(line.curves(*variables(source))) for line in source.lines}
-    names = [v for v in variables(source) if any(v in curve for of_line in curves.values() for curve in of_line)]
+    curves = [(line.label, list(line.curves(*variables(source)))) for line in source.lines]
+    names = [v for v in variables(source) if any(v in curve for _, of_line in curves for curve in of_line)]
     if not names or "slope" not in table(source):
         return None
     sketch = Sketch("measured", 60 + 250 * len(names), len(names), sharex=True)
     rows = table(source)
     for axes, name in zip(sketch.panels, names, strict=True):
-        for k, (label, of_line) in enumerate(curves.items()):
+        for k, (label, of_line) in enumerate(curves):
             for whole in of_line:
                 curve = thin(whole)
                 for gait in curve["gait"].unique() if name in curve else ():
@@ -119,7 +119,7 @@ def measured(source: Source) -> Sketch | None:
         set_heading(axes, titled(name, source.units(name)))
     data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
     sketch.gait_keys(data[["gait"]])
-    sketch.line_keys(list(curves))
+    sketch.line_keys([label for label, _ in curves])
     left = residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
     worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
