@@ -99,7 +99,8 @@ def archived(path: Path) -> pd.DataFrame:
     source = read(path)
     rows: list[dict[str, Any]] = []
     for line in source.lines:
-        for i, j in np.argwhere(np.isfinite(line.data["stance_angle"].values)):
+        solved = np.isfinite(line.data["stance_angle"].values) if "gait" in line.data.dims else []
+        for i, j in np.argwhere(solved).tolist():
             point = line.data.isel(slope=i, gait=j)
             known = {name: float(point[name]) for name in ("stance_angle", "period") if name in point}
             rows.append({**line.at, "slope": float(point["slope"]), **known})
