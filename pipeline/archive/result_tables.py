@@ -65,10 +65,17 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
     """Name, outcome and reason of failed tasks; points report an atlas that only they need."""
     for name, layer in plan.graph.layers.items():
         if name != "points" and (name != "atlas" or plan.graph.atlas_readers):
-            for _, key, _ in _task_runs(plan, name, layer.per_line):
+            runs = (key for _, key, _ in _task_runs(plan, name, layer.per_line)) if name != "charts" else _charts(plan)
+            for key in runs:
                 ending = plan.store.outcome(key)
                 if ending and ending.status != "ok":
                     yield name, ending.status, ending.reason
+
+
+def _charts(plan: Plan) -> Iterable[str]:
+    """Keys of all charts: a million lines of a plane share them."""
+    chunks = map(plan.graph.grid.chunk, range(plan.graph.grid.chunks))
+    return dict.fromkeys(charts.key.key for chunk in chunks for charts in plan.charts_of(chunk))
 
 
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:

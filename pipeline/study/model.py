@@ -52,7 +52,7 @@ class Plane:
         """Number of its lines."""
         return math.prod(map(len, self.axes))
 
-    @property
+    @functools.cached_property
     def region(self) -> dict[str, Any]:
         """Its keys, their least and largest values `low` and `high`, and about how many `lines`.
 

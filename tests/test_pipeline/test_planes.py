@@ -97,14 +97,17 @@ def test_charts_are_made_once_and_kept(tmp_path):
     assert len(made[0]) == 1 and made[1] == made[0]
 
 
-def test_points_without_charts_are_solved_line_by_line(tmp_path, monkeypatch):
-    def fail(params, inputs):
-        raise FloatingPointError
-
-    monkeypatch.setattr("gaitsweep.tasks.solve_planes.charts", fail)
-    axes = "m_s = { from = 0.08, to = 0.12, n = 40 }"
-    plane = gaitsweep.load(run(tmp_path, STUDY.format(walker="B", axes=axes), jobs=1))
-    assert (plane.status.sel(gait=BOTH) == "converged").all()
+def test_points_without_charts_are_solved_line_by_line(tmp_path):
+    text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }")
+    graph = Graph(read(written(tmp_path, text)))
+    assert graph.method is Method.PLANE
+    with contextlib.closing(Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"))) as store:
+        store.put_result(graph.line_keys(0)["charts"], Outcome("raised", "It raised."), b"")
+    archive = run(tmp_path, text, jobs=1)
+    assert (gaitsweep.load(archive).status.sel(gait=BOTH) == "converged").all()
+    # Told once, not by each of the lines that share them.
+    failed = xr.load_dataset(archive, group="failed_tasks")
+    assert failed.task.values.tolist() == ["charts"] and failed.reason.values.tolist() == ["It raised."]
 
 
 def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
