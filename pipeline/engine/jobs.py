@@ -165,8 +165,7 @@ class Jobs:
     def seconds(self, node: Node) -> float:
         """Estimated time of a job, and of what depends on it [s]."""
         if node.chunk is None:
-            count = self.graph.charted(node) if node.task == "charts" else 1
-            return count * costs.seconds(self.study, node.task) + self._after[node.task]
+            return self.graph.size(node) * costs.seconds(self.study, node.task) + self._after[node.task]
         lines = node.lines * costs.seconds(self.study, "atlas")
         return lines + node.points * costs.seconds(self.study, "points") + self._after["points"]
 

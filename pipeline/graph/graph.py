@@ -30,7 +30,9 @@ class Copies:
 
 def boxes(charts: Mapping[str, np.ndarray], which: str) -> list[dict[str, Any]]:
     """Parts of a box, as the task `charts` returns them: its two `halves`, or those whose lines are left `alone`."""
-    own = {name.removeprefix(f"{which}/"): value.tolist() for name, value in charts.items() if f"{which}/" in name}
+    own = {
+        name.removeprefix(f"{which}/"): value.tolist() for name, value in charts.items() if name.startswith(f"{which}/")
+    }
     return [dict(zip(own, values, strict=True)) for values in zip(*own.values(), strict=True)]
 
 
@@ -153,6 +155,12 @@ class Graph:
         """Number of lines that charts are for."""
         plane = self.study.plane
         return plane.lines_in(charts.box or plane.region) if plane else 0
+
+    def size(self, node: Node) -> int:
+        """What plans and progress count of a node: points of a chunk, lines that charts are for, else the task."""
+        if node.chunk:
+            return node.points
+        return self.charted(node) if node.task == "charts" else 1
 
     def charts_of(self, chunk: Chunk, halves: Callable[[Node], Sequence[Mapping[str, Any]]]) -> Iterator[Node]:
         """Nodes of the charts that predict the gaits of a chunk, those of its plane first.

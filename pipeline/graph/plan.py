@@ -88,7 +88,8 @@ class Plan:
         if outcome is None or outcome.status != "ok":
             return [charts.box or plane.region] if outcome and plane and which == "alone" else []
         if key not in self._boxes:
-            arrays = serialize.load(self.store.get(key)[1])
+            with self.store.reading():
+                arrays = serialize.load(self.store.get(key)[1])
             self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
         return self._boxes[key][which]
 
@@ -217,8 +218,7 @@ def summary(plan: Plan) -> Summary:
         changes = False
         for node in plan.nodes():
             changes = True
-            is_charts = node.task == "charts"
-            todo[node.task][node.why] += node.points if node.chunk else plan.graph.charted(node) if is_charts else 1
+            todo[node.task][node.why] += plan.graph.size(node)
             if node.lines:
                 todo["atlas"][node.why] += node.lines
         for node in plan.over_study():

@@ -7,6 +7,7 @@ and share nothing but the call. In shapes, n counts lanes and c coordinates of Z
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -264,7 +265,7 @@ def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
     return np.hstack([down.Z[:, :0:-1], up.Z]), np.hstack([-down.tangent[:, :0:-1], up.tangent])
 
 
-class Tracks:
+class Tracks(ABC):
     """Curves in progress: the last points of n of them, all points in the order they were found, and why they stopped.
 
     Whoever follows curves says how their points are corrected, which are fair, and where they stop.
@@ -294,9 +295,9 @@ class Tracks:
         self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.record(np.arange(n))
 
+    @abstractmethod
     def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
         """Corrected points of some tracks (j,), of predicted ones (c, j), in planes normal to (c, j)."""
-        raise NotImplementedError
 
     def judge(
         self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray

@@ -21,6 +21,7 @@ from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import Method, seconds_over_plane
 from gaitsweep.pipeline.statuses import ALL_STATUSES
+from gaitsweep.pipeline.store.file import CorruptStoreError
 from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study.model import about
@@ -225,6 +226,16 @@ def test_a_plan_knows_which_halves_of_a_plane_are_missing(tmp_path):
         counts, charts = summary(plan), [node for node in plan.nodes() if node.task == "charts"]
     assert [node.key for node in charts] == [second.key] and graph.charted(first) + 1 == graph.charted(second) == 101
     assert counts.todo["charts"] == {"new": 101} and counts.cached["charts"] == 100
+
+
+def test_charts_that_were_never_packed_are_damage(tmp_path):
+    """Whatever their checksum: the run repairs its journal."""
+    graph = Graph(read(written(tmp_path, HALVED)))
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        charts = graph.line_node(0, "charts")
+        store.put_result(charts.key, Outcome("ok", ""), b"\xff" * 20)
+        with pytest.raises(CorruptStoreError):
+            Plan(graph.study, store).boxes(charts, "halves")
 
 
 def halves_in(store, node):
