@@ -15,7 +15,8 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
-from gaitsweep.pipeline.grid.method import Method, method_of
+from gaitsweep.pipeline.grid.choice import method_of
+from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.record import Points, has_multipliers, joined

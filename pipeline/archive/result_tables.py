@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.archive import layout
@@ -158,8 +157,9 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     study, lines = plan.study, plan.graph.grid
     dims = [*lines.lines, "slope"]
     known = {"walker": np.array(study.names), **{axis.name: axis.values for axis in study.axes}}
-    sizes = [len(known[d]) for d in dims]
-    case = np.ravel_multi_index([pd.Index(known[d]).get_indexer(columns[d]) for d in dims], sizes)
+    sizes, orders = [len(known[d]) for d in dims], [np.argsort(known[d]) for d in dims]
+    places = [order[np.searchsorted(known[d], columns[d], sorter=order)] for d, order in zip(dims, orders, strict=True)]
+    case = np.ravel_multi_index(places, sizes)
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("slope", len(study.slope))
     _variable(netcdf_group, "slope", ("slope",), study.slope, _attributes(plan, group, "slope"))
@@ -201,10 +201,12 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
 def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Index of each coordinate, and the coordinates: shape (n,) if all cases share them, else (cases, n)."""
     every, place = np.unique(values, return_inverse=True)
-    by_case = pd.Series(values).groupby(case)
-    if values.dtype.kind != "f" or (by_case.nunique() == len(every)).all():
+    cases, number = np.unique(case, return_inverse=True)
+    of_each, at = np.unique(number * len(every) + place, return_inverse=True)  # the coordinates of each case
+    if values.dtype.kind != "f" or len(of_each) == len(cases) * len(every):
         return place, every
-    return by_case.rank("dense").to_numpy(int) - 1, np.array([np.unique(own) for _, own in by_case])
+    first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
+    return at - first[number], every[of_each % len(every)].reshape(len(cases), -1)
 
 
 def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any]) -> None:

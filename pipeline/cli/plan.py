@@ -11,7 +11,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.engine.progress import duration
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.method import seconds_over_plane
+from gaitsweep.pipeline.grid.choice import seconds_over_plane
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import corners
 from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
@@ -51,9 +51,9 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         chosen = "charts" if by_charts < by_lines else "lines one by one"
         yield f"  method: {chosen}; by charts over {keys} {duration(by_charts)}, line by line {duration(by_lines)}"
     every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
-    if (integrated := costs.integrated(planned.study, every)) < every:
-        yield f"  integrated: about {integrated:,} points to an accuracy of {planned.study.accuracy:g}, all others not"
-    yield from (f"  note: {sentence}" for sentence in corners.notes(planned.study))
+    if (integrated := costs.integrated(study, every, planned.graph.method)) < every:
+        yield f"  integrated: about {integrated:,} points to an accuracy of {study.accuracy:g}, all others not"
+    yield from (f"  note: {sentence}" for sentence in corners.notes(study))
     yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
 
@@ -88,7 +88,7 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         "changed": every - new,
         "cached": counts.cached[main],
         "not_wanted": _omitted(planned),
-        "flown": costs.integrated(study, every) if main == "points" else 0,
+        "flown": costs.integrated(study, every, planned.graph.method) if main == "points" else 0,
         "seconds": counts.seconds,
         "tasks": tasks,
     }

@@ -13,7 +13,6 @@ from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.graph.graph import Copies, Node
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
-from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
@@ -165,9 +164,9 @@ class Jobs:
     def seconds(self, node: Node) -> float:
         """Estimated time of a job, and of what depends on it [s]."""
         if node.chunk is None:
-            return self.graph.size(node) * costs.seconds(self.study, node.task) + self._after[node.task]
-        lines = node.lines * costs.seconds(self.study, "atlas")
-        return lines + node.points * costs.seconds(self.study, "points") + self._after["points"]
+            return self.graph.size(node) * self.graph.seconds(node.task) + self._after[node.task]
+        lines = node.lines * self.graph.seconds("atlas")
+        return lines + node.points * self.graph.seconds("points") + self._after["points"]
 
     def _request(self, node: Node) -> Request:
         study, limits = self.study, self.study.limits
@@ -304,5 +303,5 @@ def _seconds_after(plan: Plan) -> dict[str, float]:
     after = dict.fromkeys(layers, 0.0)
     for name, layer in reversed(layers.items()):
         for need in layer.needs:
-            after[need] = max(after[need], costs.seconds(plan.study, name) + after[name])
+            after[need] = max(after[need], plan.graph.seconds(name) + after[name])
     return after

@@ -47,7 +47,7 @@ class Progress:
         self.start = time.monotonic()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.expected: Counter[str] = Counter()  # how many count as measured at their planned costs
-        self.costs = {name: costs.seconds(plan.study, name) for name, n in self.todo.items() if n}
+        self.costs = {name: plan.graph.seconds(name) for name, n in self.todo.items() if n}
         self.lines_alone: _LinesAlone | None = None
         if plan.graph.method is Method.PLANE and plan.study.plane:
             half = plan.study.plane.lines // 2  # the first charts may be unlike the others
@@ -191,7 +191,7 @@ class _LinesAlone:
         self.charted, self.computed = np.zeros(2), np.zeros(2)  # lines, and how many of them are alone
         # Least squares over chunks for the times of a point and of a line alone, which begin with one of each.
         planned = np.array([costs.of_point(study, Method.PLANE), costs.of_line_alone(study)])
-        self.usual = costs.seconds(study, "atlas") / planned[1]
+        self.usual = costs.seconds(study, "atlas", Method.PLANE) / planned[1]
         weights = np.array([float(len(study.slope)), 1.0]) ** 2
         self.least, self.matrix, self.moment = planned / 4, np.diag(weights), weights * planned
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.graph.digests import Digests
+from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.store.store import Key
@@ -88,8 +89,9 @@ class Graph:
     """
 
     def __init__(self, study: Study, in_memory: bool = False):
-        self.study, self.grid, self.layers = study, Grid(study, in_memory), layers.layers(study)
-        self.method, self.variables = self.grid.method, variables(study)
+        self.study, self.grid, self.variables = study, Grid(study, in_memory), variables(study)
+        self.method = self.grid.method
+        self.layers = layers.layers(study, self.method)
         self.digests = Digests(study, self.layers, self.method)
         #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
         #: latest lines are usually requested several times in a row.
@@ -155,6 +157,10 @@ class Graph:
         """Number of lines that charts are for."""
         plane = self.study.plane
         return plane.lines_in(charts.box or plane.region) if plane else 0
+
+    def seconds(self, name: str) -> float:
+        """Expected processor time of a task over one line, or over the study; of `points`, of one [s]."""
+        return costs.seconds(self.study, name, self.method)
 
     def size(self, node: Node) -> int:
         """What plans and progress count of a node: points of a chunk, lines that charts are for, else the task."""

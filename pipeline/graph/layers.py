@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.grid.method import Method, method_of, variables
+from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.store.store import Key
 from gaitsweep.pipeline.study.model import Study, about
 from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, VARIABLES, Task
@@ -23,7 +23,7 @@ class Layer:
     needs: tuple[str, ...]
 
 
-def layers(study: Study) -> dict[str, Layer]:
+def layers(study: Study, method: Method) -> dict[str, Layer]:
     """Layers that a study needs, inputs first."""
     needed: dict[str, Layer] = {}
 
@@ -36,7 +36,7 @@ def layers(study: Study) -> dict[str, Layer]:
             add(need, per_line or need == "points" or _over_lines(need))
         needed[name] = Layer(task, per_line, needs)
 
-    if method_of(study) is Method.PLANE:
+    if method is Method.PLANE:
         add("charts", True)
     add("points" if study.kind == "grid" else study.kind, True)
     for name in (*study.figures, *study.claims):

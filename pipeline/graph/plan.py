@@ -229,6 +229,6 @@ def summary(plan: Plan) -> Summary:
     result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in layers})
     counts = {name: sum(why.values()) for name, why in todo.items()}
     if any(counts.values()):
-        work = sum(n * costs.seconds(study, name) for name, n in counts.items() if n)
+        work = sum(n * plan.graph.seconds(name) for name, n in counts.items() if n)
         result.seconds = work + costs.starting(study)
     return result

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gaitsweep.pipeline.grid.method import Method, method_of, variables
+from gaitsweep.pipeline.grid.method import Method, is_interpolated, variables
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.accuracy import nodes_for
@@ -18,7 +18,7 @@ def starting(study: Study) -> float:
     return _total(study, STARTING)
 
 
-def seconds(study: Study, name: str) -> float:
+def seconds(study: Study, name: str, method: Method) -> float:
     """Processor time of a task over one line, or over the study, of a mean walker of the study; of `points`, of one.
 
     Over a plane few lines have an atlas, and the time of charts is shared by its lines: these are means over all lines.
@@ -28,12 +28,13 @@ def seconds(study: Study, name: str) -> float:
     study : Study
     name : str
         Task.
+    method : Method
+        Of the study's lines.
 
     Returns
     -------
     float [s]
     """
-    method = method_of(study)
     if name == "points":
         return of_point(study, method)
     if name == "atlas" and method is Method.PLANE:
@@ -48,9 +49,9 @@ def seconds(study: Study, name: str) -> float:
     return _total(study, COSTS.get("atlas side by side" if is_cheap else name, OTHERS), name)
 
 
-def integrated(study: Study, points: int) -> int:
+def integrated(study: Study, points: int, method: Method) -> int:
     """About how many of some points of a grid are integrated; the others come from polynomials over slopes."""
-    if method_of(study) is not Method.INTERPOLATED:
+    if method is not Method.INTERPOLATED:
         return points
     panels = math.ceil(float(np.log(study.slope.max() / study.slope.min()))) + 1
     return min(points, study.lines * panels * (2 * nodes_for(study.accuracy) + 1))
@@ -58,12 +59,11 @@ def integrated(study: Study, points: int) -> int:
 
 def of_point(study: Study, method: Method) -> float:
     """Processor time of a point of a study [s], whose lines are computed by that method."""
-    wanted = {VARIABLES[name].group for name in variables(study)}
-    groups = (
-        "short" if method in (Method.TASK, Method.ALONE) else method.value,
-        *sorted(wanted & {"violations", "proofs"}),
-    )
-    return _total(study, [POINTS[group] for group in groups])
+    way = Method.SHORT if method in (Method.TASK, Method.ALONE) else method
+    if method is Method.PLANE and is_interpolated(study):
+        way = Method.INTERPOLATED
+    dear = {VARIABLES[name].group for name in variables(study)} & {"violations", "proofs"}
+    return _total(study, [POINTS[group] for group in (way, *sorted(dear))])
 
 
 def of_line_alone(study: Study) -> float:

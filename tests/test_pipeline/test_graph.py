@@ -12,7 +12,6 @@ from gaitsweep.pipeline.engine.jobs import _seconds_after
 from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan
-from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study import parse
@@ -32,10 +31,10 @@ def make():
 
 def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     found = make(want={"variables": ["period"]})
-    assert list(layers.layers(found)) == ["atlas", "points"]
+    assert list(Graph(found).layers) == ["atlas", "points"]
     assert variables(found) == ("period", *registry.ALWAYS)
     found = make(want={"variables": ["period"], "fits": ["transition"]})
-    assert list(layers.layers(found)) == ["atlas", "points", "transition"]
+    assert list(Graph(found).layers) == ["atlas", "points", "transition"]
     assert "stance_angle" in variables(found) and "multiplier_real" not in variables(found)
 
 
@@ -43,7 +42,7 @@ def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
     study = make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]})
     with contextlib.closing(Store(tmp_path / "j")) as store:
         after = _seconds_after(Plan(study, store))
-    seconds = {name: costs.seconds(study, name) for name in layers.layers(study)}
+    seconds = {name: Graph(study).seconds(name) for name in Graph(study).layers}
     assert after["points"] == max(seconds["scaling"], seconds["claims"]) and after["claims"] == 0
     assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
 

@@ -345,12 +345,12 @@ def test_a_state_tells_rate_and_one_time_to_go():
     )
 
 
-def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path, monkeypatch):
-    monkeypatch.setattr(progress.costs, "seconds", lambda study, name: 2.0)
+def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     layers = {name: Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
     grid = types.SimpleNamespace(extent=(300,), sizes={"slope": 900})
     study = types.SimpleNamespace(points=900, slope=np.arange(900), lines=1)
-    plan = types.SimpleNamespace(study=study, graph=types.SimpleNamespace(layers=layers, grid=grid, method="long"))
+    graph = types.SimpleNamespace(layers=layers, grid=grid, method="long", seconds=lambda name: 2.0)
+    plan = types.SimpleNamespace(study=study, graph=graph)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
     shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True, engine=Engine(3))
     assert progress.sentence(shown.state()).endswith(", 10.1 min to go")  # (8 + 900) x 2 s / 3

@@ -11,8 +11,8 @@ import pytest
 
 from conftest import ROOT, STUDY
 from gaitsweep.pipeline.cli import commands
-from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.method import method_of, seconds_over_plane
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.grid.choice import method_of, seconds_over_plane
 from gaitsweep.pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
@@ -72,7 +72,7 @@ def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, caps
 def test_costs_grow_with_what_is_asked(tmp_path):
     def seconds(text, name):
         (tmp_path / "s.toml").write_text(text)
-        return costs.seconds(read(tmp_path / "s.toml"), name)
+        return Graph(read(tmp_path / "s.toml")).seconds(name)
 
     orbits = STUDIES["orbits"]
     one, twice = (seconds(orbits + f"[options]\ntransient = {n}\nsteps = {n}\n", "orbit") for n in (1000, 2000))

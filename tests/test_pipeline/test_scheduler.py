@@ -20,6 +20,7 @@ from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.errors import StoppedError, StudyError
+from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Shape
@@ -346,7 +347,7 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
                 eta.append((planned, told._stages()["charts"]))
         assert 2 in inputs and [box["high"] for box in made] == [[0.4, 10.0], low["high"], high["high"]]
         assert [stage["done"] for _, stage in eta] == [0, 150, 300] and eta[2][1]["eta"] == 0
-        cost = costs.seconds(jobs[0].study, "charts")
+        cost = jobs[0].graph.seconds("charts")
         assert 2 * eta[0][0] == pytest.approx(300 * cost, abs=0.1)  # on two workers
         # As if half the plane had been measured as planned.
         for (_, stage), spent, done in zip(eta[:2], (4.0, 8.0), (0, 150), strict=True):
@@ -387,7 +388,7 @@ def test_lines_that_charts_leave_alone_are_expected_as_often_as_they_were_seen(t
     (tmp_path / "a.toml").write_text(PLANE.format("a"))
     study = parse.read(tmp_path / "a.toml")
     lines = progress._LinesAlone(study, 150)
-    usual = costs.seconds(study, "atlas") / costs.of_line_alone(study)
+    usual = Graph(study).seconds("atlas") / costs.of_line_alone(study)
     assert lines.expected(300) == round(300 * usual)
     lines.add({"charted": 150, "alone": 60})
     assert lines.expected(300) == round(60 + (150 * usual + 60) / 300 * 150) and lines.expected(3) == 3

@@ -1,0 +1,47 @@
+"""By which method the gaits of a study's lines are computed: decided here, once."""
+
+import math
+
+from gaitsweep.pipeline.grid import costs
+from gaitsweep.pipeline.grid.method import Method, is_interpolated, wants_points_alone
+from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import SHORT_LINE, TASKS
+
+
+def method_of(study: Study, in_memory: bool = False) -> Method:
+    """Method of a study, whose results are kept in a file or in memory.
+
+    Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes, whatever the study's slopes.
+    """
+    if study.kind != "grid":
+        return Method.TASK
+    if study.steps > 1:
+        return Method.CYCLES
+    if study.claims:
+        return Method.LONG
+    by_charts, by_lines = seconds_over_plane(study)
+    return Method.PLANE if by_charts < by_lines else _by_lines(study, in_memory)
+
+
+def seconds_over_plane(study: Study) -> tuple[float, float]:
+    """Processor time of a grid by charts over its plane of keys, and line by line [s]; infinite where there is none."""
+    is_possible = study.kind == "grid" and study.steps == 1 and TASKS["atlas"].over_plane and wants_points_alone(study)
+    if not study.plane or not is_possible:
+        return math.inf, math.inf
+    by_charts, by_lines = (
+        study.lines * sum(costs.seconds(study, name, method) * n for name, n in each.items())
+        for method, each in (
+            (Method.PLANE, {"charts": 1, "atlas": 1, "points": len(study.slope)}),
+            (_by_lines(study), {"atlas": 1, "points": len(study.slope)}),
+        )
+    )
+    return by_charts, by_lines
+
+
+def _by_lines(study: Study, in_memory: bool = False) -> Method:
+    """Method of a study whose lines are computed without charts."""
+    if is_interpolated(study):
+        return Method.INTERPOLATED
+    if len(study.slope) > SHORT_LINE or not TASKS["atlas"].side_by_side:
+        return Method.LONG
+    return Method.ALONE if in_memory else Method.SHORT
