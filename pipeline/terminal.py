@@ -1,4 +1,4 @@
-"""Standard output and standard error, either of which may be closed or full."""
+"""Standard output and standard error, either of which may be closed or full, and words of what is written there."""
 
 import contextlib
 import io
@@ -31,6 +31,11 @@ def columns() -> int:
     with contextlib.suppress(OSError, ValueError, AttributeError):
         return os.get_terminal_size(sys.stderr.fileno()).columns or 119
     return 119
+
+
+def counted(n: int, noun: str) -> str:
+    """A number of things in words."""
+    return f"{n:,} {noun}{'' if n == 1 else 's'}"
 
 
 def say(text: str, end: str = "\n") -> None:

@@ -14,6 +14,7 @@ from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.statuses import STATUS_NAMES
+from gaitsweep.pipeline.terminal import counted
 
 #: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
@@ -165,7 +166,7 @@ def _compare_values(
     name: str, x: np.ndarray, y: np.ndarray, tolerance: Tolerance, scale: np.ndarray | None = None
 ) -> list[str]:
     if x.shape != y.shape:
-        return [f"`{name}` has {x.size:,} values and {y.size:,}"]
+        return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
     if x.dtype.kind != "f" or y.dtype.kind != "f":
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
@@ -179,7 +180,10 @@ def _compare_values(
         worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
     if not unequal.any():
         return []
-    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g}{unit}"]
+    absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
+    by = [f"by up to {worst:.2g}{unit}"] if absent < np.count_nonzero(unequal) else []
+    by += [f"{absent:,} absent in one"] if absent else []
+    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, {', '.join(by)}"]
 
 
 def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: tuple[xr.Dataset, xr.Dataset]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from gaitsweep.tasks.registry import MAX_STEPS
+
 
 def count(text: str, most: int = 10**9) -> int:
     """A whole number from 1."""
@@ -28,14 +30,23 @@ def archive(text: str) -> Path:
     return Path(text)
 
 
-def number(text: str) -> float:
-    """A number."""
+def steps(text: str) -> int:
+    """Steps after which a gait repeats."""
+    return count(text, MAX_STEPS)
+
+
+def number(text: str, key: str = "") -> float:
+    """A number, that of a key if one is given."""
     try:
         if not text.isascii() or "_" in text:  # which Python reads
             raise ValueError
         return float(text)
     except ValueError:
-        raise ArgumentTypeError(f"must be a number; got {text}") from None
+        raise ArgumentTypeError(f"{_of(key)}must be a number; got {text}") from None
+
+
+def _of(key: str) -> str:
+    return f"`{key}` " if key else ""
 
 
 def interval(text: str) -> float:
@@ -48,8 +59,8 @@ def interval(text: str) -> float:
 def tolerance(text: str) -> tuple[str, float]:
     """A relative tolerance, of all variables or of one."""
     name, _, value = text.rpartition("=")
-    if not 0 <= (rtol := number(value)) < 1:
-        raise ArgumentTypeError(f"must lie in [0, 1); got {value}")
+    if not 0 <= (rtol := number(value, name)) < 1:
+        raise ArgumentTypeError(f"{_of(name)}must lie in [0, 1); got {value}")
     return name, rtol
 
 
@@ -62,7 +73,7 @@ def setting(text: str) -> tuple[str, float | bool | str]:
         raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
     if key == "toward":
         return key, value
-    return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value)
+    return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value, key)
 
 
 def limit(text: str) -> tuple[str, float]:
@@ -70,7 +81,7 @@ def limit(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     if not name or not value:
         raise ArgumentTypeError(f"must be VIOLATION=VALUE; got {text}")
-    return name, number(value)
+    return name, number(value, name)
 
 
 def decimal(text: str) -> str:

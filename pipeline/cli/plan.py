@@ -14,6 +14,7 @@ from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choice import seconds_over_plane
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import corners
+from gaitsweep.pipeline.terminal import counted
 from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
 
 
@@ -34,10 +35,9 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
-    axes, total = study.axes, f"{study.points:,} points"
+    axes, total = study.axes, counted(study.points, "point")
     if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
-        name = "design" if study.kind == "design" else "line"
-        axes, total = study.line_axes, f"{study.lines:,} {name}{'s' if study.lines > 1 else ''}"
+        axes, total = study.line_axes, counted(study.lines, "design" if study.kind == "design" else "line")
     shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
     yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
     for name, layer in planned.graph.layers.items():

@@ -9,6 +9,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine.progress import duration, last_state, sentence
 from gaitsweep.pipeline.paths import sidecar_path
+from gaitsweep.pipeline.terminal import counted
 
 
 def run(options: argparse.Namespace) -> int:
@@ -51,7 +52,8 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
         condition = f"running as process {holder['pid']} on {holder['host']}" if holder else "running"
     elapsed, done = duration(run_state["elapsed"]), run_state["cached"] + run_state["done"]
     if condition == "finished":
-        yield f"{path}: finished: {f'{done:,} points in ' if done else 'in '}{elapsed}"
+        points = f"{counted(done, 'point')} in " if done else "in "
+        yield f"{path}: finished: {points}{elapsed}"
     else:
         yield f"{path}: {condition}; {sentence(run_state)}"
         yield f"  after {elapsed}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(

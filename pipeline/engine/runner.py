@@ -315,7 +315,7 @@ def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: l
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
     seconds = time.monotonic() - progress.start
     n = sum(written.counts.values())
-    progress.say(f"{plan.study.name}: {n:,} {what}{'' if n == 1 else 's'} ({by_status}) in {duration(seconds)}; {path}")
+    progress.say(f"{plan.study.name}: {terminal.counted(n, what)} ({by_status}) in {duration(seconds)}; {path}")
     for reason, n in written.failures.most_common(_MAX_REASONS):
         progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
     if len(written.failures) > _MAX_REASONS:

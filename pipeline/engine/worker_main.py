@@ -1,6 +1,6 @@
 """Program of a worker process, which answers requests.
 
-Started as `python -m pipeline.engine.worker_main PARENT CONNECTION` by `pipeline.engine.worker_process`.
+Started as `python -m gaitsweep.pipeline.engine.worker_main PARENT CONNECTION` by `worker_process`.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
 
 def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     """Why what a click says is not one gait of the archive; empty if it is."""
-    if said["said"] == STILL and "end zero step" in said["values"]:
+    if said["said"] == STILL and "end: steps vanish" in said["values"]:
         return "" if said["title"] == "No gait" and not said["address"] else f"walks as {said['title']!r}"
     if not said["facts"].get("period T") or "gait" in said["said"].lower():
         return f"does not walk: {said['said']}"

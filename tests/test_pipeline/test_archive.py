@@ -464,6 +464,18 @@ def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([np.nan, 2.0], "1 of 2 differ, 1 absent in one"),
+        ([np.nan, 3.0], "2 of 2 differ, by up to 0.33 of their size, 1 absent in one"),
+    ],
+)
+def test_values_that_one_archive_does_not_have_are_told(values, said):
+    found = diff._compare_values("period", np.array(values), np.array([1.0, 2.0]), diff.Tolerance(0.0, {}))
+    assert found == [f"`period`: {said}"]
+
+
 def test_values_of_which_there_are_none_do_not_differ():
     assert not diff._compare_values("period", np.zeros(0), np.zeros(0), diff.Tolerance(0.0, {}))
 

@@ -193,6 +193,22 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             )
             for slope in ("0.٠١", "0.0_1")
         ),
+        (
+            ["solve", "--walker", "D", "--slope", "0.01", "--set", "R=abc"],
+            "Argument --set: `R` must be a number; got abc (gaitsweep solve --help).",
+        ),
+        (
+            ["solve", "--walker", "D", "--slope", "0.01", "--limit", "scuff=x"],
+            "Argument --limit: `scuff` must be a number; got x (gaitsweep solve --help).",
+        ),
+        (
+            ["solve", "--walker", "D", "--slope", "0.01", "--steps", "0"],
+            "Argument --steps: must be a whole number from 1 to 64; got 0 (gaitsweep solve --help).",
+        ),
+        (
+            ["diff", "a.nc", "b.nc", "--rtol", "period=1"],
+            "Argument --rtol: `period` must lie in [0, 1); got 1 (gaitsweep diff --help).",
+        ),
         (["verify", "/dev/null"], "/dev/null is a device, not an archive."),
         (["completion", 999 * "x"], f"Unknown shell `{'x' * 57}...`, known: bash, zsh."),
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
