@@ -148,7 +148,7 @@ def _search_slope(
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
     slopes = np.full(w.shape[1], slope)
     at = settle(problem, unmeasured(problem, w, slopes), accuracy=accuracy)
-    solved = describe(problem, problem.walker, at, slopes, _WANT, limits)
+    solved = describe(problem, at, slopes, _WANT, limits)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

@@ -20,8 +20,6 @@ from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_o
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
-from gaitsweep.tasks.walkers.walker import Walker
-from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
@@ -35,23 +33,15 @@ _ENOUGH = 1e-7
 _ROUNDING_FACTOR = 16.0
 
 
-def _walkers(problem: Problem) -> Walker | WalkerArray:
-    """The walker of a problem, or those of all its lanes."""
-    if isinstance(problem, Lanes):
-        assert isinstance(problem.walkers, WalkerArray)
-        return problem.walkers.some(problem.lanes)
-    return problem.walker
-
-
 def foot_radius(problem: Problem) -> np.ndarray:
     """Return the radius of the foot over the leg, of n lanes (n,), of one walker ()."""
-    walkers = _walkers(problem)
+    walkers = problem.every_walker
     return np.asarray(walkers.R / walkers.leg)
 
 
 def _log_speed(at: Evaluation) -> np.ndarray:
     """Logarithm of the mean speed in the walkers' units."""
-    walkers = _walkers(at.problem)
+    walkers = at.problem.every_walker
     return log_froude(at.Z, foot_radius(at.problem)) + 0.5 * np.log(walkers.g * walkers.leg)
 
 

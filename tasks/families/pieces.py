@@ -42,6 +42,10 @@ class Piece:
         low, high = self.branch.end_errors
         return (high, low) if self.branch.q[self.first] > self.branch.q[self.last] else (low, high)
 
+    def covered(self, q: np.ndarray) -> np.ndarray:
+        """Return indices of the ln slopes (n,) that it covers."""
+        return self.branch.covered(self.first, self.last, q)
+
     def guesses(self, q: np.ndarray) -> Guesses:
         """Return guesses of its gaits.
 

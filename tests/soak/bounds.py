@@ -121,7 +121,7 @@ def bounds(
 def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, float, float, int]]:
     """Bounds of converged gaits with their errors."""
     at, slope = settle(problem, guesses), guesses.slope
-    product = describe(problem, problem.walker, at, slope, WANT)
+    product = describe(problem, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []
     near = at.stride.y + at.stride.newton, at.stride.newton_times
     _, values, by_unknowns = reported(problem, *near, problem.parameters(slope, at.scale))
