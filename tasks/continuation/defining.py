@@ -145,10 +145,14 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "exponent_two_thirds": lambda at: _stationary(at, _less_two_thirds(at)),
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.q,
-    "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
-    "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": _log_speed,
 }
+#: The scalar that is positive beyond an end at which gaits are followed no further, by its kind.
+LIMITS: dict[str, Callable[[Any], np.ndarray]] = {
+    "end_fall": lambda at: fall_margin(at.Z, at.stride.steps),
+    "end_zero_step": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
+}
+_EVERY = SCALARS | LIMITS
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
@@ -158,7 +162,7 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     Parameters
     ----------
     kind : str
-        Of SCALARS.
+        Of SCALARS or LIMITS.
     at : Evaluation
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
@@ -168,7 +172,7 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     -------
     ndarray, shape (n,)
     """
-    return SCALARS[kind](at) - target
+    return _EVERY[kind](at) - target
 
 
 def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:

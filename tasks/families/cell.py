@@ -17,7 +17,7 @@ from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.families.patch import Patch, measured, side_of_fold
-from gaitsweep.tasks.families.pieces import Piece, match, pieces_of
+from gaitsweep.tasks.families.pieces import EVENTS, Piece, match, pieces_of
 from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.newton import newton, newton_step
@@ -47,11 +47,6 @@ _CLEAR = 0.03
 _WIDTH = 0.1
 #: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
 _REACH = 4.0
-#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none.
-_EVENTS = {
-    f"end_{kind}"
-    for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
-}
 #: The part of a box that is cut off at a face of tuned walkers, the largest slope of balance, over those of the window,
 #: that does not matter, and places along keys at which ends are compared.
 _SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9
@@ -295,16 +290,15 @@ class _Maker:
         rate = max(piece.rate_beside(k) for piece in group)
         vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
         (kind, *others) = sorted(kinds)
-        if kinds <= _EVENTS and (others or kind == "end_earlier_strike"):
+        if kinds <= EVENTS and (others or kind == "end_earlier_strike"):
             return self.event(q, sign, vanishing)
-        if others or kind not in _EVENTS | {"fold", "zero step length"}:
+        if others or kind not in EVENTS | {"fold", "end_zero_step"}:
             numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
             raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
-        scalar = "short_steps" if kind == "zero step length" else kind
         known = np.column_stack([piece.end_point(k) for piece in group])
         name = known[:, 0].tobytes()
         if name not in self.located:  # two pieces meet at a fold
-            self.located[name] = self.special.ends(scalar, self.unit[: self.few], known, self.total)
+            self.located[name] = self.special.ends(kind, self.unit[: self.few], known, self.total)
         points = self.located[name]
         slope = replace(points, coefficients=points.coefficients[:, -1:])
         return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)

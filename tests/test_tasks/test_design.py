@@ -115,7 +115,7 @@ def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
 def test_an_end_that_samples_locate_has_their_error():
     """Ends without equations of their own had an error of 1e-9, whatever that of the branch's end."""
     problem, found = branches("physical-straight")
-    (branch,) = [b for b in found if "zero step length" in b.why]
+    (branch,) = [b for b in found if "end_zero_step" in b.why]
     branch.end_errors = (3e-6, 3e-6)
     window = (np.log(1e-3), np.log(0.2))
     points = find(Lanes(_walkers("physical-straight", {}, 1), problem.structure), [[branch]], window)

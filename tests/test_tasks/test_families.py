@@ -288,7 +288,7 @@ def test_pieces_end_where_their_folds_and_steps_do():
     problem = Lanes(Family.of({"walker": "A", "set": {}}, cell.box.keys).walkers(cell.box.at(unit)), cell.structure)
     for i, branches in enumerate(survey_lines(problem, COARSE)):
         every = pieces.pieces_of(branches)
-        fold = next(piece for piece in every if piece.kinds == ("fold", "zero step length"))
+        fold = next(piece for piece in every if piece.kinds == ("fold", "end_zero_step"))
         short = next(piece for piece in every if piece.kinds[0] == "end_tangential_heelstrike")
         assert fold.q == pytest.approx(upper[:, i].tolist(), abs=3e-8)
         assert short.q[0] == pytest.approx(of["end", "cut"].span.ends(unit)[0, i], abs=3e-8)
@@ -826,10 +826,10 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(one, piece(1.0, -4.4, -3.4)) == pytest.approx(0.3 + 0.1)
     # A shorter piece is compared at its own shares, of which the last lies 0.425 above -4.5 instead of 0.85.
     assert distance(one, piece(1.0, -4.5, -4.0)) == pytest.approx(3 * (0.85 - 0.425) + 0.5)
-    assert distance(one, piece(1.0, -4.5, -3.5, ("fold", "a fall"))) == pieces._FAR
-    assert distance(one, piece(1.0, -4.5, -3.5, ("a fall", "fold"))) == pieces._FAR
+    assert distance(one, piece(1.0, -4.5, -3.5, ("fold", "end_fall"))) == pieces._FAR
+    assert distance(one, piece(1.0, -4.5, -3.5, ("end_fall", "fold"))) == pieces._FAR
     # Beyond the range neither kinds nor, farther than 1, places count.
-    long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("a fall", "fold"))
+    long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("end_fall", "fold"))
     assert distance(long, longer) == distance(longer, long) == 0.0
     # Ends of walking of different kinds may be one's.
     grazing, early = (
@@ -838,7 +838,7 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(grazing, early) == 0.0 and distance(grazing, one) == pieces._FAR
     matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], -5.0, -3.0)
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
-    other = piece(1.0, -4.5, -3.5, ("fold", "a fall"))
+    other = piece(1.0, -4.5, -3.5, ("fold", "end_fall"))
     assert pieces.match([[one], [other]], -5.0, -3.0) == [[one, None], [None, other]]
     # Both of the first line are nearest to the same piece of the second: it continues the nearer one.
     near, far = piece(1.1, -4.5, -3.5), piece(3.0, -4.5, -3.5)
@@ -850,7 +850,7 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     """Well beyond the window, but not where the piece has ended; one that ends beside it is not cut."""
     maker = object.__new__(_Maker)
     maker.d, maker.window = 1, (-4.0, -3.0)
-    group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("a fall", "a fall")) for k in (0, 1)]
+    group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("end_fall", "end_fall")) for k in (0, 1)]
     group[1].q = (-4.0 - beyond, -2.0)
     low, high = maker.ends(group)
     assert (low.kind, high.kind) == ("cut", "cut")
@@ -859,5 +859,5 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     group.append(group[0])
     for piece in group:
         piece.rate_beside = lambda k: 1.0
-    with pytest.raises(Refused, match="a piece ends at a fall"):
+    with pytest.raises(Refused, match="a piece ends at end_fall"):
         maker.ends(group)
