@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -139,32 +139,6 @@ class Sheet:
             for distance, fold, vanishing in zip(nearest, at_fold, span.vanishing, strict=True)
         )
         return cls(span, chart, passes, (low, high))
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return a sheet over part of the span of a patch as plain arrays.
-
-        Returns
-        -------
-        dict of ndarray
-            `passes`, `unmeasured`, the `part` of the span, and the chart's, if there is one.
-        """
-        own = {name: np.array(getattr(self, name)) for name in ("passes", "unmeasured")}
-        return own | {"part": np.array(self.span.part)} | (self.chart.to_arrays("chart") if self.chart else {})
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray], span: Span) -> Sheet:
-        """Return the sheet over part of a span that arrays hold.
-
-        Parameters
-        ----------
-        arrays : mapping
-            As `to_arrays` returns them.
-        span : Span
-            That of the patch.
-        """
-        part, unmeasured = (tuple(arrays[name].tolist()) for name in ("part", "unmeasured"))
-        chart = Chart.from_arrays("chart", arrays) if "chart_sizes" in arrays else None
-        return cls(replace(span, part=part), chart, int(arrays["passes"].item()), unmeasured)
 
     def is_measured(self, points: np.ndarray) -> np.ndarray:
         """Whether errors are known at points of the span.

@@ -12,8 +12,9 @@ import numpy as np
 
 from gaitsweep.tasks import status
 from gaitsweep.tasks.accuracy import is_interpolated
+from gaitsweep.tasks.families.arrays import arrays_of, parts, under, value_of
 from gaitsweep.tasks.families.box import Box
-from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
+from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, to_arrays
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import PREDICTED_WITHIN
@@ -73,8 +74,7 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     arrays |= {f"alone/{name}": np.array([getattr(part, name) for part in alone]) for name in ("low", "high")}
     if is_interpolated(wanted.names, wanted.accuracy):
         for i, cell in enumerate(cells.made):
-            for j, sheet in enumerate(sheets(family, cell, wanted, lines_in(cell.box) * slopes)):
-                arrays |= {f"{i}/{j}/sheet_{name}": value for name, value in sheet.to_arrays().items()}
+            arrays |= arrays_of(sheets(family, cell, wanted, lines_in(cell.box) * slopes), f"{i}/sheets")
     if cells.halves:
         for name in ("low", "high", "origin", "halved"):
             arrays[f"halves/{name}"] = np.array([getattr(half, name) for half in cells.halves])
@@ -121,11 +121,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
         inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
         if cell.why or not len(inside):
             continue
-        made = [
-            Sheet.from_arrays({k.removeprefix("sheet_"): v for k, v in each.items()}, patch.span)
-            for each, patch in zip(parts(own), cell.patches, strict=True)
-            if "sheet_part" in each
-        ]
+        made = [value_of(Sheet, each) for each in parts(under("sheets", own))]
         solved, accepted[inside] = solve(family, cell, keys[inside], slope, wanted, made)
         for name, value in solved.items():
             out[name][inside] = value

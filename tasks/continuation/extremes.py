@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,13 @@ COSTS = ("least_cost", "least_stable_cost")
 QUANTITIES = (*_NOT_OF, *COSTS)
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
+
+
+class Sought(NamedTuple):
+    """Where extremes are sought: the least and largest ln slope, and at which speed, if at any, as its logarithm."""
+
+    window: tuple[float, float]
+    log_speed: float | None = None
 
 
 @dataclass
@@ -267,12 +275,7 @@ class _Nodes:
         return Z
 
 
-def find(
-    problem: Lanes,
-    surveyed: Sequence[Sequence[Branch]],
-    window: tuple[float, float],
-    log_speed: float | None = None,
-) -> Points:
+def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -> Points:
     """Locate the points of lines at which slope, stability or speed may reach their extremes.
 
     Parameters
@@ -281,13 +284,12 @@ def find(
         With a lane for each line.
     surveyed : sequence of sequence of Branch
         The branches of each.
-    window : (float, float)
-        Least and largest ln slope.
-    log_speed : float, optional
-        Logarithm of a speed, in the walkers' units, whose points are located too.
+    sought : Sought
+        A speed is in the walkers' units.
     """
     if not any(surveyed):
         return nothing(problem)
+    window, log_speed = sought
     targets = {} if log_speed is None else {"speed": log_speed}
     nodes = _Nodes(problem, surveyed, targets)
     guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]

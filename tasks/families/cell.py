@@ -11,6 +11,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families.arrays import arrays_of, parts, under, value_of
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
 from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit
@@ -69,39 +70,18 @@ class Cell:
 
 
 def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
-    """Return cells as plain arrays, to be stored and passed between processes."""
-    arrays: dict[str, np.ndarray] = {}
-    for i, cell in enumerate(cells):
-        arrays |= {
-            f"{i}/low": np.array(cell.box.low),
-            f"{i}/high": np.array(cell.box.high),
-            f"{i}/origin": np.array(cell.box.origin),
-            f"{i}/why": np.array(cell.why),
-        }
-        for j, patch in enumerate(cell.patches):
-            arrays |= {f"{i}/{j}/{name}": value for name, value in patch.to_arrays().items()}
-    return arrays
+    """Return cells as plain arrays, but for their structures, which follow from their boxes."""
+    return arrays_of([{"box": cell.box, "patches": cell.patches, "why": cell.why} for cell in cells])
 
 
 def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
     """Return the cells of a family that arrays hold."""
     cells = []
     for own in parts(arrays):
-        low, high, origin = (tuple(own[name].tolist()) for name in ("low", "high", "origin"))
-        box = Box(family.keys, low, high, log=True, origin=origin)
-        patches = [Patch.from_arrays(each) for each in parts(own)]
+        box = value_of(Box, under("box", own))
+        patches = [value_of(Patch, each) for each in parts(under("patches", own))]
         cells.append(Cell(box, structure_of(family, box), patches, str(own["why"].item())))
     return cells
-
-
-def parts(arrays: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """Return the arrays of the parts 0, 1, ... of something."""
-    each: dict[int, dict[str, np.ndarray]] = {}
-    for name, value in arrays.items():
-        number, _, rest = name.partition("/")
-        if number.isdigit():
-            each.setdefault(int(number), {})[rest] = value
-    return [each[number] for number in sorted(each)]
 
 
 def structure_of(family: Family, box: Box) -> Structure:

@@ -130,10 +130,11 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
-        start = problem, lane, at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
-        _, times, _, start_of_step, last_step = extended_precision.solved(*start, min(tier, 1))
+        near = at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
+        start = extended_precision.Start(problem, lane, at.stride, *near)
+        _, times, _, start_of_step, last_step = extended_precision.solved(start, min(tier, 1))
         if not np.isfinite(last_step):
-            _, times, _, start_of_step, last_step = extended_precision.solved(*start, 1)
+            _, times, _, start_of_step, last_step = extended_precision.solved(start, 1)
         state, half = convert(start_of_step, np.longdouble) * at.scale[lane], len(start_of_step) // 2
         period = convert(times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit

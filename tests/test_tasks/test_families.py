@@ -788,7 +788,7 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         integrated.append(args[-1].sum())
         return usual(*args)
 
-    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled, from_arrays=Chart.from_arrays))
+    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
     for one, other in zip(right, by_line(params), strict=True):
         np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-5)
