@@ -20,7 +20,7 @@ from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
 from gaitsweep.tasks.tables import stacked, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Columns of the tables `branches` and `special_points`.
 COLUMNS = (
@@ -53,7 +53,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, error_bound),
         in the walker's units.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker, int(params.get("steps", 1)))
     time_unit = walker.time_unit
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))

@@ -18,7 +18,7 @@ from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points_at
 from gaitsweep.tasks.families.manifold_maker import Maker
-from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_planes import charts
 from gaitsweep.tasks.solve_planes import lines as lines_of_plane
@@ -149,10 +149,8 @@ def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndar
     for i in numbers.tolist():
         with contextlib.suppress(WalkerError):
             possible[i] = walkers[i]
-    each: dict[Structure, list[int]] = {}
-    for i, structure in zip(possible, structures_of([*possible.values()]), strict=True):
-        each.setdefault(structure, []).append(i)
-    return {structure: np.array(own) for structure, own in each.items()}
+    numbers = np.array([*possible], int)
+    return {structure: numbers[own] for structure, own in alike([*possible.values()]).items()}
 
 
 def _over_plane(

@@ -20,7 +20,7 @@ from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
 from gaitsweep.tasks.solve_points import atlas, points, spans
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -58,7 +58,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker is invalid.
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
-    slope, walker = float(params["slope"]), resolve(line["walker"], line["set"])
+    slope, walker = float(params["slope"]), walker_of_line(line)
     asked = {name: params[name] for name in ("steps", "accuracy", "violation_limits") if name in params}
     request = {"line": line, "slope": np.array([slope]), "want": _WANT, **asked}
     if int(params.get("steps", 1)) > 1:
@@ -72,7 +72,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     log.append(f"{len(branches)} branches continued over {sum(len(b.q) for b in branches)} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, request, gaits)
-        log.append(_describe_starts(problem, slope))
+        log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
         if not gaits:
@@ -119,10 +119,6 @@ def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
         records.append(_record(label, slope, gait, walker, float(end)))
     log = [] if records else [str(point["reasons"][status.NO_LONG])]
     return _answer(records, walker.si, log)
-
-
-def _describe_starts(problem: Problem, slope: float) -> str:
-    return f"{starts(problem.walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}"
 
 
 def _name(place: int) -> str:

@@ -20,11 +20,11 @@ from gaitsweep.tasks.fixed_points.polish import Guesses
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.interpolate import Interpolation
 from gaitsweep.tasks.measures.gaits import Arrays, Part, Wanted, describe, nothing_solved, store, to_accuracy
-from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS, PROVED, VARIABLES
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
@@ -56,7 +56,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
-    problem = Problem(_walker(params["line"]))
+    problem = Problem(walker_of_line(params["line"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
         # They are followed far from the branches where they begin.
@@ -85,7 +85,7 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Each wanted variable in the walker's units, shape (n, len(GAITS)[, multipliers]), and `reasons`, the sentences
         that `reason` indexes.
     """
-    problem = Problem(_walker(params["line"]), int(params.get("steps", 1)))
+    problem = Problem(walker_of_line(params["line"]), int(params.get("steps", 1)))
     branches, slope, polynomials = atlases.from_arrays(inputs[0]), np.asarray(params["slope"], float), None
     if params.get("interpolated", False):
         polynomials = Interpolation(problem, branches, Wanted.of(params), slope)
@@ -108,12 +108,9 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     list of (dict, dict)
         For each line what `atlas`, coarse, and `points` return; it does not depend on the other lines.
     """
-    walkers = [_walker(line) for line in params["lines"]]
-    alike: dict[Structure, list[int]] = {}
-    for i, structure in enumerate(structures_of(walkers)):
-        alike.setdefault(structure, []).append(i)
+    walkers = [walker_of_line(line) for line in params["lines"]]
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
-    for structure, numbers in alike.items():
+    for structure, numbers in alike(walkers).items():
         problem = Lanes([walkers[i] for i in numbers], structure)
         surveyed = _survey([walkers[i] for i in numbers], structure, COARSE)
         solved = _solve_lines(problem, [params["lines"][i] for i in numbers], surveyed, params)
@@ -271,10 +268,6 @@ def spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
             if has_label[run[0]]:
                 slopes = np.exp(branch.q[run])
                 yield float(slopes.min()), float(slopes.max())
-
-
-def _walker(line: Mapping[str, Any]) -> Walker:
-    return resolve(line["walker"], line.get("set"))
 
 
 def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:

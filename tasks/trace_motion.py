@@ -12,7 +12,7 @@ from gaitsweep.tasks.dynamics.initial_states import labelled
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.tables import stacked
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Intervals of each phase.
 SAMPLES = 48
@@ -37,7 +37,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
         Table `trace`: gait, slope, time, theta_st, theta_th, theta_sh [rad] and foot_x (stance foot's centre from its
         position at angle zero), in the walker's units.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
     parts: list[tuple[Any, ...]] = []
     slope = np.unique(np.asarray(params["slope"], float))

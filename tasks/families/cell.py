@@ -183,21 +183,15 @@ class _End:
         return self.chart(unit)[0]
 
 
-class _Maker:
+class _Maker(Maker):
     """Makes the patches of one box and window."""
 
     def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float):
-        self.family, self.box, self.window = family, box, window
-        self.d = len(box.keys)
+        super().__init__(family, box, structure_of(family, box))
+        self.window, self.known = window, lines
         self.total = max(_LEAST_NODES * self.d, int(points / 2))
-        self.structure = structure_of(family, box)
-        self.known = lines
-        self.special = Maker(family, box, self.structure)
         #: Ends of pieces over the keys, by the point at the centre.
         self.located: dict[bytes, Chart] = {}
-
-    def problem(self, unit: np.ndarray) -> Lanes:
-        return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
 
     def patches(self) -> list[Patch]:
         self.check_tuning()
@@ -244,7 +238,7 @@ class _Maker:
         corners = values[1:].reshape((2,) * self.d)
         return int(np.argmax([np.abs(np.diff(corners, axis=k)).sum() for k in range(self.d)]))
 
-    def ends(self, group: list[Piece]) -> list[_End]:
+    def both_ends(self, group: list[Piece]) -> list[_End]:
         """Both ends of a piece over the box: where it is cut it goes on, and never before its other end."""
         ends = [self.end(group, k, self.window[k]) for k in (0, 1)]
         for k, sign in enumerate((-1, 1)):
@@ -278,7 +272,7 @@ class _Maker:
         known = np.column_stack([piece.end_point(k) for piece in group])
         name = known[:, 0].tobytes()
         if name not in self.located:  # two pieces meet at a fold
-            self.located[name] = self.special.ends(kind, self.unit[: self.few], known, self.total)
+            self.located[name] = self.ends(kind, self.unit[: self.few], known, self.total)
         points = self.located[name]
         slope = replace(points, coefficients=points.coefficients[:, -1:])
         return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)
@@ -291,7 +285,7 @@ class _Maker:
 
     def patch(self, group: list[Piece]) -> Patch:
         """The patch of a piece."""
-        ends = self.ends(group)
+        ends = self.both_ends(group)
         sizes = tuple(np.max([end.chart.sizes for end in ends], axis=0).tolist())
         nodes = tensor_nodes(sizes)
         folds = ends[0].kind == "fold", ends[1].kind == "fold"

@@ -30,6 +30,8 @@ BOTH = {"long": LONG, "short": SHORT}
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 #: Special points at which stability may change.
 _EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
+#: Ends of the usual grid of slopes [rad].
+GRID = (1e-8, 0.2)
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
 #: All walkers of the paper, with exact parameters where it has them.
@@ -82,7 +84,7 @@ class Line:
         return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
 
     @memoize
-    def grid(self, low: float = 1e-8, high: float = 0.2, n: int = 97) -> Arrays:
+    def grid(self, low: float = GRID[0], high: float = GRID[1], n: int = 97) -> Arrays:
         """Variables of every gait over a logarithmic grid of slopes.
 
         Parameters

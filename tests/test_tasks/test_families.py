@@ -852,7 +852,7 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     maker.d, maker.window = 1, (-4.0, -3.0)
     group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("end_fall", "end_fall")) for k in (0, 1)]
     group[1].q = (-4.0 - beyond, -2.0)
-    low, high = maker.ends(group)
+    low, high = maker.both_ends(group)
     assert (low.kind, high.kind) == ("cut", "cut")
     assert low.at(np.zeros((1, 1))) == pytest.approx([-4.0 - off]) and high.at(np.zeros((1, 1))) == [-2.94]
     group[1].q = (-4.02, -2.0)
@@ -860,4 +860,4 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     for piece in group:
         piece.rate_beside = lambda k: 1.0
     with pytest.raises(Refused, match="a piece ends at end_fall"):
-        maker.ends(group)
+        maker.both_ends(group)
