@@ -12,7 +12,7 @@ from gaitsweep.tasks.dynamics.initial_states import r_sequence
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.search import distinct
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
@@ -89,7 +89,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             section = np.multiply(*problem.section(w))
             columns = (
                 np.full(len(walks), slope),
-                np.where(gait_ratio(at) < 0.5, "long", "short"),
+                np.where(gait_ratio(at) < LONG_BELOW, "long", "short"),
                 anthropomorphic.astype(int),
                 verdict.leg_passes.astype(int),
                 np.exp(w[0]),

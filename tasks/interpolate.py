@@ -20,6 +20,7 @@ from gaitsweep.tasks.families.patch import Patch, measured
 from gaitsweep.tasks.families.pieces import Piece, pieces_of
 from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW
 from gaitsweep.tasks.measures.gaits import Part, Wanted, describe
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.step.lanes import join_lanes
@@ -166,11 +167,11 @@ def _gaits(
     names = smooth.names
     ratio = names.index("heelstrike_rate_ratio")
     low, high = chart.range_of(ratio)
-    has_one_label = low > 0.5 + _TIE * chart.error or high < 0.5 - _TIE * chart.error
+    has_one_label = low > LONG_BELOW + _TIE * chart.error or high < LONG_BELOW - _TIE * chart.error
     needed = sorted({*smooth.needed, *([] if has_one_label else [ratio])})
     columns = dict(zip((names[k] for k in needed), chart(points, needed), strict=True))
     ratios = np.full(len(index), 0.5 * (low + high)) if has_one_label else columns[names[ratio]]
-    uncertain = np.abs(ratios - 0.5) <= _TIE * chart.error
+    uncertain = np.abs(ratios - LONG_BELOW) <= _TIE * chart.error
     if smooth.entries:
         columns |= smooth.multipliers(columns, chart.error)
         # Whether a gait is stable does not depend on the accuracy.
@@ -185,7 +186,7 @@ def _tied(parts: Sequence[Part], n: int, closest: float) -> np.ndarray:
     for label in (True, False):
         angles = np.full((len(parts), n), np.nan)
         for row, part in zip(angles, parts, strict=True):
-            row[part.index] = np.where((part.ratio < 0.5) == label, part.angle, np.nan)
+            row[part.index] = np.where((part.ratio < LONG_BELOW) == label, part.angle, np.nan)
         crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
         if len(crowded):
             gaps = np.diff(np.sort(angles[:, crowded], axis=0), axis=0)

@@ -17,6 +17,7 @@ from gaitsweep.tasks.continuation.refine import COARSE, FINE
 from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER
 from gaitsweep.tasks.families.pieces import Piece, pieces_of
 from gaitsweep.tasks.fixed_points.polish import Guesses
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.interpolate import Interpolation
 from gaitsweep.tasks.measures.gaits import Arrays, Part, Wanted, describe, nothing_solved, store, to_accuracy
@@ -261,7 +262,7 @@ def _parts(guessed: list[_Guessed], gaits: Arrays) -> list[Part]:
 
 def spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
     """Least and largest slope of each run of a branch's gaits with one label [rad]."""
-    has_label = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
+    has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (branch.leg_passes == 1)
     for first, last in branch.pieces():
         nodes = np.arange(first, last + 1)
         for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):

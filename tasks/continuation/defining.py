@@ -18,7 +18,7 @@ from gaitsweep.tasks.continuation.joint import Evaluation, determinants, evaluat
 from gaitsweep.tasks.continuation.pseudo_arclength import Newton, Point, bordered_matrix, bordered_newton
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 
 #: Step of the central differences.
@@ -143,7 +143,7 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "release_hyperextension": lambda at: _nearest(at.stride.one.start[4] - at.stride.one.start[5], at) / at.stride.y[0],
     "fastest": lambda at: _stationary(at, log_froude_by_Z(at.Z, foot_radius(at.problem))),
     "exponent_two_thirds": lambda at: _stationary(at, _less_two_thirds(at)),
-    "label": lambda at: gait_ratio(at.stride) - 0.5,
+    "label": lambda at: gait_ratio(at.stride) - LONG_BELOW,
     "window": lambda at: at.q,
     "speed": _log_speed,
 }
@@ -276,26 +276,17 @@ class _Vanishing:
         return self.rows[:, lanes] / size, value / size
 
 
-def _newton(
-    problem: Problem,
-    kind: str,
-    guess: np.ndarray,
-    rows: np.ndarray,
-    target: np.ndarray | float,
-    limits: Newton,
-    samples: int = 0,
-) -> Point:
-    """Newton's method on the defining equations from guesses, with the derivatives of their scalar, both (c, n)."""
+def _newton(vanishing: _Vanishing, guess: np.ndarray, limits: Newton, samples: int = 0) -> Point:
+    """Newton's method on the equations of gaits and one more, from guesses (c, n)."""
 
     def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
         # A lane that wanders off ends here: what it may come back to is another point.
         near = np.abs(Z - guess[:, lanes]).max(axis=0) < _MAX_MOVE
-        return evaluate(problem.some(lanes), np.where(near, Z, np.nan), samples)
+        return evaluate(vanishing.problem.some(lanes), np.where(near, Z, np.nan), samples)
 
     def rounding(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
         return _ROUNDING_FACTOR * rounding_step(matrix, at)
 
-    vanishing = _Vanishing(problem, kind, rows, target)
     return replace(bordered_newton(linearise, rounding, limits, guess, vanishing), rows=vanishing.rows)
 
 
@@ -321,7 +312,7 @@ def newton_step(
     Point
         Evaluated before the step.
     """
-    return _newton(problem, kind, Z, rows, target, _ONE_STEP, samples)
+    return _newton(_Vanishing(problem, kind, rows, target), Z, _ONE_STEP, samples)
 
 
 def solve(
@@ -353,7 +344,7 @@ def solve(
         With derivatives of the scalar that serve for Newton steps nearby; the guesses where it is not `ok`.
     """
     rows = gradient(problem, kind, guess) if rows is None else rows
-    found = _newton(problem, kind, guess, rows, target, replace(_NEWTON, enough=_ENOUGH * quick))
+    found = _newton(_Vanishing(problem, kind, rows, target), guess, replace(_NEWTON, enough=_ENOUGH * quick))
     found.ok &= np.abs(found.Z - guess).max(axis=0) < _MAX_MOVE
     found.Z[:, ~found.ok] = guess[:, ~found.ok]
     return found

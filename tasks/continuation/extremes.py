@@ -25,7 +25,7 @@ from gaitsweep.tasks.continuation.defining import (
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
 
@@ -234,7 +234,7 @@ def classify(
         log_froude=log_froude(Z, radius),
         speed_error=np.abs(log_froude_by_Z(Z, radius)).sum(axis=0) * error + 8 * EPS,
         walks=walks,
-        long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
+        long=(gait_ratio(at.stride) < LONG_BELOW) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
         faster=np.zeros(len(line), bool),
     )
@@ -250,7 +250,7 @@ class _Nodes:
         self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
         self.first = np.cumsum([0, *lengths])[:-1]
         self.Z = np.hstack([branch.Z for branch in self.branches])
-        self.values = {"label": self.of_nodes("ratio") - 0.5}
+        self.values = {"label": self.of_nodes("ratio") - LONG_BELOW}
         self.walks = self.of_nodes("leg_passes") == 1
         radius, kinds = np.full(len(self.line), np.nan), ("flip", "neimark_sacker", "fastest", *targets)
         self.values |= {kind: np.full(len(self.line), np.nan) for kind in kinds}

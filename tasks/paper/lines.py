@@ -15,7 +15,7 @@ from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures.kinematics import step_length
 from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import atlas, lines, points
@@ -140,7 +140,7 @@ class Line:
         Z : ndarray, shape (m + 1 + phases,)
         """
         stride, _ = self.problem.stride(Z[:-1, None], Z[-1:])
-        return not gait_ratio(stride)[0] < 0.5
+        return not gait_ratio(stride)[0] < LONG_BELOW
 
     def exponents(self, slope: float, *of: str) -> dict[str, float]:
         """Local exponents of both gaits, by their labels; `of` names ordinate and abscissa."""
@@ -208,7 +208,7 @@ class Line:
             "period": period,
             "knee_share": times[0] / times[-1],
             "closing": nodes.at.stride.closing[-1] / nodes.at.stride.y[0],
-            "short": ~(gait_ratio(nodes.at.stride) < 0.5),
+            "short": ~(gait_ratio(nodes.at.stride) < LONG_BELOW),
             "spectral_radius": np.abs(multipliers(nodes.at.stride.jacobian, m)).max(axis=1),
             "speed": step_length(walker, angle) / period,
         }
