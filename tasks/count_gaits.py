@@ -12,11 +12,11 @@ from gaitsweep.tasks.dynamics.initial_states import r_sequence
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.search import distinct
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verify_steps
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio, verify_steps
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
 _MAX_ANGLE, _MIN_ANGLE_RATIO = 1.0, 0.5
@@ -71,7 +71,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Sci. Comput. 37, 2015), which repels them from known solutions and leads some to others (`found_deflated`; such a
     gait has no `hits`). A guess that never strikes is not used: its gait, if any, is not covered.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
     parts: list[list[np.ndarray]] = []
     cover: list[dict[str, Any]] = []
@@ -89,7 +89,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             section = np.multiply(*problem.section(w))
             columns = (
                 np.full(len(walks), slope),
-                np.where(gait_ratio(at) < 0.5, "long", "short"),
+                np.where(gait_ratio(at) < LONG_BELOW, "long", "short"),
                 anthropomorphic.astype(int),
                 verdict.leg_passes.astype(int),
                 np.exp(w[0]),

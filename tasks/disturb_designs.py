@@ -8,7 +8,6 @@ from gaitsweep.tasks.dynamics.attractors import WALKS_ON, Neighbourhoods, attrac
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.step.problem import Lanes, sizes
 from gaitsweep.tasks.step.simulate import STRUCK, step_onto
-from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Relative displacement of initial states from the gait, and steps after which the period of their orbits is told.
 _DISPLACED, _DROPPED = 1e-3, 2000
@@ -84,8 +83,7 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
 
 def _survive(problem: Lanes, home: Neighbourhoods, slope: float, height: np.ndarray) -> np.ndarray:
     """Whether walkers survive steps of the ground (k,), over the leg, at their gaits."""
-    assert isinstance(problem.walkers, WalkerArray)
-    walkers, slopes = problem.walkers.some(problem.lanes), np.full(len(height), slope)
+    walkers, slopes = problem.every_walker, np.full(len(height), slope)
     after = step_onto(problem, home.y, slopes, height * walkers.leg / walkers.l)
     walk, survived = Walk(problem, after.image, slopes), np.zeros(len(height), bool)
     walk.lanes = np.flatnonzero(after.outcome == STRUCK)

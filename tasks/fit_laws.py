@@ -11,7 +11,7 @@ from gaitsweep.tasks.fits import power_law
 from gaitsweep.tasks.fits import transition as laws
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.tables import Arrays, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
@@ -137,7 +137,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     g = GAITS.index("short")
     rows = []
     for line, data in zip(params["lines"], inputs, strict=True):
-        walker = resolve(line["walker"], line["set"])
+        walker = walker_of_line(line)
         ratio = line["set"].get("foot_mass_ratio", walker.m_s / walker.total_mass)
         if not (walker.point_foot and ratio > 0):
             continue

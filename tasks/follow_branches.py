@@ -15,12 +15,12 @@ from gaitsweep.tasks.continuation.sampling import chosen, within
 from gaitsweep.tasks.continuation.special_points import RATES, record, special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
 from gaitsweep.tasks.tables import stacked, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Columns of the tables `branches` and `special_points`.
 COLUMNS = (
@@ -53,7 +53,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, error_bound),
         in the walker's units.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker, int(params.get("steps", 1)))
     time_unit = walker.time_unit
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
@@ -70,7 +70,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
         times = w[m:] * time_unit
         knee = times[0] if walker.knees else np.nan
-        label = np.where(gait_ratio(stride) < 0.5, "long", "short")
+        label = np.where(gait_ratio(stride) < LONG_BELOW, "long", "short")
         parts.append(
             (number, np.exp(q), np.exp(w[0]), *rates, times[-1], knee, radius, (radius < 1).astype("i1"), label)
         )

@@ -16,7 +16,7 @@ from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.tables import table
-from gaitsweep.tasks.walkers.resolve import is_one_link, resolve
+from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
@@ -125,7 +125,7 @@ def _error(equations: Curve, Z: np.ndarray, window: Mapping[str, tuple[float, fl
 
 def _own_value(line: Mapping[str, Any], key: str) -> float:
     """The line's value of a key."""
-    walker, settings = resolve(line["walker"], line.get("set")), line.get("set", {})
+    walker, settings = walker_of_line(line), line.get("set", {})
     # A walker's table may be detuned too.
     table = line["walker"] if isinstance(line["walker"], Mapping) else {}
     derived = {"detuning": table.get("detuning", 0.0), "foot_mass_ratio": walker.m_s / walker.total_mass}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from gaitsweep.tasks.families.patch import Patch, measured
 from gaitsweep.tasks.families.pieces import Piece, pieces_of
 from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
-from gaitsweep.tasks.measures.gaits import Part, describe
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW
+from gaitsweep.tasks.measures.gaits import Part, Wanted, describe
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -88,11 +90,9 @@ class Sampled:
         return replace(chart, error=float(error))
 
 
-def _sampled(
-    problem: Problem, smooth: Smooth, at: Polished, slope: np.ndarray, want: Sequence[str], fine: np.ndarray
-) -> Iterator[Sampled]:
+def _sampled(problem: Problem, smooth: Smooth, at: Polished, slope: np.ndarray, fine: np.ndarray) -> Iterator[Sampled]:
     """What the gaits of several spans give, of which `fine`, (spans, n), may be used."""
-    solved = describe(problem, smooth.walker, at, slope, want)
+    solved = describe(problem, at, slope, smooth.want)
     values, size = smooth.columns(slope, solved, at.stride.jacobian)
     found = np.isin(solved["status"], status.SOLVED) & np.isfinite(values).all(axis=0) & fine.ravel()
     for own in np.split(np.arange(len(slope)), len(fine)):
@@ -141,32 +141,6 @@ class Sheet:
         )
         return cls(span, chart, passes, (low, high))
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return a sheet over part of the span of a patch as plain arrays.
-
-        Returns
-        -------
-        dict of ndarray
-            `passes`, `unmeasured`, the `part` of the span, and the chart's, if there is one.
-        """
-        own = {name: np.array(getattr(self, name)) for name in ("passes", "unmeasured")}
-        return own | {"part": np.array(self.span.part)} | (self.chart.to_arrays("chart") if self.chart else {})
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray], span: Span) -> Sheet:
-        """Return the sheet over part of a span that arrays hold.
-
-        Parameters
-        ----------
-        arrays : mapping
-            As `to_arrays` returns them.
-        span : Span
-            That of the patch.
-        """
-        part, unmeasured = (tuple(arrays[name].tolist()) for name in ("part", "unmeasured"))
-        chart = Chart.from_arrays("chart", arrays) if "chart_sizes" in arrays else None
-        return cls(replace(span, part=part), chart, int(arrays["passes"].item()), unmeasured)
-
     def is_measured(self, points: np.ndarray) -> np.ndarray:
         """Whether errors are known at points of the span.
 
@@ -183,39 +157,27 @@ class Sheet:
         return np.asarray(inside & (1 + points[:, 0] > low) & (1 - points[:, 0] > high))
 
 
-@dataclass(frozen=True)
-class _Gaits:
-    """Gaits of a sheet, and whether errors could change the label or stability of each."""
-
-    part: Part
-    uncertain: np.ndarray
-
-
 def _gaits(
-    chart: Chart,
-    points: np.ndarray,
-    index: np.ndarray,
-    slope: np.ndarray,
-    smooth: Smooth,
-    want: Sequence[str],
-    branch: np.ndarray | int,
-    piece: np.ndarray | int,
-) -> _Gaits:
-    """Gaits of a chart at points of its span (n, 1 + d) of some `index`, with their slopes and numbers."""
+    chart: Chart, points: np.ndarray, index: np.ndarray, slope: np.ndarray, smooth: Smooth, numbers: Any
+) -> tuple[Part, np.ndarray]:
+    """Gaits of a chart at points of its span (n, 1 + d) of some `index`, with their slopes and pairs of numbers.
+
+    Also returned is whether errors could change the label or stability of each, shape (n,).
+    """
     names = smooth.names
     ratio = names.index("heelstrike_rate_ratio")
     low, high = chart.range_of(ratio)
-    has_one_label = low > 0.5 + _TIE * chart.error or high < 0.5 - _TIE * chart.error
-    needed = sorted({*smooth.needed(want), *([] if has_one_label else [ratio])})
+    has_one_label = low > LONG_BELOW + _TIE * chart.error or high < LONG_BELOW - _TIE * chart.error
+    needed = sorted({*smooth.needed, *([] if has_one_label else [ratio])})
     columns = dict(zip((names[k] for k in needed), chart(points, needed), strict=True))
     ratios = np.full(len(index), 0.5 * (low + high)) if has_one_label else columns[names[ratio]]
-    uncertain = np.abs(ratios - 0.5) <= _TIE * chart.error
+    uncertain = np.abs(ratios - LONG_BELOW) <= _TIE * chart.error
     if smooth.entries:
         columns |= smooth.multipliers(columns, chart.error)
         # Whether a gait is stable does not depend on the accuracy.
         uncertain |= np.abs(columns["spectral_radius"] - 1) <= columns["multiplier_error_bound"]
-    solved = smooth.gaits(slope, columns, want, chart.error, branch, piece)
-    return _Gaits(Part(index, columns["stance_angle"], ratios, solved), uncertain)
+    solved = smooth.gaits(slope, columns, chart.error, numbers)
+    return Part(index, columns["stance_angle"], ratios, solved), uncertain
 
 
 def _tied(parts: Sequence[Part], n: int, closest: float) -> np.ndarray:
@@ -224,7 +186,7 @@ def _tied(parts: Sequence[Part], n: int, closest: float) -> np.ndarray:
     for label in (True, False):
         angles = np.full((len(parts), n), np.nan)
         for row, part in zip(angles, parts, strict=True):
-            row[part.index] = np.where((part.ratio < 0.5) == label, part.angle, np.nan)
+            row[part.index] = np.where((part.ratio < LONG_BELOW) == label, part.angle, np.nan)
         crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
         if len(crowded):
             gaps = np.diff(np.sort(angles[:, crowded], axis=0), axis=0)
@@ -320,31 +282,28 @@ class Interpolation:
     ----------
     problem : Problem
     branches : list of Branch
-    want : sequence of str
-        Names of variables.
-    accuracy : float
+    wanted : Wanted
     slope : ndarray, shape (n,) [rad]
         All slopes for which panels are to be made.
     """
 
-    def __init__(
-        self, problem: Problem, branches: list[Branch], want: Sequence[str], accuracy: float, slope: np.ndarray
-    ):
-        self.problem, self.accuracy, self.want = problem, accuracy, want
-        self.smooth = Smooth.of(problem.walker, want, problem.m)
+    def __init__(self, problem: Problem, branches: list[Branch], wanted: Wanted, slope: np.ndarray):
+        self.problem, self.accuracy = problem, wanted.accuracy
+        self.smooth = Smooth.of(problem.walker, wanted.names, problem.m)
         self.pieces = pieces_of(branches)
         q = np.sort(np.log(slope))
         panels = [
             panel
             for k, piece in enumerate(self.pieces)
-            for panel in panels_over(k, *piece.q, piece.folds, q[piece.branch.covered(piece.first, piece.last, q)])
+            for panel in panels_over(k, *piece.q, piece.folds, q[piece.covered(q)])
         ]
 
         def is_needed(span: Span) -> bool:
             low, high = span.bounds
             return bool(np.searchsorted(q, high, side="right") > np.searchsorted(q, low))
 
-        fitted = fit_panels(panels, nodes_for(accuracy), _SHARE * accuracy, self._solve, is_needed)
+        accuracy = _SHARE * self.accuracy
+        fitted = fit_panels(panels, nodes_for(self.accuracy), accuracy, self._solve, is_needed)
         self.sheets = [[sheet for piece, sheet in fitted if piece == k] for k in range(len(self.pieces))]
 
     def _solve(self, panels: list[Panel], slopes: list[np.ndarray]) -> Iterator[Sampled]:
@@ -354,7 +313,7 @@ class Interpolation:
         if np.isnan(guesses.rounding_std).any():
             guesses = self._measured(guesses, q, len(slopes[0]))
         at = settle(problem, guesses, accuracy=self.accuracy)
-        return _sampled(problem, self.smooth, at, np.exp(q), self.want, np.ones((len(panels), len(slopes[0])), bool))
+        return _sampled(problem, self.smooth, at, np.exp(q), np.ones((len(panels), len(slopes[0])), bool))
 
     def _measured(self, guesses: Guesses, q: np.ndarray, samples: int) -> Guesses:
         """Guesses with rounding and Lipschitz constants that are measured at a few of the samples of each panel."""
@@ -383,10 +342,10 @@ class Interpolation:
             Indices of their slopes, by numbers of the branches and of the first nodes of their pieces.
         """
         q = np.log(slope)
-        found: list[tuple[int, _Gaits]] = []
+        found: list[tuple[int, Part, np.ndarray]] = []
         integrated: list[list[np.ndarray]] = []
         for k, (piece, sheets) in enumerate(zip(self.pieces, self.sheets, strict=True)):
-            index = piece.branch.covered(piece.first, piece.last, q)
+            index = piece.covered(q)
             (low, high), margins = piece.q, _margins(piece)
             inside = (q[index] - low > margins[0]) & (high - q[index] > margins[1])
             integrated.append([index[~inside]])
@@ -402,28 +361,25 @@ class Interpolation:
                 integrated[k].append(own[~known])
                 if sheet.passes == 1:
                     own, numbers = own[known], (piece.number, piece.place)
-                    one = _gaits(sheet.chart, points[known], own, slope[own], self.smooth, self.want, *numbers)
-                    found.append((k, one))
-        tied = _tied([one.part for _, one in found], len(slope), _TIE * self.accuracy)
+                    found.append((k, *_gaits(sheet.chart, points[known], own, slope[own], self.smooth, numbers)))
+        tied = _tied([part for _, part, _ in found], len(slope), _TIE * self.accuracy)
         parts = []
-        for k, one in found:
-            lost = one.uncertain | tied[one.part.index]
-            integrated[k].append(one.part.index[lost])
-            parts.append(one.part.some(~lost))
+        for k, part, uncertain in found:
+            lost = uncertain | tied[part.index]
+            integrated[k].append(part.index[lost])
+            parts.append(part.some(~lost))
         keys = [(piece.number, piece.first) for piece in self.pieces]
         return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, integrated, strict=True)}
 
 
-def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, points: float) -> list[Sheet]:
+def sheets(family: Family, cell: Cell, wanted: Wanted, points: float) -> list[Sheet]:
     """Fit polynomials to the gaits of every patch of a cell.
 
     Parameters
     ----------
     family : Family
     cell : Cell
-    want : sequence of str
-        Names of variables.
-    accuracy : float
+    wanted : Wanted
     points : float
         About how many points of the study the cell has.
 
@@ -433,12 +389,12 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, poi
         Empty where a patch has none that reaches the accuracy with fewer gaits than points.
     """
     try:
-        return [_over_patch(family, cell, patch, want, accuracy, points) for patch in cell.patches]
+        return [_over_patch(family, cell, patch, wanted, points) for patch in cell.patches]
     except Refused:
         return []
 
 
-def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: float) -> Sheet:
+def _over_patch(family: Family, cell: Cell, patch: Patch, wanted: Wanted, points: float) -> Sheet:
     """The sheet of a patch, or Refused."""
     drawn = cell.box.draw(_DRAWN, 1 + len(family.keys), f"sheet {patch.numbers[0]}")
     span, passes = patch.inside, 0
@@ -448,32 +404,28 @@ def _over_patch(family: Family, cell: Cell, patch: Patch, want: Sequence[str], a
         if math.prod(sizes) + _DRAWN >= points:
             raise Refused("fewer points than gaits to solve")
         at = np.vstack([tensor_nodes(sizes), drawn])
-        sampled = _over(family, cell, patch, span, at, want, accuracy)
+        sampled = _over(family, cell, patch, at, wanted)
         passes = sampled.passes
         return sampled.chart(sizes, at)
 
-    good, most = _SHARE * accuracy, tuple(_GROWN * n + _FURTHER for n in patch.gaits.sizes)
+    good, most = _SHARE * wanted.accuracy, tuple(_GROWN * n + _FURTHER for n in patch.gaits.sizes)
     chart = fit(attempt(patch.gaits.sizes, None), attempt, most, int(points), good, good, len(family.keys))
     return Sheet.of(span, chart, passes, drawn[:, 0])
 
 
-def _over(
-    family: Family, cell: Cell, patch: Patch, span: Span, points: np.ndarray, want: Sequence[str], accuracy: float
-) -> Sampled:
-    """What was solved at points (n, 1 + d) of a span of a patch."""
-    unit, q = points[:, 1:], span.log_slope(points)
+def _over(family: Family, cell: Cell, patch: Patch, points: np.ndarray, wanted: Wanted) -> Sampled:
+    """What was solved at points (n, 1 + d) of the span of a patch in which all gaits are steps."""
+    unit, q = points[:, 1:], patch.inside.log_slope(points)
     walkers, slope = family.walkers(cell.box.at(unit)), np.exp(q)
     problem, guesses = Lanes(walkers, cell.structure), patch.guesses(unit, slope)
-    at = settle(problem, guesses, sampled=True, accuracy=accuracy)
+    at = settle(problem, guesses, sampled=True, accuracy=wanted.accuracy)
     fine, is_step = patch.judge(at, guesses.w, q, unit)
-    smooth = Smooth.of(walkers, want, problem.m)
-    (sampled,) = _sampled(problem, smooth, at, slope, want, (fine & is_step)[None])
+    smooth = Smooth.of(walkers, wanted.names, problem.m)
+    (sampled,) = _sampled(problem, smooth, at, slope, (fine & is_step)[None])
     return sampled
 
 
-def interpolate(
-    block: Block, made: Sequence[Sheet], want: Sequence[str], accuracy: float
-) -> tuple[list[Part], np.ndarray]:
+def interpolate(block: Block, made: Sequence[Sheet], wanted: Wanted) -> tuple[list[Part], np.ndarray]:
     """Gaits of lines in a cell by its polynomials.
 
     Parameters
@@ -481,8 +433,7 @@ def interpolate(
     block : Block
     made : sequence of Sheet
         One for each patch of the cell.
-    want : sequence of str
-    accuracy : float
+    wanted : Wanted
 
     Returns
     -------
@@ -505,9 +456,9 @@ def interpolate(
         known = sheet.is_measured(points)
         lost[index[~known]] = True
         index, line, own, unit, points = (values[known] for values in (index, line, own, unit, points))
-        smooth = Smooth.of(block.walkers.some(line), want, block.cell.structure.dimension)
-        one = _gaits(sheet.chart, points, index, block.slope[own], smooth, want, *patch.numbers_at(unit).T)
-        lost[index[one.uncertain]] = True
-        found.append(one.part)
-    sure = ~(lost | _tied(found, n * s, _TIE * accuracy))
+        smooth = Smooth.of(block.walkers.some(line), wanted.names, block.cell.structure.dimension)
+        part, uncertain = _gaits(sheet.chart, points, index, block.slope[own], smooth, patch.numbers_at(unit).T)
+        lost[index[uncertain]] = True
+        found.append(part)
+    sure = ~(lost | _tied(found, n * s, _TIE * wanted.accuracy))
     return [part.some(sure[part.index]) for part in found], sure

@@ -16,7 +16,7 @@ from gaitsweep.tasks.fixed_points.polish import SAFETY_FACTOR
 from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
 from gaitsweep.tasks.tables import Arrays, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.
 _ALIGNMENT, _BLOCKS = 16, 8
@@ -51,7 +51,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     section; the superficial zero multipliers (paper, section 2.2) would add minus infinities.
     """
     options = registry.options("orbit", params)
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
     slope = np.asarray(params["slope"], float)
     known, gaits = gaits_at(problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"]))

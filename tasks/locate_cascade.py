@@ -29,7 +29,7 @@ from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 Arrays = dict[str, np.ndarray]
 #: Orbits that locate the loss of walking, their relative distance from the last gait (chaos separates them), and how
@@ -95,9 +95,9 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         gait; `reason` says why one of them is NaN.
     """
     options = registry.options("cascade", params)
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
-    near = Problem(resolve(params["near"]["walker"], params["near"].get("set"))) if "near" in params else problem
+    near = Problem(walker_of_line(params["near"])) if "near" in params else problem
     slope = np.sort(np.asarray(params["slope"], float))
     if not len(slope):
         return {}
@@ -296,7 +296,8 @@ def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: f
         q, (a, b) = float(after.at.q[0]), (float(scalar(kind, gait.at)[0]) for gait in (before, after))
         if a * b < 0:
             length = float(np.linalg.norm(after.Z - before.Z))
-            guess = hermite(before.Z, before.direction, after.Z, after.direction, length, a / (a - b))
+            ends = (before.Z, before.direction), (after.Z, after.direction)
+            guess = hermite(*ends, length, a / (a - b))
             solved = solve(problem, kind, guess)
             if not solved.ok[0]:
                 return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"

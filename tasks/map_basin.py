@@ -15,7 +15,7 @@ from gaitsweep.tasks.dynamics.stable_manifold import saddle_at, stable_manifold
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.tables import Arrays, stacked, table
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
@@ -53,7 +53,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     the standard error takes the error of each boundary cell as uniform over the cell and independent of the others.
     """
     options = registry.options("basin", params)
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
     time_unit = walker.time_unit
     areas, basins, gaits, manifolds = (list[tuple[Any, ...]]() for _ in range(4))

@@ -11,14 +11,14 @@ import numpy as np
 
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation.atlas import survey_lines, to_arrays
-from gaitsweep.tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, best, find, in_window
+from gaitsweep.tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, Sought, best, find, in_window
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.disturb_designs import attractors_beside, largest_steps
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points_at
 from gaitsweep.tasks.families.manifold_maker import Maker
-from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_planes import charts
 from gaitsweep.tasks.solve_planes import lines as lines_of_plane
@@ -86,10 +86,10 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walkers = _walkers(line["walker"], keys, n)
     options = registry.options("design", params)
     at_slope, at_speed, ground = options["at_slope"], options["at_speed"], float(options["ground"])
-    log_speed = None if at_speed is None else float(np.log(at_speed))
-    rows, accepted, gaits = _Rows(n, log_speed), np.zeros(n, bool), np.full((4, n), np.nan)
+    sought = Sought(window, None if at_speed is None else float(np.log(at_speed)))
+    rows, accepted, gaits = _Rows(n, sought), np.zeros(n, bool), np.full((4, n), np.nan)
     if "plane" in params:
-        accepted = _over_plane(line, keys, params["plane"], window, rows)
+        accepted = _over_plane(line, keys, params["plane"], rows)
         # Invalid designs are not solved.
         possible = sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own)
         if at_slope is not None and possible:
@@ -103,7 +103,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             part = numbers[k : k + _LINES]
             problem = Lanes(walkers.some(part), structure)
             branches = survey_lines(problem, COARSE)
-            rows.store(problem, part, find(problem, branches, window, log_speed), window, surveyed=1)
+            rows.store(problem, part, find(problem, branches, sought), surveyed=1)
             if at_slope is not None and "plane" not in params:
                 for i, of_line in zip(part.tolist(), branches, strict=True):
                     request = {"line": line_of(i), "slope": np.array([at_slope]), "want": _GAIT}
@@ -149,50 +149,35 @@ def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndar
     for i in numbers.tolist():
         with contextlib.suppress(WalkerError):
             possible[i] = walkers[i]
-    each: dict[Structure, list[int]] = {}
-    for i, structure in zip(possible, structures_of([*possible.values()]), strict=True):
-        each.setdefault(structure, []).append(i)
-    return {structure: np.array(own) for structure, own in each.items()}
+    numbers = np.array([*possible], int)
+    return {structure: numbers[own] for structure, own in alike([*possible.values()]).items()}
 
 
 def _over_plane(
-    line: Mapping[str, Any],
-    keys: Mapping[str, np.ndarray],
-    cell: Mapping[str, Any],
-    window: tuple[float, float],
-    rows: _Rows,
+    line: Mapping[str, Any], keys: Mapping[str, np.ndarray], cell: Mapping[str, Any], rows: _Rows
 ) -> np.ndarray:
     """Store the designs of a cell whose points its manifolds predict, and return which those are, shape (n,)."""
     family = Family.of({**line, "set": {k: float(v[0]) for k, v in keys.items()}}, cell["keys"])
     box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]), log=True)
     at = np.column_stack([keys[key] for key in family.keys])
     accepted, left = np.zeros(len(at), bool), np.ones(len(at), bool)
-    for part in _landscapes(family, box, window, cell["lines"], rows.log_speed):
+    for part in _landscapes(family, box, rows.sought, cell["lines"]):
         inside = np.flatnonzero(left & (at >= part.box.low).all(axis=1) & (at <= part.box.high).all(axis=1))
         left[inside] = False
         if not part.why:
             for k in range(0, len(inside), _DESIGNS):
                 some = inside[k : k + _DESIGNS]
-                accepted[some] = _solve(family, part, at[some], some, window, rows)
+                accepted[some] = _solve(family, part, at[some], some, rows)
     return accepted
 
 
 @functools.lru_cache(64)
-def _landscapes(
-    family: Family, box: Box, window: tuple[float, float], count: int, log_speed: float | None
-) -> list[Landscape]:
+def _landscapes(family: Family, box: Box, sought: Sought, count: int) -> list[Landscape]:
     """Landscapes of a box, for about so many designs."""
-    return make(family, box, window, count, log_speed=log_speed)
+    return make(family, box, sought, count)
 
 
-def _solve(
-    family: Family,
-    landscape: Landscape,
-    keys: np.ndarray,
-    numbers: np.ndarray,
-    window: tuple[float, float],
-    rows: _Rows,
-) -> np.ndarray:
+def _solve(family: Family, landscape: Landscape, keys: np.ndarray, numbers: np.ndarray, rows: _Rows) -> np.ndarray:
     """Store the designs of a landscape that are accepted, and return which those are.
 
     Parameters
@@ -203,12 +188,12 @@ def _solve(
     """
     maker = Maker(family, landscape.box, landscape.structure)
     unit = landscape.box.unit(keys)
-    points, accepted, flags = points_at(maker, landscape.manifolds, unit, window)
+    points, accepted, flags = points_at(maker, landscape.manifolds, unit, rows.sought.window)
     accepted &= is_known(flags, landscape.patterns)
     if landscape.any_slope:
         walkers = family.walkers(keys)
         accepted &= np.array([is_tuned(walkers[i]) for i in range(len(keys))])
-    rows.store(maker.problem(unit), numbers, points, window, 0, landscape.any_slope, accepted)
+    rows.store(maker.problem(unit), numbers, points, 0, landscape.any_slope, accepted)
     return accepted
 
 
@@ -219,8 +204,8 @@ class _Rows:
     sqrt(g leg), their errors, its `kind`, or why there is none, whether stable gaits are next to it, and the gait.
     """
 
-    def __init__(self, n: int, log_speed: float | None = None):
-        self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[: -len(COSTS)]
+    def __init__(self, n: int, sought: Sought):
+        self.sought, names = sought, QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)]
         numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
         self.at: dict[str, Arrays] = {
             name: {column: np.full(n, np.nan) for column in numbers}
@@ -236,13 +221,12 @@ class _Rows:
         problem: Lanes,
         numbers: np.ndarray,
         points: Points,
-        window: tuple[float, float],
         surveyed: int,
         any_slope: bool = False,
         accepted: np.ndarray | None = None,
     ) -> None:
         """Store what the points of some designs, numbered from 0 in `points`, give."""
-        n = len(numbers)
+        n, window = len(numbers), self.sought.window
         chosen, kept = best(points, n, window), np.ones(n, bool) if accepted is None else accepted
         self.surveyed[numbers[kept]] = surveyed
         walks = np.zeros(n, bool)

@@ -32,7 +32,7 @@ from gaitsweep.tasks.step.simulate import (
     STRUCK,
     scanner,
 )
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Intervals of each phase at whose ends the motion is sampled.
@@ -126,7 +126,7 @@ def begin(params: Mapping[str, Any]) -> tuple[Lanes, np.ndarray, np.ndarray, np.
     WalkerError
         If the walker or the state is invalid.
     """
-    problem, slope = section_problem(resolve(params["walker"], params.get("set"))), np.array([float(params["slope"])])
+    problem, slope = section_problem(walker_of_line(params)), np.array([float(params["slope"])])
     state, time_unit = np.array(params["state"], float), problem.walker.time_unit
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")

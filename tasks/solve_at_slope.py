@@ -15,12 +15,12 @@ from gaitsweep.tasks.fixed_points.labels import places
 from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
 from gaitsweep.tasks.fixed_points.search import search, starts
 from gaitsweep.tasks.map_step import map_step
-from gaitsweep.tasks.measures.gaits import describe
+from gaitsweep.tasks.measures.gaits import Wanted, describe
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
 from gaitsweep.tasks.solve_points import atlas, points, spans
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -58,23 +58,21 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker is invalid.
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
-    slope = float(params["slope"])
-    problem = Problem(resolve(line["walker"], line["set"]))
-    steps = int(params.get("steps", 1))
-    if steps > 1:
-        return _solve_cycles(line, slope, params)
+    slope, walker = float(params["slope"]), walker_of_line(line)
+    asked = {name: params[name] for name in ("steps", "accuracy", "violation_limits") if name in params}
+    request = {"line": line, "slope": np.array([slope]), "want": _WANT, **asked}
+    if int(params.get("steps", 1)) > 1:
+        return _solve_cycles(request, walker)
+    problem = Problem(walker)
     branches = atlases.survey(problem, COARSE)
-    limits = params.get("violation_limits")
-    request = {"slope": np.array([slope]), "want": _WANT, "accuracy": params.get("accuracy", 0.0)}
-    request |= {"violation_limits": limits}
-    point = points({"line": line, **request}, [atlases.to_arrays(branches)])
+    point = points(request, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.q) for b in branches)} points")
     if params.get("all") or not gaits:
-        others, nearest = _search_slope(problem, slope, gaits, request["accuracy"], limits)
-        log.append(_describe_starts(problem, slope))
+        others, nearest = _search_slope(problem, request, gaits)
+        log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
         if not gaits:
@@ -83,7 +81,6 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio")
     )
     place = places(angle, ratio)[:, 0]
-    walker = problem.walker
     records = [_record(_name(place[i]), slope, gaits[i], walker) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in non_anthropomorphic]
     return _answer(records, walker.si, log, _absent(branches, point, slope, [record["gait"] for record in records]))
@@ -110,24 +107,18 @@ def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str], absent: 
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log, "absent": absent}
 
 
-def _solve_cycles(line: dict[str, Any], slope: float, asked: Mapping[str, Any]) -> dict[str, Any]:
+def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
-    names = ("steps", "accuracy", "violation_limits")
-    walker, params = resolve(line["walker"], line["set"]), {"line": line, **{k: asked[k] for k in names if k in asked}}
-    point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
+    point, slope = points(request, [atlas(request, [])]), float(request["slope"][0])
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
     records = []
     for label, gait in zip(labels, _converged(point), strict=True):
         state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         # The heelstrike is at another angle than the one before.
-        end = map_step({"walker": line["walker"], "set": line["set"], "slope": slope, "state": state})["state"][0]
+        end = map_step({**request["line"], "slope": slope, "state": state})["state"][0]
         records.append(_record(label, slope, gait, walker, float(end)))
     log = [] if records else [str(point["reasons"][status.NO_LONG])]
     return _answer(records, walker.si, log)
-
-
-def _describe_starts(problem: Problem, slope: float) -> str:
-    return f"{starts(problem.walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}"
 
 
 def _name(place: int) -> str:
@@ -136,19 +127,16 @@ def _name(place: int) -> str:
 
 
 def _search_slope(
-    problem: Problem,
-    slope: float,
-    gaits: list[dict[str, Any]],
-    accuracy: float,
-    limits: Mapping[str, float] | None,
+    problem: Problem, request: Mapping[str, Any], gaits: list[dict[str, Any]]
 ) -> tuple[list[dict[str, Any]], str]:
-    """Gaits that a search at the slope finds besides the known ones, and its nearest miss in words."""
+    """Gaits that a search at the only slope finds besides the known ones, and its nearest miss in words."""
+    (slope,), wanted = request["slope"].tolist(), Wanted.of(request)
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
     slopes = np.full(w.shape[1], slope)
-    at = settle(problem, unmeasured(problem, w, slopes), accuracy=accuracy)
-    solved = describe(problem, problem.walker, at, slopes, _WANT, limits)
+    at = settle(problem, unmeasured(problem, w, slopes), accuracy=wanted.accuracy)
+    solved = describe(problem, at, slopes, _WANT, wanted.limits)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

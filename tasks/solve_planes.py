@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import computed, is_interpolated
+from gaitsweep.tasks.accuracy import is_interpolated
+from gaitsweep.tasks.families.arrays import arrays_of, parts, under, value_of
 from gaitsweep.tasks.families.box import Box
-from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, parts, to_arrays
+from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, to_arrays
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.patch import PREDICTED_WITHIN
 from gaitsweep.tasks.fixed_points.polish import Polished, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.interpolate import Sheet, interpolate, sheets
-from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
+from gaitsweep.tasks.measures.gaits import Arrays, Part, Wanted, describe, nothing_solved, store, to_accuracy
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import lines as lines_side_by_side
-from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes
-from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Smallest error assumed for the ends of pieces, in ln slope.
 _MIN_END_ERROR = 1e-9
@@ -69,25 +69,18 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     many = math.inf if params.get("whole") else _MANY_LINES
     cells = make_cells(family, box, window, lines_in, slopes, plane.get("surveyed", 0.0), many)
-    accuracy, arrays = params.get("accuracy", 0.0), to_arrays(cells.made)
+    wanted, arrays = Wanted.of(params), to_arrays(cells.made)
     alone = [cell.box for cell in cells.made if cell.why]
     arrays |= {f"alone/{name}": np.array([getattr(part, name) for part in alone]) for name in ("low", "high")}
-    want = _names(params)
-    if is_interpolated(want, accuracy):
+    if is_interpolated(wanted.names, wanted.accuracy):
         for i, cell in enumerate(cells.made):
-            for j, sheet in enumerate(sheets(family, cell, want, accuracy, lines_in(cell.box) * slopes)):
-                arrays |= {f"{i}/{j}/sheet_{name}": value for name, value in sheet.to_arrays().items()}
+            arrays |= arrays_of(sheets(family, cell, wanted, lines_in(cell.box) * slopes), f"{i}/sheets")
     if cells.halves:
         for name in ("low", "high", "origin", "halved"):
             arrays[f"halves/{name}"] = np.array([getattr(half, name) for half in cells.halves])
         lines = np.array([lines_in(half) for half in cells.halves])
         arrays |= {"halves/lines": lines, "halves/surveyed": cells.surveyed * lines / plane["lines"]}
     return arrays
-
-
-def _names(params: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of the variables that a request wants, and of those that its accuracy needs."""
-    return computed(params["want"], params.get("accuracy", 0.0))
 
 
 def _family(line: Mapping[str, Any], plane: Mapping[str, Any]) -> tuple[Family, Box]:
@@ -114,32 +107,25 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
     family, box = _family(all_lines[0], params["plane"])
-    accuracy, want = params.get("accuracy", 0.0), _names(params)
-    wanted = Wanted(want, set(params.get("gaits") or GAITS), params.get("violation_limits"), accuracy)
+    wanted = Wanted.of(params)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
     walkers, corners = family.walkers(keys), family.walkers(np.array([box.low, box.high]))
     n, s = len(keys), len(slope)
     # A massless leg's steps are the limit of those of light ones; its losses have formulas of their own.
     is_alike = walkers.massless_legs == corners.massless_leg
     accepted = np.zeros((n, s), bool)
-    out = {
-        name: value.reshape(n, s, *value.shape[1:])
-        for name, value in nothing_solved(want, n * s, 4 if walkers.knees else 3).items()
-    }
+    void = nothing_solved(wanted.names, n * s, walkers.knees)
+    out = {name: value.reshape(n, s, *value.shape[1:]) for name, value in void.items()}
     cells = (pair for each in inputs for pair in zip(from_arrays(family, each), parts(each), strict=True))
     for cell, own in cells:
         inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
         if cell.why or not len(inside):
             continue
-        made = [
-            Sheet.from_arrays({k.removeprefix("sheet_"): v for k, v in each.items()}, patch.span)
-            for each, patch in zip(parts(own), cell.patches, strict=True)
-            if "sheet_part" in each
-        ]
+        made = [value_of(Sheet, each) for each in parts(under("sheets", own))]
         solved, accepted[inside] = solve(family, cell, keys[inside], slope, wanted, made)
         for name, value in solved.items():
             out[name][inside] = value
-    to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, accuracy)
+    to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, wanted.accuracy)
     reasons = _reasons(family, box)
     sentences: dict[str, int] = {}
     # Lines that are not accepted at all, then others at the slopes that some of them lack.
@@ -173,27 +159,6 @@ def _reasons(family: Family, box: Box) -> list[str]:
     return status.reasons(*(status.absent(label, where) for label in GAITS[:2]))
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is wanted of gaits.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of variables.
-    labels : set of str
-    limits : mapping, optional
-        Limits of violations other than the registry's.
-    accuracy : float
-        Largest error bound wanted, 0 for any.
-    """
-
-    names: tuple[str, ...]
-    labels: set[str]
-    limits: Mapping[str, float] | None = None
-    accuracy: float = 0.0
-
-
 def solve(
     family: Family, cell: Cell, keys: np.ndarray, slope: np.ndarray, wanted: Wanted, made: Sequence[Sheet] = ()
 ) -> tuple[Arrays, np.ndarray]:
@@ -219,7 +184,7 @@ def solve(
         Points all of whose gaits are accepted; what `out` has of the others is void.
     """
     n, s = len(keys), len(slope)
-    out = nothing_solved(wanted.names, n * s, 4 if cell.structure.kneed else 3)
+    out = nothing_solved(wanted.names, n * s, cell.structure.kneed)
     accepted = np.ones((n, s), bool)
     lines = max(1, (_INTERPOLATED_BLOCK if made else _BLOCK) // s)
     for k in range(0, n, lines):
@@ -229,7 +194,7 @@ def solve(
         fine = _known_to_end(block) & _away_from_ends(block)
         integrated = fine.copy()
         if made:
-            parts, sure = interpolate(block, made, wanted.names, wanted.accuracy)
+            parts, sure = interpolate(block, made, wanted)
             store(part, parts, wanted.labels)
             integrated &= ~sure
         accepted[some] = (fine & _solve_block(block, wanted, part, integrated)).reshape(-1, s)
@@ -274,14 +239,10 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
             for patch, index in zip(patches, indices, strict=True)
         ]
     )
-    index = np.concatenate(indices)
-    walkers = block.walkers.some(index // s)
-    problem = Lanes(walkers, block.cell.structure)
+    problem = Lanes(block.walkers.some(np.concatenate(indices) // s), block.cell.structure)
     at = settle(problem, guesses, sampled=True, accuracy=wanted.accuracy)
-    ends = np.cumsum([len(each) for each in indices]).tolist()
-    of_part = [slice(end - len(each), end) for each, end in zip(indices, ends, strict=True)]
-    gaits = _describe(problem, walkers, at, guesses.slope, wanted)
-    parts = []
+    gaits = _describe(problem, at, guesses.slope, wanted)
+    parts, of_part, w = [], slices([len(each) for each in indices]), at.w
     for patch, own, part in zip(patches, indices, of_part, strict=True):
         unit = block.unit[own // s]
         fine, is_step = patch.judge(lanes_of(at, part), guesses.w[:, part], block.q[own % s], unit)
@@ -291,7 +252,6 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
         angle = np.where(solved["anthropomorphic"], guesses.w[0, part], np.nan)
         parts.append(Part(own, angle, solved["heelstrike_rate_ratio"], solved).some(is_step))
     store(out, parts, wanted.labels)
-    w = at.w
     for i, j in combinations(range(len(parts)), 2):
         both, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
         alike = np.abs(w[:, of_part[i]][:, a] - w[:, of_part[j]][:, b]).max(axis=0, initial=0.0) < _APART
@@ -299,13 +259,11 @@ def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarr
     return accepted
 
 
-def _describe(problem: Lanes, walkers: WalkerArray, at: Polished, slope: np.ndarray, wanted: Wanted) -> Arrays:
+def _describe(problem: Lanes, at: Polished, slope: np.ndarray, wanted: Wanted) -> Arrays:
     """Measure the gaits: all at once, or walker by walker where violations are wanted."""
     want, limits = wanted.names, wanted.limits
     if not any(VARIABLES[name].group == "violations" for name in want):
-        return describe(problem, walkers, at, slope, want, limits)
-    each = []
-    for i in range(len(slope)):
-        one = slice(i, i + 1)
-        each.append(describe(problem.some(np.array([i])), walkers[i], lanes_of(at, one), slope[one], want, limits))
+        return describe(problem, at, slope, want, limits)
+    ones = enumerate(slices([1] * len(slope)))
+    each = [describe(problem.alone(i), lanes_of(at, one), slope[one], want, limits) for i, one in ones]
     return {name: np.concatenate([gait[name] for gait in each]) for name in each[0]}

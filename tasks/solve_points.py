@@ -10,21 +10,22 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import computed
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
 from gaitsweep.tasks.continuation.refine import COARSE, FINE
 from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER
+from gaitsweep.tasks.families.pieces import Piece, pieces_of
 from gaitsweep.tasks.fixed_points.polish import Guesses
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.interpolate import Interpolation
-from gaitsweep.tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
-from gaitsweep.tasks.mechanics.lumped import Structure, structures_of
+from gaitsweep.tasks.measures.gaits import Arrays, Part, Wanted, describe, nothing_solved, store, to_accuracy
+from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS, PROVED, VARIABLES
-from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
@@ -56,7 +57,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
-    problem = Problem(_walker(params["line"]))
+    problem = Problem(walker_of_line(params["line"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
         # They are followed far from the branches where they begin.
@@ -85,11 +86,10 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Each wanted variable in the walker's units, shape (n, len(GAITS)[, multipliers]), and `reasons`, the sentences
         that `reason` indexes.
     """
-    problem = Problem(_walker(params["line"]), int(params.get("steps", 1)))
-    branches = atlases.from_arrays(inputs[0])
-    accuracy, want, slope = params.get("accuracy", 0.0), params["want"], np.asarray(params["slope"], float)
-    is_interpolated = params.get("interpolated", False)
-    polynomials = Interpolation(problem, branches, want, accuracy, slope) if is_interpolated else None
+    problem = Problem(walker_of_line(params["line"]), int(params.get("steps", 1)))
+    branches, slope, polynomials = atlases.from_arrays(inputs[0]), np.asarray(params["slope"], float), None
+    if params.get("interpolated", False):
+        polynomials = Interpolation(problem, branches, Wanted.of(params), slope)
     (solved,) = _solve_lines(problem, [params["line"]], [branches], params, polynomials)
     return solved
 
@@ -109,12 +109,9 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     list of (dict, dict)
         For each line what `atlas`, coarse, and `points` return; it does not depend on the other lines.
     """
-    walkers = [_walker(line) for line in params["lines"]]
-    alike: dict[Structure, list[int]] = {}
-    for i, structure in enumerate(structures_of(walkers)):
-        alike.setdefault(structure, []).append(i)
+    walkers = [walker_of_line(line) for line in params["lines"]]
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
-    for structure, numbers in alike.items():
+    for structure, numbers in alike(walkers).items():
         problem = Lanes([walkers[i] for i in numbers], structure)
         surveyed = _survey([walkers[i] for i in numbers], structure, COARSE)
         solved = _solve_lines(problem, [params["lines"][i] for i in numbers], surveyed, params)
@@ -148,60 +145,46 @@ def _solve_lines(
 
     With `polynomials`, of a single line, only gaits that these do not give are integrated.
     """
-    slope, accuracy = np.asarray(params["slope"], float), params.get("accuracy", 0.0)
-    want = computed(params["want"], accuracy)
-    labels = set(params.get("gaits") or GAITS)
-    limits = params.get("violation_limits")
-    n, width = len(slope), 4 if problem.walker.knees else 3
-    proofs = [name for name in want if VARIABLES[name].group == "proofs"]
-    solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
+    slope, wanted = np.asarray(params["slope"], float), Wanted.of(params)
+    n, names = len(slope), wanted.names
+    proofs = [name for name in names if VARIABLES[name].group == "proofs"]
+    solved = [name for name in VARIABLES if name in names or (proofs and name in PROVED_FROM) if name not in proofs]
     problems = [problem.alone(i) for i in range(len(lines))]
-    searched = f"searched from {atlases.searched(problem.walker)}"
-    results = [
-        {
-            **nothing_solved((*solved, *proofs), n, width),
-            "reasons": np.array(_reasons(branches, searched, problem.steps)),
-        }
-        for branches in atlas
-    ]
+    results = [nothing_solved((*solved, *proofs), n, problem.walker.knees) for _ in lines]
     block = _INTERPOLATED_BLOCK if polynomials else _BLOCK
     for k in range(0, n, block):
         part = slice(k, k + block)
         interpolated, integrated = polynomials.parts(slope[part]) if polynomials else ([], None)
-        pieces = [_pieces(branches, slope[part], labels, integrated) for branches in atlas]
+        pieces = [_pieces(branches, slope[part], wanted.labels, integrated) for branches in atlas]
         parts = [interpolated for _ in lines]
         with_pieces = [i for i, each in enumerate(pieces) if each]
         guesses = [join_lanes([piece.guesses for piece in pieces[i]]) for i in with_pieces]
         counts = [len(each.slope) for each in guesses]
         if with_pieces:
-            places = [(problems[i], piece.branch, piece.segment) for i in with_pieces for piece in pieces[i]]
-            at = settle_on_branches(problem.some(np.repeat(with_pieces, counts)), join_lanes(guesses), places, accuracy)
-        for i, each, count, end in zip(with_pieces, guesses, counts, np.cumsum(counts).tolist(), strict=True):
-            gaits = describe(
-                problems[i],
-                problems[i].walker,
-                lanes_of(at, slice(end - count, end)),
-                each.slope,
-                tuple(solved),
-                limits,
-            )
+            places = [(problems[i], each.piece.branch, each.segment) for i in with_pieces for each in pieces[i]]
+            each = problem.some(np.repeat(with_pieces, counts))
+            at = settle_on_branches(each, join_lanes(guesses), places, wanted.accuracy)
+        for i, own, lanes in zip(with_pieces, guesses, slices(counts), strict=True):
+            gaits = describe(problems[i], lanes_of(at, lanes), own.slope, solved, wanted.limits)
             parts[i] = [*interpolated, *_parts(pieces[i], gaits)]
         for out, gaits_of_line in zip(results, parts, strict=True):
-            store({name: out[name][part] for name in solved}, gaits_of_line, labels)
+            store({name: out[name][part] for name in solved}, gaits_of_line, wanted.labels)
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)
     for out in results:
         for k in range(0, n, block):
-            to_accuracy({name: out[name][k : k + block] for name in want}, accuracy)
-    return [{name: out[name] for name in (*want, "reasons")} for out in results]
+            to_accuracy({name: out[name][k : k + block] for name in names}, wanted.accuracy)
+    reasons = ({"reasons": np.array(_reasons(problem, branches))} for branches in atlas)
+    return [{name: out[name] for name in names} | why for out, why in zip(results, reasons, strict=True)]
 
 
-def _reasons(branches: list[Branch], searched: str, steps: int = 1) -> list[str]:
+def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     """Sentences that `reason` indexes."""
-    if steps > 1:
-        outside = _outside(branches, steps)
+    if problem.steps > 1:
+        outside = _outside(branches, problem.steps)
         return status.reasons(outside, outside)
+    searched = f"searched from {atlases.searched(problem.walker)}"
     lost = sorted(slope for branch in branches for slope in branch.lost())
     long, short = (
         status.outside(label, [s for b in branches for s in spans(b, label)], searched, lost) for label in GAITS[:2]
@@ -233,14 +216,13 @@ def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
 
 
 @dataclass(frozen=True)
-class _Piece:
-    """Guesses on one piece of a branch: indices of their slopes, their segments, and the branch with its number."""
+class _Guessed:
+    """Guesses on one piece of a branch: indices of their slopes, and their segments."""
 
+    piece: Piece
     index: np.ndarray
     segment: np.ndarray
     guesses: Guesses
-    branch: Branch
-    number: int
 
 
 def _pieces(
@@ -248,54 +230,45 @@ def _pieces(
     slope: np.ndarray,
     wanted: set[str],
     integrated: Mapping[tuple[int, int], np.ndarray] | None = None,
-) -> list[_Piece]:
+) -> list[_Guessed]:
     """Guesses of the gaits at some slopes that may have a wanted label, or of those that are to be integrated."""
-    pieces = []
-    q = np.log(slope)
-    for number, branch in enumerate(branches):
-        for first, last in branch.pieces():
-            index = branch.covered(first, last, q) if integrated is None else integrated[number, first]
-            if not len(index):
-                continue
-            Z, segment = branch.on_piece(first, last, q[index])
-            may_hold = _may_hold(branch, segment, wanted)
+    guessed, q = [], np.log(slope)
+    for piece in pieces_of(branches):
+        index = piece.covered(q) if integrated is None else integrated[piece.number, piece.first]
+        if len(index):
+            Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
+            may_hold = _may_hold(piece.branch, segment, wanted)
             if may_hold.any():
                 index, Z, segment = index[may_hold], Z[:, may_hold], segment[may_hold]
-                guesses = branch.known_guesses(Z, segment, slope[index])
-                pieces.append(_Piece(index, segment, guesses, branch, number))
-    return pieces
+                guesses = piece.branch.known_guesses(Z, segment, slope[index])
+                guessed.append(_Guessed(piece, index, segment, guesses))
+    return guessed
 
 
-def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
-    """Parts of the pieces, whose `gaits` follow one another."""
+def _parts(guessed: list[_Guessed], gaits: Arrays) -> list[Part]:
+    """Parts of pieces, whose `gaits` follow one another."""
     parts = []
-    ends = np.cumsum([len(piece.index) for piece in pieces])
-    for piece, end in zip(pieces, ends.tolist(), strict=True):
-        count, branch = len(piece.index), piece.branch
-        solved = {name: value[end - count : end] for name, value in gaits.items()}
-        solved |= {"branch": np.full(count, piece.number), "piece": branch.piece(piece.segment)}
+    for each, lanes in zip(guessed, slices([len(each.index) for each in guessed]), strict=True):
+        piece, solved = each.piece, {name: value[lanes] for name, value in gaits.items()}
+        numbers = {"branch": piece.number, "piece": piece.place}
+        solved |= {name: np.full(len(each.index), number) for name, number in numbers.items()}
         converged = np.isin(solved["status"], status.SOLVED)
         # A lane that has not converged still counts as its branch's gait.
-        angle = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
-        nodes = 0.5 * (branch.ratio[piece.segment] + branch.ratio[piece.segment + 1])
-        ratio = np.where(converged, solved["heelstrike_rate_ratio"], nodes)
-        parts.append(Part(piece.index, angle, ratio, solved))
+        angle = np.where(solved["anthropomorphic"], each.guesses.w[0], np.nan)
+        ratio = np.where(converged, solved["heelstrike_rate_ratio"], piece.branch.ratio_on(each.segment))
+        parts.append(Part(each.index, angle, ratio, solved))
     return parts
 
 
 def spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
     """Least and largest slope of each run of a branch's gaits with one label [rad]."""
-    has_label = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
+    has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (branch.leg_passes == 1)
     for first, last in branch.pieces():
         nodes = np.arange(first, last + 1)
         for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):
             if has_label[run[0]]:
                 slopes = np.exp(branch.q[run])
                 yield float(slopes.min()), float(slopes.max())
-
-
-def _walker(line: Mapping[str, Any]) -> Walker:
-    return resolve(line["walker"], line.get("set"))
 
 
 def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:

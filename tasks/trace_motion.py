@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks import status
 from gaitsweep.tasks.continuation import atlas as atlases
-from gaitsweep.tasks.continuation.locate import settle_on_branches
+from gaitsweep.tasks.dynamics.initial_states import labelled
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.tables import stacked
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Intervals of each phase.
 SAMPLES = 48
@@ -39,26 +37,18 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
         Table `trace`: gait, slope, time, theta_st, theta_th, theta_sh [rad] and foot_x (stance foot's centre from its
         position at angle zero), in the walker's units.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    walker = walker_of_line(params["line"])
     problem = Problem(walker)
     parts: list[tuple[Any, ...]] = []
     slope = np.unique(np.asarray(params["slope"], float))
     slope = slope[np.unique(np.linspace(0, len(slope) - 1, MAX_SLOPES).round().astype(int))]
-    known = points({**params, "slope": slope, "want": ()}, inputs)
-    for number, branch in enumerate(atlases.from_arrays(inputs[0])):
-        for index, Z, segment in branch.guesses(np.log(slope)):
-            is_drawn = (
-                (known["branch"][index] == number)
-                & (known["piece"][index] == branch.piece(segment)[:, None])
-                & np.isin(known["status"][index], status.SOLVED)
-            )
-            guesses = branch.known_guesses(Z, segment, slope[index])
-            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
-            stride = problem.map(at.y, at.times, problem.parameters(slope[index], at.scale), samples=SAMPLES)
-            for lane, g in np.argwhere(is_drawn):
-                times, angles = _cycle(stride.one.motion, at.times[:, lane], lane)
-                a, b, c = angles * at.scale[lane]
-                parts.append((GAITS[g], slope[index[lane]], times * walker.time_unit, a, b, c, -walker.R * a))
+    wanted = [GAITS.index(label) for label in params.get("gaits") or GAITS]
+    for index, place, at in labelled(problem, atlases.from_arrays(inputs[0]), slope):
+        stride = problem.map(at.y, at.times, problem.parameters(slope[index], at.scale), samples=SAMPLES)
+        for lane in np.flatnonzero(np.isin(place, wanted)).tolist():
+            times, angles = _cycle(stride.one.motion, at.times[:, lane], lane)
+            a, b, c = angles * at.scale[lane]
+            parts.append((GAITS[place[lane]], slope[index[lane]], times * walker.time_unit, a, b, c, -walker.R * a))
     return stacked("trace", parts, COLUMNS)
 
 

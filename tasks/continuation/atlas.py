@@ -16,7 +16,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import MIN_NODES, Branch
 from gaitsweep.tasks.continuation.checks import checked
-from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.defining import LIMITS, scalar
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
@@ -137,10 +137,6 @@ def _runs(true: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
 
 
-#: Scalars that are positive beyond ends which the last point of a track may have passed.
-_BEYOND = {"a fall": "a fall", "zero step length": "short_steps"}
-
-
 def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     """Branch of a run of nodes that are steps, with its located ends; None where fewer than three nodes remain."""
     whole = first == 0, last == len(raw.q) - 1
@@ -154,13 +150,13 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         first, last = segment + 1, last + len(raw.q) - before
         ends[0] = yield from locate_end(raw, first, segment)
     for side, segment in ((0, 0), (1, len(raw.q) - 2)):
-        if not whole[side] or raw.why[side] not in _BEYOND:
+        kind = raw.why[side]
+        if not whole[side] or kind not in LIMITS:
             continue
-        kind = _BEYOND[raw.why[side]]
         last_point = yield Call(evaluate, (raw.Z[:, [-side]],))
-        if float(scalar(kind, last_point)[0]) > 0:
+        if float(scalar(kind, last_point)[0]) > 0:  # it has passed the end
             passed = yield from locate_root(raw, segment, value_of(kind))
-            ends[side] = BranchEnd(raw.why[side], passed, raw.end_errors[side])
+            ends[side] = BranchEnd(kind, passed, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:

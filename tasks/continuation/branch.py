@@ -338,6 +338,10 @@ class Branch:
         rises = first < last or (first == last and self.Z[0, 0] <= self.Z[0, -1])
         return number if rises else len(firsts) - 1 - number
 
+    def ratio_on(self, segment: np.ndarray) -> np.ndarray:
+        """Return the gait ratios of segments (n,): the means of those at their two nodes."""
+        return np.asarray(0.5 * (self.ratio[segment] + self.ratio[segment + 1]))
+
     def known_guesses(self, Z: np.ndarray, segment: np.ndarray, slope: np.ndarray) -> Guesses:
         """Guesses with what is known of their segments.
 

@@ -23,8 +23,8 @@ _HELD_OUT, _PLACE = 8, 0.382
 _MAX_MOVE, _ROUNDING = 1e-2, 1e-7
 #: Rounds in which segments that fail are split.
 _MAX_ROUNDS = 4
-#: Largest value of an end's test function at its node.
-_MAX_END = 1e-4
+#: Ends with a test function, and its largest value at their nodes. Where steps vanish it may be of any size.
+_DEFINED, _MAX_END = {*SCALARS, "end_fall"} - {"fold", "window"}, 1e-4
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
@@ -104,6 +104,6 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
     at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
-        if kind in SCALARS and kind not in ("fold", "window") and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
+        if kind in _DEFINED and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
             branch = branch.ending(side, NO_FURTHER, branch.end_errors[side])
     return branch

@@ -16,7 +16,7 @@ from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.defining import joint_derivative
 from gaitsweep.tasks.continuation.joint import but_times
 from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
-from gaitsweep.tasks.continuation.root import bracketed_root, hermite
+from gaitsweep.tasks.continuation.root import OnCurve, bracketed_root, hermite
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import STRUCK
@@ -181,7 +181,7 @@ class _Followed(engine.Tracks):
         if share < 1e-9:  # it begins there
             return True
         length = np.linalg.norm(beyond.Z - self.Z, axis=0)
-        guess = hermite(self.Z, self.tangent, beyond.Z, tangent, length, share)
+        guess = hermite((self.Z, self.tangent), (beyond.Z, tangent), length, share)
         guess[component] = edge[component]
         at = self.curve.correct(guess, np.eye(len(guess))[component])
         if at.ok[0]:
@@ -234,15 +234,12 @@ def follow_both_directions(
     return Z.T, tangent.T, (down.stop_reason, up.stop_reason)
 
 
-def turning(
-    curve: Curve, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], component: int
-) -> tuple[np.ndarray, float] | None:
+def turning(curve: Curve, a: OnCurve, b: OnCurve, component: int) -> tuple[np.ndarray, float] | None:
     """Locate where a component of the curve's tangent vanishes between two points; None where it keeps its sign.
 
     Parameters
     ----------
-    a, b : tuple of ndarray, shape (c,)
-        The points, each with the tangent there.
+    a, b : OnCurve
 
     Returns
     -------
@@ -263,7 +260,7 @@ def turning(
     chord /= length
 
     def at(share: float) -> engine.Point:
-        return curve.correct(hermite(*a, *b, length, share), chord).oriented(chord[:, None])
+        return curve.correct(hermite(a, b, length, share), chord).oriented(chord[:, None])
 
     try:
         share = bracketed_root(lambda share: float(at(share).direction[component, 0]), 0.0, 1.0, 1e-11)

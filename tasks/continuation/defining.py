@@ -18,10 +18,8 @@ from gaitsweep.tasks.continuation.joint import Evaluation, determinants, evaluat
 from gaitsweep.tasks.continuation.pseudo_arclength import Newton, Point, bordered_matrix, bordered_newton
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
-from gaitsweep.tasks.walkers.walker import Walker
-from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
@@ -35,23 +33,15 @@ _ENOUGH = 1e-7
 _ROUNDING_FACTOR = 16.0
 
 
-def _walkers(problem: Problem) -> Walker | WalkerArray:
-    """The walker of a problem, or those of all its lanes."""
-    if isinstance(problem, Lanes):
-        assert isinstance(problem.walkers, WalkerArray)
-        return problem.walkers.some(problem.lanes)
-    return problem.walker
-
-
 def foot_radius(problem: Problem) -> np.ndarray:
     """Return the radius of the foot over the leg, of n lanes (n,), of one walker ()."""
-    walkers = _walkers(problem)
+    walkers = problem.every_walker
     return np.asarray(walkers.R / walkers.leg)
 
 
 def _log_speed(at: Evaluation) -> np.ndarray:
     """Logarithm of the mean speed in the walkers' units."""
-    walkers = _walkers(at.problem)
+    walkers = at.problem.every_walker
     return log_froude(at.Z, foot_radius(at.problem)) + 0.5 * np.log(walkers.g * walkers.leg)
 
 
@@ -153,12 +143,16 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "release_hyperextension": lambda at: _nearest(at.stride.one.start[4] - at.stride.one.start[5], at) / at.stride.y[0],
     "fastest": lambda at: _stationary(at, log_froude_by_Z(at.Z, foot_radius(at.problem))),
     "exponent_two_thirds": lambda at: _stationary(at, _less_two_thirds(at)),
-    "label": lambda at: gait_ratio(at.stride) - 0.5,
+    "label": lambda at: gait_ratio(at.stride) - LONG_BELOW,
     "window": lambda at: at.q,
-    "a fall": lambda at: fall_margin(at.Z, at.stride.steps),
-    "short_steps": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
     "speed": _log_speed,
 }
+#: The scalar that is positive beyond an end at which gaits are followed no further, by its kind.
+LIMITS: dict[str, Callable[[Any], np.ndarray]] = {
+    "end_fall": lambda at: fall_margin(at.Z, at.stride.steps),
+    "end_zero_step": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
+}
+_EVERY = SCALARS | LIMITS
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
@@ -168,7 +162,7 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     Parameters
     ----------
     kind : str
-        Of SCALARS.
+        Of SCALARS or LIMITS.
     at : Evaluation
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
@@ -178,7 +172,7 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     -------
     ndarray, shape (n,)
     """
-    return SCALARS[kind](at) - target
+    return _EVERY[kind](at) - target
 
 
 def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:
@@ -282,26 +276,17 @@ class _Vanishing:
         return self.rows[:, lanes] / size, value / size
 
 
-def _newton(
-    problem: Problem,
-    kind: str,
-    guess: np.ndarray,
-    rows: np.ndarray,
-    target: np.ndarray | float,
-    limits: Newton,
-    samples: int = 0,
-) -> Point:
-    """Newton's method on the defining equations from guesses, with the derivatives of their scalar, both (c, n)."""
+def _newton(vanishing: _Vanishing, guess: np.ndarray, limits: Newton, samples: int = 0) -> Point:
+    """Newton's method on the equations of gaits and one more, from guesses (c, n)."""
 
     def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
         # A lane that wanders off ends here: what it may come back to is another point.
         near = np.abs(Z - guess[:, lanes]).max(axis=0) < _MAX_MOVE
-        return evaluate(problem.some(lanes), np.where(near, Z, np.nan), samples)
+        return evaluate(vanishing.problem.some(lanes), np.where(near, Z, np.nan), samples)
 
     def rounding(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
         return _ROUNDING_FACTOR * rounding_step(matrix, at)
 
-    vanishing = _Vanishing(problem, kind, rows, target)
     return replace(bordered_newton(linearise, rounding, limits, guess, vanishing), rows=vanishing.rows)
 
 
@@ -327,7 +312,7 @@ def newton_step(
     Point
         Evaluated before the step.
     """
-    return _newton(problem, kind, Z, rows, target, _ONE_STEP, samples)
+    return _newton(_Vanishing(problem, kind, rows, target), Z, _ONE_STEP, samples)
 
 
 def solve(
@@ -359,7 +344,7 @@ def solve(
         With derivatives of the scalar that serve for Newton steps nearby; the guesses where it is not `ok`.
     """
     rows = gradient(problem, kind, guess) if rows is None else rows
-    found = _newton(problem, kind, guess, rows, target, replace(_NEWTON, enough=_ENOUGH * quick))
+    found = _newton(_Vanishing(problem, kind, rows, target), guess, replace(_NEWTON, enough=_ENOUGH * quick))
     found.ok &= np.abs(found.Z - guess).max(axis=0) < _MAX_MOVE
     found.Z[:, ~found.ok] = guess[:, ~found.ok]
     return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from gaitsweep.tasks.continuation.defining import (
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
 
@@ -50,6 +51,13 @@ COSTS = ("least_cost", "least_stable_cost")
 QUANTITIES = (*_NOT_OF, *COSTS)
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
+
+
+class Sought(NamedTuple):
+    """Where extremes are sought: the least and largest ln slope, and at which speed, if at any, as its logarithm."""
+
+    window: tuple[float, float]
+    log_speed: float | None = None
 
 
 @dataclass
@@ -226,7 +234,7 @@ def classify(
         log_froude=log_froude(Z, radius),
         speed_error=np.abs(log_froude_by_Z(Z, radius)).sum(axis=0) * error + 8 * EPS,
         walks=walks,
-        long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
+        long=(gait_ratio(at.stride) < LONG_BELOW) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
         faster=np.zeros(len(line), bool),
     )
@@ -242,7 +250,7 @@ class _Nodes:
         self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
         self.first = np.cumsum([0, *lengths])[:-1]
         self.Z = np.hstack([branch.Z for branch in self.branches])
-        self.values = {"label": self.of_nodes("ratio") - 0.5}
+        self.values = {"label": self.of_nodes("ratio") - LONG_BELOW}
         self.walks = self.of_nodes("leg_passes") == 1
         radius, kinds = np.full(len(self.line), np.nan), ("flip", "neimark_sacker", "fastest", *targets)
         self.values |= {kind: np.full(len(self.line), np.nan) for kind in kinds}
@@ -267,12 +275,7 @@ class _Nodes:
         return Z
 
 
-def find(
-    problem: Lanes,
-    surveyed: Sequence[Sequence[Branch]],
-    window: tuple[float, float],
-    log_speed: float | None = None,
-) -> Points:
+def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -> Points:
     """Locate the points of lines at which slope, stability or speed may reach their extremes.
 
     Parameters
@@ -281,13 +284,12 @@ def find(
         With a lane for each line.
     surveyed : sequence of sequence of Branch
         The branches of each.
-    window : (float, float)
-        Least and largest ln slope.
-    log_speed : float, optional
-        Logarithm of a speed, in the walkers' units, whose points are located too.
+    sought : Sought
+        A speed is in the walkers' units.
     """
     if not any(surveyed):
         return nothing(problem)
+    window, log_speed = sought
     targets = {} if log_speed is None else {"speed": log_speed}
     nodes = _Nodes(problem, surveyed, targets)
     guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]

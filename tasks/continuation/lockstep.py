@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from gaitsweep.tasks.step.lanes import lanes_of
+from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
 
 Result = TypeVar("Result")
@@ -72,10 +72,9 @@ def side_by_side(
         calls, pending = pending, {}
         for (function, options), numbers in alike.items():
             counts = [calls[number].arrays[0].shape[-1] for number in numbers]
-            ends = np.cumsum(counts).tolist()
             arrays = (np.concatenate(each, axis=-1) for each in zip(*(calls[n].arrays for n in numbers), strict=True))
             lanes = np.repeat([lines[number] for number in numbers], counts)
             result = function(problem.some(lanes), *arrays, **dict(options))
-            for number, count, end in zip(numbers, counts, ends, strict=True):
-                advance(number, lanes_of(result, slice(end - count, end)))
+            for number, own in zip(numbers, slices(counts), strict=True):
+                advance(number, lanes_of(result, own))
     return [results[number] for number in range(len(procedures))]

@@ -317,11 +317,10 @@ class Tracks(ABC):
         while len(active := np.flatnonzero(self.stop == "")):
             last = self.Z[:, active], self.tangent[:, active]
             point, fair = self.advance(active)
-            new, refused, (Z, tangent) = active[fair], active[~fair], lanes_of(last, fair)
+            new, refused, last = active[fair], active[~fair], lanes_of(last, fair)
             self.record(new)
-            self.stop[new] = self.reasons(new, lanes_of(point, fair), Z)
-            start, ahead = lanes_of(self.first, new)
-            closes = passes(start, ahead, Z, tangent, self.Z[:, new], self.tangent[:, new])
+            self.stop[new] = self.reasons(new, lanes_of(point, fair), last[0])
+            closes = passes(lanes_of(self.first, new), last, (self.Z[:, new], self.tangent[:, new]))
             self.stop[new[(self.stop[new] == "") & (self.count[new] >= most)]] = TOO_MANY
             # Whatever lies beyond: it has been there.
             self.stop[new[closes & (self.count[new] > _LEAST_CLOSED)]] = CLOSED
@@ -377,6 +376,6 @@ class Tracks(ABC):
         # Before a fall it converges only from so near that a parabola allows but tiny steps.
         has_two = self.back[active] > 0
         length = np.where(has_two, self.back[active], 1.0)
-        a, a_tangent, b, b_tangent = (each[:, active] for each in (*self.before, self.Z, self.tangent))
-        off = hermite(a, a_tangent, b, b_tangent, length, 1 + self.step[active] / length) - guess
+        a, b = lanes_of((self.before, (self.Z, self.tangent)), active)
+        off = hermite(a, b, length, 1 + self.step[active] / length) - guess
         return guess + np.where(has_two, off - border * (border * off).sum(axis=0), 0.0)

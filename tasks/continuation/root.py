@@ -73,20 +73,16 @@ def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, 
     return best
 
 
-def hermite(
-    a: np.ndarray,
-    a_tangent: np.ndarray,
-    b: np.ndarray,
-    b_tangent: np.ndarray,
-    length: float | np.ndarray,
-    h: float | np.ndarray,
-) -> np.ndarray:
+#: Points of curves and the unit tangents there, both (n,) or (n, k).
+OnCurve = tuple[np.ndarray, np.ndarray]
+
+
+def hermite(a: OnCurve, b: OnCurve, length: float | np.ndarray, h: float | np.ndarray) -> np.ndarray:
     """Point at the fraction h of the cubic Hermite polynomial between two points of a curve.
 
     Parameters
     ----------
-    a, b, a_tangent, b_tangent : ndarray, shape (n,) or (n, k)
-        The points, and the curve's unit tangents there.
+    a, b : OnCurve
     length : float or ndarray, shape (k,)
         Distance of the points.
     h : float or ndarray, shape (k,)
@@ -95,33 +91,24 @@ def hermite(
     -------
     ndarray, shape (n,) or (n, k)
     """
-    return (
-        a * (1 + 2 * h) * (1 - h) ** 2
-        + length * a_tangent * h * (1 - h) ** 2
-        + b * h * h * (3 - 2 * h)
-        + length * b_tangent * h * h * (h - 1)
-    )
+    from_a = a[0] * (1 + 2 * h) * (1 - h) ** 2 + length * a[1] * h * (1 - h) ** 2
+    return from_a + b[0] * h * h * (3 - 2 * h) + length * b[1] * h * h * (h - 1)
 
 
-def passes(
-    start: np.ndarray, ahead: np.ndarray, a: np.ndarray, a_tangent: np.ndarray, b: np.ndarray, b_tangent: np.ndarray
-) -> np.ndarray:
+def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> np.ndarray:
     """Whether curves pass their starts between two points, in their directions there.
 
     Parameters
     ----------
-    start, ahead : ndarray, shape (n,) or (n, k)
-        The starts, and the unit tangents there.
-    a, b, a_tangent, b_tangent : ndarray, shape (n,) or (n, k)
-        The points, and the unit tangents there.
+    start, a, b : OnCurve
 
     Returns
     -------
     ndarray of bool, shape () or (k,)
     """
-    chord = b - a
+    chord = b[0] - a[0]
     length = np.linalg.norm(chord, axis=0)
-    share = ((start - a) * chord).sum(axis=0) / length**2
-    off = np.linalg.norm(hermite(a, a_tangent, b, b_tangent, length, share) - start, axis=0)
-    is_ahead = (ahead * chord).sum(axis=0) > 0.5 * length
+    share = ((start[0] - a[0]) * chord).sum(axis=0) / length**2
+    off = np.linalg.norm(hermite(a, b, length, share) - start[0], axis=0)
+    is_ahead = (start[1] * chord).sum(axis=0) > 0.5 * length
     return np.asarray((share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead)

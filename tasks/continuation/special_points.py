@@ -62,7 +62,7 @@ def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
     for side, why in enumerate(branch.why):
         # Both ends of a closed branch are one fold.
         if not (side and branch.why == ("fold", "fold")):
-            found.append((END_NAMES.get(why, why), side * (len(branch.q) - 1), branch.end_errors[side]))
+            found.append(("lost" if why in LOST else why, side * (len(branch.q) - 1), branch.end_errors[side]))
     return found
 
 
@@ -119,15 +119,6 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
     for (kind, segment, _), point in zip(crossed, located, strict=True):
         if point.ok[0] and _is_genuine(kind, point):
             yield kind, segment, point
-
-
-#: Names among special points of the reasons for which a branch is followed no further.
-END_NAMES = {
-    "zero step length": "end_zero_step",
-    "end of the window": "window",
-    **dict.fromkeys(LOST, "lost"),
-    "a fall": "end_fall",
-}
 
 
 def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:

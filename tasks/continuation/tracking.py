@@ -119,9 +119,9 @@ def _stop_reasons(point: Point) -> np.ndarray:
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
     tests = {
-        "end of the window": slope,
-        "a fall": ~no_step & (fall_margin(point.Z, point.at.stride.steps) > 0),
-        "zero step length": no_step | vanished,
+        "window": slope,
+        "end_fall": ~no_step & (fall_margin(point.Z, point.at.stride.steps) > 0),
+        "end_zero_step": no_step | vanished,
         "heelstrike before kneestrike": early,
     }
     return np.select(list(tests.values()), list(tests), "").astype(object)

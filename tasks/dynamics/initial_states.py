@@ -7,6 +7,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import settle_on_branches
 from gaitsweep.tasks.fixed_points.labels import places
+from gaitsweep.tasks.fixed_points.polish import Polished
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.step.problem import Problem
@@ -33,6 +34,38 @@ def r_sequence(m: int, count: int) -> np.ndarray:
     return (0.5 + steps[:, None] * np.arange(1, count + 1)) % 1
 
 
+def labelled(
+    problem: Problem, branches: list[Branch], slope: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, Polished]]:
+    """Find a line's gaits at given slopes, piece by piece.
+
+    Parameters
+    ----------
+    branches : list of Branch
+        The line's atlas.
+    slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    list of (index, place, gaits)
+        Of each piece of a branch the indices of the slopes that it covers; the labels of the gaits there as `places`
+        has them, -1 where none was found and verified to be a step; and these gaits.
+    """
+    found, keys = [], []
+    for branch in branches:
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            guesses = branch.known_guesses(Z, segment, slope[index])
+            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
+            converged, key = at.converged & at.step, np.full((2, len(slope)), np.nan)
+            # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
+            key[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
+            key[1, index] = np.where(converged, gait_ratio(at.stride), branch.ratio_on(segment))
+            found.append((index, converged, at))
+            keys.append(key)
+    every = places(*np.array(keys).reshape(-1, 2, len(slope)).swapaxes(0, 1))
+    return [(index, np.where(ok, place[index], -1), at) for place, (index, ok, at) in zip(every, found, strict=True)]
+
+
 def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
     """Find a line's gaits of one label at given slopes.
 
@@ -51,22 +84,9 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     y : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
         Their section coordinates.
     """
-    # Of each piece of a branch ln angle, ratio of rates and section of the gaits.
-    pieces: list[np.ndarray] = []
-    for branch in branches:
-        for index, Z, segment in branch.guesses(np.log(slope)):
-            at = settle_on_branches(
-                problem, branch.known_guesses(Z, segment, slope[index]), [(problem, branch, segment)]
-            )
-            converged = at.converged & at.step
-            # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
-            nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
-            piece = np.full((problem.m + 2, len(slope)), np.nan)
-            piece[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
-            piece[1, index] = np.where(converged, gait_ratio(at.stride), nodes)
-            piece[2:, index] = np.where(converged, at.y * at.scale, np.nan)
-            pieces.append(piece)
-    angle, ratio, sections = np.split(np.array(pieces).reshape(len(pieces), problem.m + 2, len(slope)), [1, 2], axis=1)
-    has_label = (places(angle[:, 0], ratio[:, 0]) == GAITS.index(label)) & np.isfinite(sections).all(axis=1)
-    index, row = np.nonzero(has_label.T)
-    return index, sections[row, :, index].T
+    sections = np.full((problem.m, len(slope)), np.nan)
+    for index, place, at in labelled(problem, branches, slope):
+        own = place == GAITS.index(label)
+        sections[:, index[own]] = (at.y * at.scale)[:, own]
+    known = np.flatnonzero(np.isfinite(sections).all(axis=0))
+    return known, sections[:, known]

@@ -11,13 +11,14 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families.arrays import arrays_of, parts, under, value_of
 from gaitsweep.tasks.families.box import Box, Refused, tensor_nodes
 from gaitsweep.tasks.families.carry import Carried
 from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.families.patch import Patch, measured, side_of_fold
-from gaitsweep.tasks.families.pieces import Piece, match, pieces_of
+from gaitsweep.tasks.families.pieces import EVENTS, Piece, match, pieces_of
 from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.newton import newton, newton_step
@@ -47,11 +48,6 @@ _CLEAR = 0.03
 _WIDTH = 0.1
 #: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
 _REACH = 4.0
-#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none.
-_EVENTS = {
-    f"end_{kind}"
-    for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
-}
 #: The part of a box that is cut off at a face of tuned walkers, the largest slope of balance, over those of the window,
 #: that does not matter, and places along keys at which ends are compared.
 _SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9
@@ -74,39 +70,18 @@ class Cell:
 
 
 def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
-    """Return cells as plain arrays, to be stored and passed between processes."""
-    arrays: dict[str, np.ndarray] = {}
-    for i, cell in enumerate(cells):
-        arrays |= {
-            f"{i}/low": np.array(cell.box.low),
-            f"{i}/high": np.array(cell.box.high),
-            f"{i}/origin": np.array(cell.box.origin),
-            f"{i}/why": np.array(cell.why),
-        }
-        for j, patch in enumerate(cell.patches):
-            arrays |= {f"{i}/{j}/{name}": value for name, value in patch.to_arrays().items()}
-    return arrays
+    """Return cells as plain arrays, but for their structures, which follow from their boxes."""
+    return arrays_of([{"box": cell.box, "patches": cell.patches, "why": cell.why} for cell in cells])
 
 
 def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
     """Return the cells of a family that arrays hold."""
     cells = []
     for own in parts(arrays):
-        low, high, origin = (tuple(own[name].tolist()) for name in ("low", "high", "origin"))
-        box = Box(family.keys, low, high, log=True, origin=origin)
-        patches = [Patch.from_arrays(each) for each in parts(own)]
+        box = value_of(Box, under("box", own))
+        patches = [value_of(Patch, each) for each in parts(under("patches", own))]
         cells.append(Cell(box, structure_of(family, box), patches, str(own["why"].item())))
     return cells
-
-
-def parts(arrays: Mapping[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
-    """Return the arrays of the parts 0, 1, ... of something."""
-    each: dict[int, dict[str, np.ndarray]] = {}
-    for name, value in arrays.items():
-        number, _, rest = name.partition("/")
-        if number.isdigit():
-            each.setdefault(int(number), {})[rest] = value
-    return [each[number] for number in sorted(each)]
 
 
 def structure_of(family: Family, box: Box) -> Structure:
@@ -208,21 +183,15 @@ class _End:
         return self.chart(unit)[0]
 
 
-class _Maker:
+class _Maker(Maker):
     """Makes the patches of one box and window."""
 
     def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float):
-        self.family, self.box, self.window = family, box, window
-        self.d = len(box.keys)
+        super().__init__(family, box, structure_of(family, box))
+        self.window, self.known = window, lines
         self.total = max(_LEAST_NODES * self.d, int(points / 2))
-        self.structure = structure_of(family, box)
-        self.known = lines
-        self.special = Maker(family, box, self.structure)
         #: Ends of pieces over the keys, by the point at the centre.
         self.located: dict[bytes, Chart] = {}
-
-    def problem(self, unit: np.ndarray) -> Lanes:
-        return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
 
     def patches(self) -> list[Patch]:
         self.check_tuning()
@@ -269,7 +238,7 @@ class _Maker:
         corners = values[1:].reshape((2,) * self.d)
         return int(np.argmax([np.abs(np.diff(corners, axis=k)).sum() for k in range(self.d)]))
 
-    def ends(self, group: list[Piece]) -> list[_End]:
+    def both_ends(self, group: list[Piece]) -> list[_End]:
         """Both ends of a piece over the box: where it is cut it goes on, and never before its other end."""
         ends = [self.end(group, k, self.window[k]) for k in (0, 1)]
         for k, sign in enumerate((-1, 1)):
@@ -295,16 +264,15 @@ class _Maker:
         rate = max(piece.rate_beside(k) for piece in group)
         vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
         (kind, *others) = sorted(kinds)
-        if kinds <= _EVENTS and (others or kind == "end_earlier_strike"):
+        if kinds <= EVENTS and (others or kind == "end_earlier_strike"):
             return self.event(q, sign, vanishing)
-        if others or kind not in _EVENTS | {"fold", "zero step length"}:
+        if others or kind not in EVENTS | {"fold", "end_zero_step"}:
             numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
             raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
-        scalar = "short_steps" if kind == "zero step length" else kind
         known = np.column_stack([piece.end_point(k) for piece in group])
         name = known[:, 0].tobytes()
         if name not in self.located:  # two pieces meet at a fold
-            self.located[name] = self.special.ends(scalar, self.unit[: self.few], known, self.total)
+            self.located[name] = self.ends(kind, self.unit[: self.few], known, self.total)
         points = self.located[name]
         slope = replace(points, coefficients=points.coefficients[:, -1:])
         return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)
@@ -317,7 +285,7 @@ class _Maker:
 
     def patch(self, group: list[Piece]) -> Patch:
         """The patch of a piece."""
-        ends = self.ends(group)
+        ends = self.both_ends(group)
         sizes = tuple(np.max([end.chart.sizes for end in ends], axis=0).tolist())
         nodes = tensor_nodes(sizes)
         folds = ends[0].kind == "fold", ends[1].kind == "fold"

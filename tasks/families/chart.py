@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,16 +72,6 @@ class Chart:
         for degrees, own in zip([*linear, *squares], [*solved, *[solved[-1]] * (d - 1)], strict=True):
             coefficients[degrees] = own
         return cls((3,) * d, coefficients.reshape(-1, len(values)))
-
-    def to_arrays(self, name: str) -> dict[str, np.ndarray]:
-        """Return the chart as plain arrays, whose names begin with its own."""
-        return {f"{name}_{key}": np.asarray(getattr(self, key)) for key in ("sizes", "coefficients", "error", "size")}
-
-    @classmethod
-    def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> Chart:
-        """Return the chart of a name that arrays hold."""
-        sizes, coefficients, error, size = (arrays[f"{name}_{k}"] for k in ("sizes", "coefficients", "error", "size"))
-        return cls(tuple(sizes.tolist()), coefficients, float(error.item()), size)
 
     def __call__(self, points: np.ndarray, columns: Sequence[int] | slice = slice(None)) -> np.ndarray:
         """Evaluate some of the values at points, each by itself: the bits of one do not depend on the others.

@@ -16,6 +16,7 @@ from gaitsweep.tasks.continuation.extremes import (
     COSTS,
     QUANTITIES,
     Points,
+    Sought,
     best,
     find,
     may_be,
@@ -180,17 +181,10 @@ class _Line:
 class _Surveyor:
     """Finds the manifolds of a box; `lines` are those surveyed for boxes that hold it, to which its own are added."""
 
-    def __init__(
-        self,
-        family: Family,
-        box: Box,
-        window: tuple[float, float],
-        lines: list[_Line],
-        log_speed: float | None = None,
-    ):
+    def __init__(self, family: Family, box: Box, sought: Sought, lines: list[_Line]):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
-        self.maker, self.window, self.box = Maker(family, box, self.structure), window, box
-        self.log_speed, self.lines = log_speed, lines
+        self.maker, self.box, self.lines = Maker(family, box, self.structure), box, lines
+        self.sought, self.window = sought, sought.window
         self.d = len(box.keys)
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
@@ -220,7 +214,7 @@ class _Surveyor:
     def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
         """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""
         problem = self.maker.problem(unit)
-        points = find(problem, survey_lines(problem, COARSE), self.window, self.log_speed)
+        points = find(problem, survey_lines(problem, COARSE), self.sought)
         lines = []
         for i, keys in enumerate(self.box.at(unit)):
             own = lanes_of(points, points.line == i)
@@ -284,7 +278,7 @@ class _Surveyor:
                     self.tried.add((kind, i, name))
                     edges = np.array(self.window)
                     edge = float(edges[np.abs(edges - points.log_slope[k]).argmin()])
-                    target = {"window": edge, "speed": self.log_speed or 0.0}.get(kind, 0.0)
+                    target = {"window": edge, "speed": self.sought.log_speed or 0.0}.get(kind, 0.0)
                     try:
                         self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
                     except Refused:
@@ -346,34 +340,24 @@ def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
     return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
 
 
-def make(
-    family: Family,
-    box: Box,
-    window: tuple[float, float],
-    count: int,
-    splits: int = _MAX_SPLITS,
-    log_speed: float | None = None,
-) -> list[Landscape]:
+def make(family: Family, box: Box, sought: Sought, count: int, splits: int = _MAX_SPLITS) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
 
     Parameters
     ----------
     family : Family
     box : Box
-    window : (float, float)
-        Least and largest ln slope.
+    sought : Sought
     count : int
         About how many designs it is for.
     splits : int
         How often it may be halved.
-    log_speed : float, optional
-        Logarithm of a speed at which the least cost of transport is wanted.
     """
     lines: list[_Line] = []
     tried: list[Box] = []
 
     def landscape(part: Box, why: str) -> Landscape:
-        surveyor = _Surveyor(family, part, window, lines, log_speed)
+        surveyor = _Surveyor(family, part, sought, lines)
         if why:
             return Landscape(part, surveyor.structure, why=why)
         tried.append(part)

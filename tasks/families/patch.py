@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,30 +71,6 @@ class Patch:
     gaits: Chart
     measured: tuple[np.ndarray, np.ndarray, np.ndarray]
     side: float
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return the patch as plain arrays."""
-        return {
-            **{name: np.asarray(getattr(self, name)) for name in ("lines", "numbers", "end_errors", "reach", "side")},
-            **{name: np.asarray(getattr(self.span, name)) for name in ("folds", "vanishing")},
-            **{f"measured_{k}": value for k, value in enumerate(self.measured)},
-            **self.span.ends.to_arrays("span"),
-            **self.gaits.to_arrays("gaits"),
-            "kinds": np.array(self.kinds),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Patch:
-        """Return the patch that arrays hold."""
-        folds, vanishing, kinds = (tuple(arrays[name].tolist()) for name in ("folds", "vanishing", "kinds"))
-        return cls(
-            **{name: arrays[name] for name in ("lines", "numbers", "end_errors", "reach")},
-            span=Span(Chart.from_arrays("span", arrays), folds, vanishing),
-            kinds=kinds,
-            gaits=Chart.from_arrays("gaits", arrays),
-            measured=(arrays["measured_0"], arrays["measured_1"], arrays["measured_2"]),
-            side=float(arrays["side"].item()),
-        )
 
     @property
     def inside(self) -> Span:

@@ -10,6 +10,11 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.tracking import rate_of_steps
 from gaitsweep.tasks.fixed_points.polish import Guesses
 
+#: Kinds of ends beyond which the equations of a gait go on and its own step tells that it is none.
+EVENTS = {
+    f"end_{kind}"
+    for kind in ("kneestrike_at_heelstrike", "tangential_heelstrike", "tangential_kneestrike", "earlier_strike")
+}
 #: How far beyond a panel pieces are compared, in ln slope.
 _REACH = 1.0
 #: Distance of two pieces of neighbouring lines that do not continue each other.
@@ -41,6 +46,10 @@ class Piece:
         """Errors of `q`, beyond rounding; those of the branch's own ends at folds."""
         low, high = self.branch.end_errors
         return (high, low) if self.branch.q[self.first] > self.branch.q[self.last] else (low, high)
+
+    def covered(self, q: np.ndarray) -> np.ndarray:
+        """Return indices of the ln slopes (n,) that it covers."""
+        return self.branch.covered(self.first, self.last, q)
 
     def guesses(self, q: np.ndarray) -> Guesses:
         """Return guesses of its gaits.
@@ -99,7 +108,7 @@ def _distance(a: Piece, b: Piece, low: float, high: float) -> float:
     for end in (0, 1):
         # Ends beyond the range of interest may be of any kind, and so may those where walking ends.
         beyond = (a.q[0] < low and b.q[0] < low, a.q[1] > high and b.q[1] > high)[end]
-        kinds = [kind.partition("_")[0] for kind in (a.kinds[end], b.kinds[end])]
+        kinds = ["event" if kind in EVENTS else kind for kind in (a.kinds[end], b.kinds[end])]
         if not beyond and kinds[0] != kinds[1]:
             return _FAR
     spans = [np.clip(piece.q, low - _REACH, high + _REACH) for piece in (a, b)]

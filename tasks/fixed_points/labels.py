@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-#: A gait is long if its rate ratio just before heelstrike lies below this.
-_LONG_BELOW = 0.5
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW
 
 
 def places(angle: np.ndarray, ratio: np.ndarray) -> np.ndarray:
@@ -24,7 +23,7 @@ def places(angle: np.ndarray, ratio: np.ndarray) -> np.ndarray:
         0 (`long`) or 1 (`short`) for the largest angle of each, from 2 on for the others by decreasing angle, -1
         where there is no gait.
     """
-    exists, long = np.isfinite(angle), ratio < _LONG_BELOW
+    exists, long = np.isfinite(angle), ratio < LONG_BELOW
     labels = np.where(exists, np.where(long, 0, 1), -1)
     crowded = np.flatnonzero(((exists & long).sum(axis=0) > 1) | ((exists & ~long).sum(axis=0) > 1))
     order = np.argsort(-angle[:, crowded], axis=0, kind="stable")

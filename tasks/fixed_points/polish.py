@@ -18,6 +18,7 @@ from gaitsweep.tasks.fixed_points.rounding import (
 )
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.step.extended_precision import Start
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
@@ -169,9 +170,9 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     y[:, lost], times[:, lost] = first * (unit / scale[lost]), guesses.w[problem.m :, lost]
     unsure = np.flatnonzero(~(converged & (bound <= enough)))
     for lane in unsure.tolist():
-        near_it = y[:, lane], times[:, lane], slope[lane], scale[lane]
+        start = Start(problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane])
         y[:, lane], times[:, lane], stride.one.impact[..., lane], state[:, lane], bound[lane] = (
-            extended_precision.refine(problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy)
+            extended_precision.refine(start, bound[lane], amplification[lane], 0.9 * accuracy)
         )
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     if len(unsure):

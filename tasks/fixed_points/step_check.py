@@ -10,6 +10,9 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
+#: A gait is long if its ratio just before heelstrike (`gait_ratio`) lies below this.
+LONG_BELOW = 0.5
+
 
 def verified(stride: AnyStride) -> StepCheck:
     """What the sampled motion of gaits shows of all their steps."""
@@ -61,7 +64,7 @@ def gait_ratio(stride: AnyStride) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n,)
-        Below 1/2 a gait is long.
+        Below LONG_BELOW a gait is long.
     """
     each = stride.singles
     stance, swing = each.impact

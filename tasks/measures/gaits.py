@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
+from gaitsweep.tasks.accuracy import MANTISSA, computed, significant_bits
 from gaitsweep.tasks.fixed_points.labels import places
 from gaitsweep.tasks.fixed_points.multipliers import multiplier_bounds, multiplier_changes, multipliers
 from gaitsweep.tasks.fixed_points.polish import Polished
@@ -27,17 +27,48 @@ from gaitsweep.tasks.walkers.walker import Walker
 Arrays = dict[str, np.ndarray]
 #: Significant bits in which bounds are kept that need not be exact.
 _BOUND_BITS = 4
+#: Number of multipliers of a gait, by whether there are knees (paper, section 2.2).
+_MULTIPLIERS = {False: 3, True: 4}
 
 
-def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of gaits.
+
+    Attributes
+    ----------
+    names : sequence of str
+        Of variables.
+    labels : set of str
+    limits : mapping, optional
+        Limits of violations other than the registry's.
+    accuracy : float
+        Largest error bound wanted, 0 for any.
+    """
+
+    names: Sequence[str]
+    labels: set[str]
+    limits: Mapping[str, float] | None = None
+    accuracy: float = 0.0
+
+    @classmethod
+    def of(cls, params: Mapping[str, Any]) -> Wanted:
+        """Return what a request wants, with what is archived in any case; `params` as `tasks.solve_points` has them."""
+        names, accuracy = params["want"], params.get("accuracy", 0.0)
+        labels, limits = set(params.get("gaits") or GAITS), params.get("violation_limits")
+        return cls(computed(names, accuracy), labels, limits, accuracy)
+
+
+def nothing_solved(names: Sequence[str], n: int, kneed: bool) -> Arrays:
     """Return arrays of variables at points without a gait.
 
     Parameters
     ----------
     names : sequence of str
         Of variables.
-    n, multipliers : int
-        Number of points, and of multipliers of a gait.
+    n : int
+        Number of points.
+    kneed : bool
 
     Returns
     -------
@@ -45,7 +76,7 @@ def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
     """
     out: Arrays = {}
     for name in names:
-        shape = (n, len(GAITS), multipliers) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
+        shape = (n, len(GAITS), _MULTIPLIERS[kneed]) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
     out["reason"][:] = [status.NO_LONG, status.NO_SHORT, status.NO_FURTHER, status.NO_FURTHER]
     return out
@@ -171,21 +202,14 @@ def round_bits(values: np.ndarray, bits: int) -> np.ndarray:
 
 
 def describe(
-    problem: Problem,
-    walker: Walker,
-    at: Polished,
-    slope: np.ndarray,
-    want: Sequence[str],
-    limits: Mapping[str, float] | None = None,
+    problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str], limits: Mapping[str, float] | None = None
 ) -> Arrays:
     """Measure the wanted variables of gaits.
 
     Parameters
     ----------
     problem : Problem
-        Of one walker, or of one for each gait.
-    walker : Walker
-        That walker, or an array of them, for which violations cannot be measured.
+        Of one walker, or of one for each gait, for which violations cannot be measured.
     at : Polished
         The gaits.
     slope : ndarray, shape (n,) [rad]
@@ -199,7 +223,7 @@ def describe(
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
-    stride = at.stride
+    stride, walker = at.stride, problem.every_walker
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
@@ -209,7 +233,8 @@ def describe(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(problem, walker, at, slope, want, limits)
+    measured = _steps(problem, walker, at, slope).measure(want, limits)
+    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(measured, problem.steps)
     solved |= travel(walker, slope, solved["step_length"], solved["period"], problem.steps)
     if "energy_imbalance" in want:
         solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, problem.steps)
@@ -222,23 +247,20 @@ def describe(
     return solved
 
 
-def _of_all_steps(
-    problem: Problem,
-    walker: Walker,
-    at: Polished,
-    slope: np.ndarray,
-    want: Sequence[str],
-    limits: Mapping[str, float] | None,
-) -> Arrays:
-    """What gaits have of the variables of their steps, as the registry's `over_steps` says, shape (n,)."""
+def _steps(problem: Problem, walker: Walker, at: Polished, slope: np.ndarray) -> Steps:
+    """The single steps of gaits: the first steps of all, then the second ones."""
     s, n, single = problem.steps, len(slope), problem.of_steps(1)
     y, (scale, slopes) = side_by_side(at.y, s), np.tile([at.scale, slope], s)
     state = problem.step.start(y, single.parameters(slopes, scale))[: problem.step.start_size]
     state[:, :n] = at.state
     after, ends = np.roll(np.arange(s * n), -n), at.times.reshape(s, -1, n)[:, -1]
     times = side_by_side(at.times, s) - np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
-    steps = Steps(single, walker, at.stride.singles, y * scale, state * scale, times, scale, slopes, after)
-    measured = {name: values.reshape(s, n) for name, values in steps.measure(want, limits).items()}
+    return Steps(single, walker, at.stride.singles, y * scale, state * scale, times, scale, slopes, after)
+
+
+def _of_all_steps(measured: Arrays, steps: int) -> Arrays:
+    """What gaits have of the variables of their steps, as the registry's `over_steps` says, shape (n,)."""
+    measured = {name: values.reshape(steps, -1) for name, values in measured.items()}
     if "unlocking_torque_time" in measured:  # of the step with the worst torque, after those before it
         begins = np.cumsum(measured["period"], axis=0) - measured["period"]
         worst = measured["unlocking_torque"].argmax(axis=0)[None]
@@ -408,7 +430,7 @@ def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error
     -------
     dict of ndarray, shape (n[, multipliers])
     """
-    values = multipliers(jacobian, 4 if kneed else 3)
+    values = multipliers(jacobian, _MULTIPLIERS[kneed])
     values[:, : len(jacobian)] += multiplier_changes(values[:, : len(jacobian)], np.broadcast_to(change, error.shape))
     return {
         "multiplier_real": values.real.copy(),

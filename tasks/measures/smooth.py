@@ -29,7 +29,7 @@ _MULTIPLIERS = tuple(v.name for v in VARIABLES.values() if v.group == "multiplie
 
 @dataclass(frozen=True)
 class Smooth:
-    """The smooth quantities of gaits of a walker, or of one for each gait, from which wanted variables follow.
+    """The smooth quantities of gaits of a walker, or of one for each gait, from which the variables `want` follow.
 
     `names` are those that are interpolated: `stance_angle` and `period` by their logarithms, rates over the angle,
     the time of kneestrike over the period, losses over the energy that a step draws from gravity, and the entries of
@@ -37,6 +37,7 @@ class Smooth:
     """
 
     walker: Walker | WalkerArray
+    want: Sequence[str]
     names: tuple[str, ...]
 
     @classmethod
@@ -54,7 +55,7 @@ class Smooth:
         optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
         optional = [name for name in optional if walker.knees or not VARIABLES[name].is_of_knees]
         entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(_MULTIPLIERS) else []
-        return cls(walker, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
+        return cls(walker, want, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
 
     @property
     def entries(self) -> list[str]:
@@ -91,8 +92,10 @@ class Smooth:
         one = np.ones(len(slope))
         return np.stack([values[name] for name in self.names]), np.stack([sizes.get(name, one) for name in self.names])
 
-    def needed(self, want: Sequence[str]) -> list[int]:
-        """Columns from which variables follow."""
+    @property
+    def needed(self) -> list[int]:
+        """Columns from which the variables follow."""
+        want = self.want
         names = {name for name in self.names if name in want or name.isdigit()} | {"stance_angle"}
         if "shank_rate" in want and not self.walker.knees:
             names.add("thigh_rate")
@@ -121,15 +124,7 @@ class Smooth:
         size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
         return measured_multipliers(jacobian, 0.0, characteristic_errors(jacobian, m * error * size), self.walker.knees)
 
-    def gaits(
-        self,
-        slope: np.ndarray,
-        columns: Mapping[str, np.ndarray],
-        want: Sequence[str],
-        error: float,
-        branch: np.ndarray | int,
-        piece: np.ndarray | int,
-    ) -> Arrays:
+    def gaits(self, slope: np.ndarray, columns: Mapping[str, np.ndarray], error: float, numbers: Any) -> Arrays:
         """Variables of gaits that were not integrated.
 
         Parameters
@@ -137,11 +132,10 @@ class Smooth:
         slope : ndarray, shape (n,) [rad]
         columns : mapping
             By name the quantities that `needed` names, and `multipliers` where they are wanted, shape (n,).
-        want : sequence of str
         error : float
             Their error bound.
-        branch, piece : ndarray of int, shape (n,), or int
-            Their numbers.
+        numbers : pair of ndarray of int, shape (n,), or of int
+            Those of their branches and pieces.
 
         Returns
         -------
@@ -149,16 +143,11 @@ class Smooth:
             In the walker's units.
         """
         n = len(slope)
-        known = {
-            "status": status.CONVERGED,
-            "reason": status.SETTLED,
-            "error_bound": error,
-            "branch": branch,
-            "piece": piece,
-        }
+        known = {"status": status.CONVERGED, "reason": status.SETTLED, "error_bound": error}
+        known |= dict(zip(("branch", "piece"), numbers, strict=True))
         solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
-        solved |= {name: columns[name] for name in want if name in _MULTIPLIERS}
-        return self._variables(slope, columns) | without_knees(want, self.walker, n) | solved
+        solved |= {name: columns[name] for name in self.want if name in _MULTIPLIERS}
+        return self._variables(slope, columns) | without_knees(self.want, self.walker, n) | solved
 
     def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray]) -> Arrays:
         """Variables (n,) that follow from quantities, but for multipliers."""

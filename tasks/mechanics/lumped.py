@@ -175,6 +175,14 @@ def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     return structures
 
 
+def alike(walkers: Sequence[Walker]) -> dict[Structure, list[int]]:
+    """Return the numbers of the walkers of each structure."""
+    numbers: dict[Structure, list[int]] = {}
+    for i, structure in enumerate(structures_of(walkers)):
+        numbers.setdefault(structure, []).append(i)
+    return numbers
+
+
 def common_structure(walkers: WalkerArray) -> Structure:
     """Return a structure for all of an array of walkers: only what is 0 or +-1 for each of them becomes code."""
     if not _is_special(walkers):

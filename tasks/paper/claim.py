@@ -1,6 +1,7 @@
 """A claim of the paper and the result of checking it; the list of all claims.
 
-A claim's function finds numbers; the sentence that tells of them is in `claims.toml`.
+A claim's function finds numbers; the sentence that tells of them is in `claims.toml`, and knows the constants of the
+function's module, and the usual grid of slopes, by their names too.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple, SupportsFloat
 
 import numpy as np
 
-from gaitsweep.tasks.paper.lines import Paper
+from gaitsweep.tasks.paper.lines import GRID, Paper
 
 #: The verdicts on a claim. It is reproduced where it holds and the computed number rounds to the printed one;
 #: proved where it is reproduced and the number that decides it has a certificate; and consistent within rounding where
@@ -99,7 +100,10 @@ class Claim:
 
 
 class _Sentences(string.Formatter):
-    """Sentences with numbers: a list is formatted value by value, a mapping likewise, each value behind its name."""
+    """Sentences with numbers: a list is formatted value by value, a mapping likewise, each value behind its name.
+
+    `plain` are numbers as they are written by hand: 1e-8.
+    """
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Format a value."""
@@ -107,7 +111,7 @@ class _Sentences(string.Formatter):
             return ", ".join(f"{name} {self.format_field(one, format_spec)}" for name, one in value.items())
         if isinstance(value, list | tuple | np.ndarray):
             return ", ".join(self.format_field(one, format_spec) for one in value)
-        return format(value, format_spec)
+        return f"{value:g}".replace("e-0", "e-") if format_spec == "plain" else format(value, format_spec)
 
 
 class Found(NamedTuple):
@@ -152,7 +156,8 @@ def claim(id: str) -> Callable[[Callable[[Paper], Found]], Callable[[Paper], Fou
 
         def find(paper: Paper) -> ClaimResult:
             result, numbers = compute(paper)
-            return replace(result, computed=_Sentences().vformat(_SAID[id], (), {**vars(result), **numbers}))
+            constants = {k: value for k, value in {"GRID": GRID, **compute.__globals__}.items() if k.isupper()}
+            return replace(result, computed=_Sentences().vformat(_SAID[id], (), constants | vars(result) | {**numbers}))
 
         CLAIMS[id] = Claim(id, find=find, number=PRINTED[id], **TEXTS[id])
         return compute

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.search import search
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.paper.claim import Found, claim, found, verdict
 from gaitsweep.tasks.paper.lines import LONG, SHORT, TUNED, WALKERS, Paper
@@ -109,7 +109,7 @@ def silly_wheel(paper: Paper) -> Found:
         w, stride, steps = search(problem, slope)
         if stride is None or steps is None:
             continue
-        long = np.nonzero(steps.anthropomorphic & (gait_ratio(stride) < 0.5))[0]
+        long = np.nonzero(steps.anthropomorphic & (gait_ratio(stride) < LONG_BELOW))[0]
         if len(long):
             angle = float(np.exp(w[0, long[-1]]))
             need[f"{radius:g}"] = slope / angle**3

@@ -15,7 +15,7 @@ from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures.kinematics import step_length
 from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import atlas, lines, points
@@ -30,6 +30,8 @@ BOTH = {"long": LONG, "short": SHORT}
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 #: Special points at which stability may change.
 _EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
+#: Ends of the usual grid of slopes [rad].
+GRID = (1e-8, 0.2)
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
 #: All walkers of the paper, with exact parameters where it has them.
@@ -82,7 +84,7 @@ class Line:
         return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
 
     @memoize
-    def grid(self, low: float = 1e-8, high: float = 0.2, n: int = 97) -> Arrays:
+    def grid(self, low: float = GRID[0], high: float = GRID[1], n: int = 97) -> Arrays:
         """Variables of every gait over a logarithmic grid of slopes.
 
         Parameters
@@ -138,7 +140,7 @@ class Line:
         Z : ndarray, shape (m + 1 + phases,)
         """
         stride, _ = self.problem.stride(Z[:-1, None], Z[-1:])
-        return not gait_ratio(stride)[0] < 0.5
+        return not gait_ratio(stride)[0] < LONG_BELOW
 
     def exponents(self, slope: float, *of: str) -> dict[str, float]:
         """Local exponents of both gaits, by their labels; `of` names ordinate and abscissa."""
@@ -206,7 +208,7 @@ class Line:
             "period": period,
             "knee_share": times[0] / times[-1],
             "closing": nodes.at.stride.closing[-1] / nodes.at.stride.y[0],
-            "short": ~(gait_ratio(nodes.at.stride) < 0.5),
+            "short": ~(gait_ratio(nodes.at.stride) < LONG_BELOW),
             "spectral_radius": np.abs(multipliers(nodes.at.stride.jacobian, m)).max(axis=1),
             "speed": step_length(walker, angle) / period,
         }

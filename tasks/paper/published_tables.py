@@ -11,12 +11,13 @@ from gaitsweep.tasks.paper.kneed_chaos import chaos
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Paper, memoize
 from gaitsweep.tasks.paper.point_feet import speed_crossing
 from gaitsweep.tasks.paper.rounding_intervals import LANDMARKS, PUBLISHED, interval
+from gaitsweep.tasks.paper.zero_slope import VANISHING
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
 
-#: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
-VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
+#: Slopes at which figure 10's laws are read besides vanishing ones: small (above C's last transition), larger.
+SMALL, LARGE = 3e-3, 0.05
 #: Powers of slope in the stance angle and of speed in the power, by what figure 10 prints.
 _LAWS = {"P ∝ v⁴, θ* ∝ γ¹ᐟ³": (1 / 3, 4), "P ∝ v², θ* ∝ γ": (1, 2)}
 #: Largest deviation of an exponent of the stance angle in a cell that is reproduced.

@@ -32,7 +32,7 @@ def two_gaits(paper: Paper) -> Found:
 def long_stable(paper: Paper) -> Found:
     """Locate the flip of the long step and evaluate its multipliers below."""
     flip = paper.line("D").special_of("flip")[0]["slope"]
-    largest = paper.line("D").grid(1e-8, flip, 61)["spectral_radius"][:-1, LONG].max()
+    largest = paper.line("D").grid(high=flip, n=61)["spectral_radius"][:-1, LONG].max()
     return found(PRINTED["D2"].compare(flip) if largest < 1 else NOT_REPRODUCED, flip, largest=largest)
 
 

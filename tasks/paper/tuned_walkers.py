@@ -16,6 +16,8 @@ from gaitsweep.tasks.walkers.statics import is_tuned, statics
 GOSWAMI = from_table({"l": 1.0, "m": 5.0, "c": 0.5, "m_h": 10.0, "g": 9.81, "knees": False, "units": "SI"})
 #: Detuning of the panels of figure 8 between the tuned and the physical walker.
 PANELS = (0.05, 0.2, 0.4, 0.6)
+#: Least and largest of the slopes at which both gaits of A and C are solved [rad], and their number.
+SLOPES = (1e-8, 0.04, 65)
 #: Fore-aft offsets that replace the tuned ones: walker, key, value [m].
 OFFSETS = (
     ("A", "w_t", -0.0219),
@@ -41,7 +43,7 @@ def conditions(paper: Paper) -> Found:
 @claim("T2")
 def two_gaits(paper: Paper) -> Found:
     """Solve both gaits of A and C over a grid of slopes."""
-    solved = [np.isfinite(paper.line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all() for w in "AC"]
+    solved = [np.isfinite(paper.line(w).grid(*SLOPES)["stance_angle"][:, :2]).all() for w in "AC"]
     top = {w: paper.line(w).reaches[1].min() for w in "AC"}
     return found(verdict(all(solved)), top["C"], top=top)
 
@@ -49,7 +51,7 @@ def two_gaits(paper: Paper) -> Found:
 @claim("T3")
 def stability(paper: Paper) -> Found:
     """Evaluate the multipliers of both gaits of A and C over a grid of slopes."""
-    radius = {w: paper.line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
+    radius = {w: paper.line(w).grid(*SLOPES)["spectral_radius"] for w in "AC"}
     long, short = {w: r[:, LONG].max() for w, r in radius.items()}, {w: r[:, SHORT].min() for w, r in radius.items()}
     return found(verdict(max(long.values()) < 1 < min(short.values())), long["C"], long=long, short=short)
 

@@ -74,7 +74,7 @@ def _stable_piece(walker: Body, middle: list[arb], tangent: list[arb], half: flo
     radii = [(0.03 * abs(float(t)) + 0.005 * turning * s) * half for t, s in zip(tangent, scales, strict=True)]
     for one in neighbour:  # whose gait is to lie in this tube where they meet
         radii = [max(r, 2 * float(abs(k).upper())) for r, k in zip(radii, one.image, strict=True)]
-    piece = tube_image(walker, BY_SLOPE, middle, tangent, arb(half), radii, TOLERANCE)
+    piece = tube_image(walker, BY_SLOPE, (middle, tangent, arb(half)), radii, TOLERANCE)
     if not piece.is_proved():
         raise NotProvedError("Krawczyk's operator does not map the tube into itself.")
     if is_stable(piece.step_derivative()) is not True or piece.events().label != "long":

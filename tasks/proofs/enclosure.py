@@ -106,10 +106,10 @@ def flow(
         left = (end - time).upper()
         # The last step holds the whole bracket of the event, so it is no shorter than half the others.
         h = left if left <= step else arb(min(step, float(left) / 2))
-        h, (rest, rest_derivative), excess = _fitting(body, slope, state, derivative, h, accuracy, by_slope)
-        last = h is left
         thin, wide = Motion(body, own_slope, middle, order - 1), Motion(body, slope, state, order - 1)
         change = Variation(wide, derivative, by_slope, order - 1)
+        h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
+        last = h is left
         piece = Piece(time, h, _closed(wide, rest))
         pieces.append(piece)
         t_c, t = (duration[0] - time, duration[1] - time) if last else (h, h)
@@ -126,22 +126,14 @@ def flow(
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
 
 
-def _fitting(
-    body: Body,
-    slope: arb,
-    start: State,
-    derivative: arb_mat,
-    h: arb,
-    accuracy: Accuracy,
-    by_slope: arb_mat | None,
-) -> tuple[arb, tuple[State, arb_mat], float]:
+def _fitting(change: Variation, h: arb, accuracy: Accuracy) -> tuple[arb, tuple[State, arb_mat], float]:
     """The given step or a shorter one whose remainder is small enough: its length, the remainder and its excess."""
     order = accuracy.order
     for _ in range(MAX_HALVINGS):
-        remainder = _remainder(body, slope, start, derivative, h, order, by_slope)
+        remainder = _remainder(change, h, order)
         shrink = 0.5
         if remainder is not None:
-            excess = _excess(remainder, start, derivative, h, order) / accuracy.tolerance
+            excess = _excess(remainder, change, h, order) / accuracy.tolerance
             if excess <= 1:
                 return h, remainder, excess
             shrink = max(0.3, 0.85 * excess ** (-1 / order)) if math.isfinite(excess) else 0.3
@@ -174,22 +166,20 @@ def _closed(motion: Motion, rest: State) -> list[Series]:
     return [[*s, r] for s, r in zip(motion.series, rest, strict=True)]
 
 
-def _remainder(
-    body: Body, slope: arb, start: State, derivative: arb_mat, h: arb, order: int, by_slope: arb_mat | None
-) -> tuple[State, arb_mat] | None:
+def _remainder(change: Variation, h: arb, order: int) -> tuple[State, arb_mat] | None:
     """Coefficient `order` over all states up to time h, and the derivatives'; None if no box is found."""
+    body, slope, by_slope, start = change.motion.body, change.motion.slope, change.by_slope, change.motion.state
     box = enclose(body, slope, start, h)
     if box is None:
         return None
     try:
         motion = Motion(body, slope, box, 1)
-        all_derivatives = enclose_derivative(Variation(motion, derivative, by_slope), h)
+        all_derivatives = enclose_derivative(Variation(motion, change.terms[0], by_slope), h)
         for _ in range(order - 1):
             motion.grow()
     except ZeroDivisionError:
         return None
-    change = Variation(motion, all_derivatives, by_slope, order)
-    return [s[order] for s in motion.series], change.terms[order]
+    return [s[order] for s in motion.series], Variation(motion, all_derivatives, by_slope, order).terms[order]
 
 
 def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
@@ -260,11 +250,11 @@ def _inflated(x: arb, factor: float, least: float) -> arb:
     return arb(x.mid(), x.rad() * (1 + factor) + least)
 
 
-def _excess(remainder: tuple[State, arb_mat], start: State, derivative: arb_mat, h: arb, order: int) -> float:
+def _excess(remainder: tuple[State, arb_mat], change: Variation, h: arb, order: int) -> float:
     """Largest remainder over the size of what it is added to."""
-    rest, rest_derivative = remainder
+    (rest, rest_derivative), start = remainder, change.motion.state
     n, power = len(start) // 2, float(h) ** order
-    sizes = [(rest[:n], start[:n]), (rest[n:], start[n:]), (rest_derivative.entries(), derivative.entries())]
+    sizes = [(rest[:n], start[:n]), (rest[n:], start[n:]), (rest_derivative.entries(), change.terms[0].entries())]
     return max(_size(a) * power / _size(b) for a, b in sizes)
 
 

@@ -76,6 +76,7 @@ class Motion:
 
     def __init__(self, body: Body, slope: arb, state: Sequence[arb], order: int = 0):
         self.body, self.n = body, len(state) // 2
+        self.slope, self.state = slope, list(state)
         q, w = state[: self.n], state[self.n :]
         self.q: list[Series] = [[x] for x in q]
         self.w: list[Series] = [[x] for x in w]

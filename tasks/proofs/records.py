@@ -13,7 +13,7 @@ from flint import arb, ctx
 from gaitsweep.tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
 from gaitsweep.tasks.proofs.keys import KEY_BITS, double, doubles, written, written_table
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Variables that a proof starts from.
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "kneestrike_time", "period")
@@ -56,7 +56,7 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     Setting, Proof
     """
     values = params["values"]
-    keys, kneed = doubles(resolve(params["walker"], params.get("set")).table())
+    keys, kneed = doubles(walker_of_line(params).table())
     setting = Setting(keys, kneed, double(params["slope"]))
     bound = float(values.get("error_bound", math.nan))
     accuracy = min(params["accuracy"], max(bound / SHARPER, FINEST)) if bound > 0 else params["accuracy"]

@@ -27,6 +27,9 @@ from gaitsweep.tasks.proofs.stability import step_derivative
 
 #: Which coordinate of (section state, event times, slope) is the parameter.
 BY_ANGLE, BY_SLOPE = 0, -1
+#: The middle of a tube's line, its tangent, None where the parameter alone moves along it, and half the parameter's
+#: interval.
+Line = tuple[list[arb], list[arb] | None, arb]
 #: Remainders over a box's radius; corrections of a point, trials of a tube's width.
 REMAINDER, MAX_CORRECTIONS, MAX_TRIALS = 1e-6, 12, 4
 
@@ -133,7 +136,7 @@ def point(family: Family, guess: Sequence[arb], size: float) -> Tube:
     width = max(size, 1e-12)
     for _ in range(MAX_CORRECTIONS):
         radii = [width * s for s in sizes(walker, middle)]
-        piece = tube_image(walker, family.parameter, middle, None, arb(0), radii, width * REMAINDER)
+        piece = tube_image(walker, family.parameter, (middle, None, arb(0)), radii, width * REMAINDER)
         inside = piece.is_proved()
         shift = max(abs(float(k.mid())) / s for k, s in zip(piece.image, sizes(walker, middle), strict=True))
         if inside and width <= size:
@@ -173,7 +176,7 @@ def tube(family: Family, start: Tube, half: arb) -> Tube:
         for f, t, s in zip(floor, tangent, scales, strict=True)
     ]
     for _ in range(MAX_TRIALS):
-        piece = tube_image(start.body, family.parameter, start.middle, tangent, half, radii, 1e-20)
+        piece = tube_image(start.body, family.parameter, (start.middle, tangent, half), radii, 1e-20)
         if piece.is_proved():
             return piece
         radii = [max(f, 1.5 * float(abs(k).upper())) for f, k in zip(floor, piece.image, strict=True)]
@@ -182,15 +185,7 @@ def tube(family: Family, start: Tube, half: arb) -> Tube:
     raise NotProvedError("Krawczyk's operator does not map the tube into itself.")
 
 
-def tube_image(
-    walker: Body,
-    parameter: int,
-    middle: list[arb],
-    tangent: list[arb] | None,
-    half: arb,
-    radii: Sequence[float],
-    tolerance: float,
-) -> Tube:
+def tube_image(walker: Body, parameter: int, line: Line, radii: Sequence[float], tolerance: float) -> Tube:
     """A tube and Krawczyk's image of it, which need not lie inside.
 
     Parameters
@@ -198,10 +193,8 @@ def tube_image(
     walker : Body
     parameter : int
         Which coordinate is the parameter.
-    middle, tangent : list of arb
-        Of the tube's line; without a tangent the parameter alone moves along it.
-    half : arb
-        Half the parameter's interval.
+    line : Line
+        The tube's.
     radii : sequence of float
         Of W.
     tolerance : float
@@ -211,7 +204,7 @@ def tube_image(
     -------
     Tube
     """
-    m, n = dimensions(walker)
+    (m, n), (middle, tangent, half) = dimensions(walker), line
     p = parameter % (m + n + 1)
     tangent = tangent or [arb(int(i == p)) for i in range(m + n + 1)]
     W = [arb(0) if i == p else arb(0, r) for i, r in enumerate(radii)]

@@ -7,7 +7,7 @@ gait. There the residual is evaluated in long double or in 128 bits; Newton keep
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import heyoka as hy
 import numpy as np
@@ -158,32 +158,39 @@ def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
     return _ExtendedStepMap(structure, *TIERS[tier])
 
 
-def solved(
-    problem: Problem,
-    lane: int,
-    stride: AnyStride,
-    y: np.ndarray,
-    times: np.ndarray,
-    slope: float,
-    scale: float,
-    tier: int,
-) -> Wide:
-    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
+class Start(NamedTuple):
+    """Where Newton's method begins, in doubles.
 
-    Parameters
+    Attributes
     ----------
     problem : Problem
         Gives the walker of the lane.
     lane : int
         Lane of `stride`.
     stride : Stride
-        The step in doubles, whose derivative Newton keeps.
+        The step, whose derivative Newton keeps.
     y : ndarray, shape (m,)
-        Scaled section coordinates to begin with.
+        Scaled section coordinates.
     times : ndarray, shape (k,) [sqrt(leg/g)]
-        Event times to begin with.
     slope, scale : float
         [rad], and the power of two by which angles and rates are divided.
+    """
+
+    problem: Problem
+    lane: int
+    stride: AnyStride
+    y: np.ndarray
+    times: np.ndarray
+    slope: float
+    scale: float
+
+
+def solved(start: Start, tier: int) -> Wide:
+    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
+
+    Parameters
+    ----------
+    start : Start
     tier : int
         Index into `TIERS`.
 
@@ -192,6 +199,7 @@ def solved(
     Wide
         In the tier's number; the last step is infinite where Newton's steps do not shrink.
     """
+    problem, lane, stride, y, times, slope, scale = start
     exact = _extended_step_map(problem.structure, tier)
     parameters = exact.parameters(problem.walker_of(lane), slope, scale)
     wide, wide_times = exact.array(y), exact.array(times)
@@ -247,24 +255,12 @@ def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
     return np.array(columns).T
 
 
-def refine(
-    problem: Problem,
-    lane: int,
-    stride: AnyStride,
-    y: np.ndarray,
-    times: np.ndarray,
-    slope: float,
-    scale: float,
-    bound: float,
-    amplification: float,
-    accuracy: float = 0.0,
-) -> Wide:
+def refine(start: Start, bound: float, amplification: float, accuracy: float = 0.0) -> Wide:
     """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
 
     Parameters
     ----------
-    problem, lane, stride, y, times, slope, scale
-        As in `solved`.
+    start : Start
     bound : float
         Relative error bound of the gait in doubles.
     amplification : float
@@ -282,7 +278,7 @@ def refine(
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
     for tier in (0, 1) if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else (1,):
-        *gait, last_step = solved(problem, lane, stride, y, times, slope, scale, tier)
+        *gait, last_step = solved(start, tier)
         error = 2 * last_step * max(1.0, amplification) + rounding(tier)
         if error <= accuracy if accuracy else np.isfinite(last_step):
             break

@@ -55,5 +55,11 @@ def join_lanes(parts: Sequence[Any]) -> Any:
     return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
 
 
+def slices(counts: Sequence[int]) -> list[slice]:
+    """Return where parts of so many lanes each lie that follow one another, as `join_lanes` joins them."""
+    ends = np.cumsum(counts, dtype=int).tolist()
+    return [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
+
+
 def _fields(result: Any) -> dict[str, Any]:
     return {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}

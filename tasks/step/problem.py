@@ -72,6 +72,11 @@ class Problem:
         """
         return self
 
+    @property
+    def every_walker(self) -> Walker:
+        """The walker, or those of all lanes as an array."""
+        return self.walker
+
     def walker_of(self, lane: int) -> Walker:
         """Return the walker of a lane."""
         return self.walker
@@ -193,6 +198,12 @@ class Lanes(Problem):
         some = copy.copy(self)
         some.lanes = self.lanes[lanes]
         return some
+
+    @property
+    def every_walker(self) -> WalkerArray:
+        """The walkers of all lanes as an array, of a problem that was given one."""
+        assert isinstance(self.walkers, WalkerArray)
+        return self.walkers.some(self.lanes)
 
     def walker_of(self, lane: int) -> Walker:
         """Return the walker of a lane."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -325,39 +326,35 @@ class StrideMap:
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))
-        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = _split(
-            out, *finish_sizes(m, k)
-        )
-        derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
-        new_times = times + matvec(times_by[:, : m + k], newton)
-        moves = np.stack([*moves[:m], *(matvec(moves.transpose(1, 0, 2), row[: m + k]) for row in times_by)])
+        shapes = finish_shapes(m, k)
+        rows = _split(out, *map(math.prod, shapes.values()))
+        end = {name: own.reshape(*shape, n) for (name, shape), own in zip(shapes.items(), rows, strict=False)}
+        shifts, moves, newton, derivative = end.pop("shifts"), end.pop("moves"), end.pop("newton"), end["derivative"]
         if self.kneed:  # a later kneestrike with the same heelstrike shortens the last phase, and so does all else
             others = [*range(m + 1), m + 2]
             derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
         return Stride(
-            y,
-            image,
-            jacobian.reshape(m, m, n),
-            times + matvec(times_by[:, m : m + k], shifts[:: m + 2]),
-            by_slope,
-            residual,
-            derivative,
-            moves,
-            newton[:m],
-            new_times,
-            impact,
-            impact_by_y.reshape(2, m, n),
-            start,
-            np.stack([derivative[m + j, m + j] for j in range(k)]),
-            strike[:6],
-            strike[6:].reshape(len(strike[:6]), m, n),
-            motion,
+            **end,
+            y=y,
+            times=times + matvec(times_by[:, m : m + k], shifts[:, 0]),
+            inverse=np.stack([*moves[:m], *(matvec(moves.swapaxes(0, 1), row[: m + k]) for row in times_by)]),
+            newton=newton[:m],
+            newton_times=times + matvec(times_by[:, : m + k], newton),
+            start=start,
+            closing=np.stack([derivative[m + j, m + j] for j in range(k)]),
+            knee=strike[:6],
+            knee_by_y=strike[6:].reshape(len(strike[:6]), m, n),
+            motion=motion,
         )
 
 
-def finish_sizes(m: int, k: int) -> tuple[int, ...]:
-    """Lengths of all but the last of what the end of a step gives, for m coordinates and k phases."""
-    return m, m * m, m, k * (m + 2), m + k, (m + k) * (m + k + 1), (m + k) ** 2, m + k, 2
+def finish_shapes(m: int, k: int) -> dict[str, tuple[int, ...]]:
+    """What the end of a step gives, in order, for m coordinates and k phases."""
+    return {
+        **{"image": (m,), "jacobian": (m, m), "by_slope": (m,), "shifts": (k, m + 2), "residual": (m + k,)},
+        **{"derivative": (m + k, m + k + 1), "moves": (m + k, m + k), "newton": (m + k,)},
+        **{"impact": (2,), "impact_by_y": (2, m)},
+    }
 
 
 def _split(values: np.ndarray, *sizes: int) -> list[np.ndarray]:

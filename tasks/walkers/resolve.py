@@ -154,6 +154,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     return _retuned(result, tuned) if tuned else result
 
 
+def walker_of_line(line: Mapping[str, Any]) -> Walker:
+    """Make the walker of a line: of its `walker`, a name or table, with the keys that it may `set`."""
+    return resolve(line["walker"], line.get("set"))
+
+
 def _table(walker: str | Mapping[str, Any]) -> Mapping[str, Any]:
     """The table of a walker that may be given by its name."""
     return {"base": walker} if isinstance(walker, str) else walker

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -221,7 +221,7 @@ class Walker:
 
     def table(self) -> dict[str, Any]:
         """All keys and values, as written in TOML."""
-        return {key.name: getattr(self, key.name) for key in fields(self)}
+        return {key: getattr(self, key) for key in KEYS}
 
 
 def _any(x: Any) -> bool:

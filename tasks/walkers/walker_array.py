@@ -40,10 +40,6 @@ class WalkerArray(Walker):
         """
         return WalkerArray(**{key: v[lanes] if isinstance(v, np.ndarray) else v for key, v in self.table().items()})
 
-    def table(self) -> dict[str, Any]:
-        """All keys and values."""
-        return {key: getattr(self, key) for key in KEYS}
-
     @property
     def eps_S(self) -> Any:
         """Angle between the shank and the hip-foot-centre line at full extension [rad]."""

@@ -121,7 +121,7 @@ def bounds(
 def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, float, float, int]]:
     """Bounds of converged gaits with their errors."""
     at, slope = settle(problem, guesses), guesses.slope
-    product = describe(problem, problem.walker, at, slope, WANT)
+    product = describe(problem, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []
     near = at.stride.y + at.stride.newton, at.stride.newton_times
     _, values, by_unknowns = reported(problem, *near, problem.parameters(slope, at.scale))
@@ -130,10 +130,11 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
-        start = problem, lane, at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
-        _, times, _, start_of_step, last_step = extended_precision.solved(*start, min(tier, 1))
+        near = at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
+        start = extended_precision.Start(problem, lane, at.stride, *near)
+        _, times, _, start_of_step, last_step = extended_precision.solved(start, min(tier, 1))
         if not np.isfinite(last_step):
-            _, times, _, start_of_step, last_step = extended_precision.solved(*start, 1)
+            _, times, _, start_of_step, last_step = extended_precision.solved(start, 1)
         state, half = convert(start_of_step, np.longdouble) * at.scale[lane], len(start_of_step) // 2
         period = convert(times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit

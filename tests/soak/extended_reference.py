@@ -1,5 +1,6 @@
 """The step map and its fixed points in extended precision, from the same symbols as gaitsweep's."""
 
+import math
 from typing import Any
 
 import heyoka as hy
@@ -7,7 +8,7 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.lumped import Structure
-from gaitsweep.tasks.step.step_map import StrideMap, finish_sizes
+from gaitsweep.tasks.step.step_map import StrideMap, finish_shapes
 
 
 class _Algebra(StrideMap):
@@ -99,7 +100,8 @@ class Precise:
         directions = self._padded(final[4:], 4)
         out = self.algebra.finish(np.concatenate([y, final[:4], directions, parts, knee, parameters]))
         k = len(times)
-        image, jacobian, _, shifts, residual, derivative, _, newton, *_ = np.split(out, np.cumsum(finish_sizes(m, k)))
+        sizes = [math.prod(shape) for shape in finish_shapes(m, k).values()]
+        image, jacobian, _, shifts, residual, derivative, _, newton, *_ = np.split(out, np.cumsum(sizes))
         # The durations' shifts and their derivatives by y; heelstrike comes after both, less the shift along the field.
         moved = shifts.reshape(k, m + 2)[:, : m + 1].copy()
         if self.kneed:

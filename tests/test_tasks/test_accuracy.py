@@ -15,7 +15,7 @@ from gaitsweep.tasks.fixed_points.multipliers import characteristic_errors, mult
 from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
 from gaitsweep.tasks.interpolate import Interpolation, Sampled, _gaits, _tied, fit_panels, panels_over
-from gaitsweep.tasks.measures.gaits import Part, round_bits, to_accuracy
+from gaitsweep.tasks.measures.gaits import Part, Wanted, round_bits, to_accuracy
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_points import atlas, points
@@ -25,6 +25,8 @@ from lines import WANT, branches, solved
 
 SMOOTH = tuple(v for v in WANT if v not in OF_INTEGRATION)
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
+#: The angle alone, to three digits.
+ANGLE = Wanted(("stance_angle",), set(), accuracy=1e-3)
 LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
 LINES = [("D", {}), ("E", {"foot_mass_ratio": 0.2}), ("A", {"detuning": 0.4}), ("C", {}), ("physical", {})]
 
@@ -204,7 +206,7 @@ def test_gaits_of_a_label_beside_a_fold_are_integrated():
     problem, found = branches("physical-straight")
     fold = [b.q[first] for b in found for first in b.turns()]
     slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, slope)
+    made = Interpolation(problem, found, ANGLE, slope)
     parts, integrated = made.parts(slope)
     indices = np.concatenate(list(integrated.values()))
     assert len(indices) and (np.abs(np.log(slope[indices]) - fold[0]) < 1e-5).all()
@@ -218,7 +220,7 @@ def test_gaits_whose_stability_errors_could_change_are_integrated():
     problem, found = branches("D")
     want = ("stance_angle", "spectral_radius", "multiplier_real", "multiplier_imag", "multiplier_error_bound")
     slope = 0.015088437941119463 * (1 + np.array([-0.1, -1e-6, 1e-6, 0.1]))  # the proved flip of the long gait
-    made = Interpolation(problem, found, want, 1e-3, slope)
+    made = Interpolation(problem, found, Wanted(want, set(), accuracy=1e-3), slope)
     _, integrated = made.parts(slope)
     assert sorted(i for indices in integrated.values() for i in indices.tolist()) == [1, 2]
 
@@ -232,15 +234,15 @@ def test_gaits_of_a_label_that_errors_could_order_are_integrated():
 
 def test_a_label_that_errors_could_change_is_near():
     problem, found = branches("A")
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    made = Interpolation(problem, found, ANGLE, np.array([0.01]))
     chart = made.sheets[0][0].chart
     coefficients = np.zeros_like(chart.coefficients)
     ratio = made.smooth.names.index("heelstrike_rate_ratio")
     coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
     x, slope = np.array([[-0.9], [-0.03], [0.03], [0.9]]), np.full(4, 0.01)
     changed = replace(chart, coefficients=coefficients, error=1e-3)
-    one = _gaits(changed, x, np.arange(4), slope, made.smooth, ("stance_angle",), 0, 0)
-    assert one.uncertain.tolist() == [False, True, True, False]
+    _, uncertain = _gaits(changed, x, np.arange(4), slope, made.smooth, (0, 0))
+    assert uncertain.tolist() == [False, True, True, False]
 
 
 def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
@@ -252,7 +254,7 @@ def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
         return solved
 
     problem, found = branches("A")
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    made = Interpolation(problem, found, ANGLE, np.array([0.01]))
     span = made.sheets[0][0].span
     q = span.log_slope(span.samples(7))
     (right,) = made._solve([(0, span)], [q])
@@ -270,7 +272,7 @@ def test_gaits_that_are_not_found_share_no_panel(monkeypatch):
         return {**solved, "status": np.where(np.arange(len(q)) == 2, status.NOT_CONVERGED, solved["status"])}
 
     problem, found = branches("A")
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    made = Interpolation(problem, found, ANGLE, np.array([0.01]))
     span = made.sheets[0][0].span
     q = span.log_slope(span.samples(7))
     monkeypatch.setattr(interpolate, "describe", lost)
@@ -280,7 +282,7 @@ def test_gaits_that_are_not_found_share_no_panel(monkeypatch):
 
 def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     problem, found = branches("A")
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    made = Interpolation(problem, found, ANGLE, np.array([0.01]))
     q = np.log(np.linspace(0.01, 0.012, 9))
     guesses = made.pieces[0].guesses(q)
     measured = made._measured(guesses, q, len(q))
@@ -295,8 +297,8 @@ def test_a_variable_follows_from_the_quantities_that_it_needs(walker):
     for name in (name for name in SMOOTH if not name.startswith(("multiplier", "spectral"))):
         smooth = Smooth.of(problem.walker, (name,), problem.m)
         every = {each: np.array([0.3, 0.4]) + k for k, each in enumerate(smooth.names)}
-        needed = {smooth.names[k]: every[smooth.names[k]] for k in smooth.needed((name,))}
-        one, other = (smooth.gaits(slope, columns, (name,), 1e-3, 0, 0)[name] for columns in (needed, every))
+        needed = {smooth.names[k]: every[smooth.names[k]] for k in smooth.needed}
+        one, other = (smooth.gaits(slope, columns, 1e-3, (0, 0))[name] for columns in (needed, every))
         np.testing.assert_array_equal(one, other)
         assert np.isfinite(one).all() or ("knee" in name and walker == "D")
         assert len(needed) <= 2 + (name == "kneestrike_time")  # which is a share of the period

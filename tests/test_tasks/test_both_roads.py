@@ -15,8 +15,9 @@ from gaitsweep.tasks.families.box import Box, Refused
 from gaitsweep.tasks.families.cell import Lines, _Maker
 from gaitsweep.tasks.families.division import make_cells
 from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.measures.gaits import Wanted
 from gaitsweep.tasks.registry import ALWAYS, GAITS
-from gaitsweep.tasks.solve_planes import Wanted, lines, solve
+from gaitsweep.tasks.solve_planes import lines, solve
 from gaitsweep.tasks.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve

@@ -164,11 +164,11 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     assert (run(problem, checked(damaged, Z[:, 0])).Z[:, 0] == Z[:, 0]).all() and (kept.Z[:, -1] == Z[:, -1]).all()
     assert "lost" in [p["kind"] for p in special_points(problem, kept)]
     run(problem, measure(kept, COARSE))
-    assert all("continuation was lost at" in sentence for sentence in np.array(_reasons([kept], "searched"))[[1, 5]])
+    assert all("continuation was lost at" in sentence for sentence in np.array(_reasons(problem, [kept]))[[1, 5]])
     assert "lost" not in outside("long", [], "searched")
 
 
-@pytest.mark.parametrize("end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "a fall"])
+@pytest.mark.parametrize("end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "end_fall"])
 def test_an_end_whose_condition_does_not_hold_is_none(end):
     problem, found = branches("C", detuning=0.3)
     branch = next(b for b in found if b.why[1] != end)

@@ -91,6 +91,26 @@ def test_the_sentence_of_a_claim_formats_lists_and_names_value_by_value(monkeypa
     assert type(result.value) is float
 
 
+#: A constant of this module, which a sentence names.
+STEEPEST = 3e-8
+
+
+def test_the_sentence_of_a_claim_says_the_constants_of_its_module(monkeypatch):
+    """They stood in the sentence as well, and could differ from those that were used."""
+    monkeypatch.setattr(rule, "TEXTS", {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}})
+    monkeypatch.setitem(rule._SAID, "Q1", "up to {STEEPEST:plain}, beyond {GRID[1]:plain}")
+    monkeypatch.setitem(rule.PRINTED, "Q1", rule.NOT_PRINTED)
+    monkeypatch.setattr(rule, "CLAIMS", {})
+    rule.claim("Q1")(lambda paper: rule.found("reproduced"))
+    assert rule.CLAIMS["Q1"].find(PAPER).computed == "up to 3e-8, beyond 0.2"
+
+
+def test_no_sentence_repeats_a_constant():
+    said = rule._SAID
+    assert not [id for id, sentence in said.items() if "1e-09" in sentence or "1e-8 to" in sentence]
+    assert "{VANISHING:g}" in said["M3"] and "{GRID[0]:plain}" in said["D1"] and "{TOLERANCE:g}" in said["Z6"]
+
+
 def test_an_unknown_claim_is_named():
     with pytest.raises(ValueError, match="no claim X9"):
         claims({"lines": [], "ids": ["D2", "X9"]}, [])

@@ -116,7 +116,7 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
         return Z, rate
 
     Z, rate = gaits(q)
-    branch = Branch(2, Z, rate, np.zeros(7), ("end of the window", "a fall"))
+    branch = Branch(2, Z, rate, np.zeros(7), ("window", "end_fall"))
     between = np.linspace(0.05, 2.95, 20)
     ((index, found, _),) = branch.guesses(between)
     np.testing.assert_allclose(found[[0, 1, 3]], gaits(between[index])[0][[0, 1, 3]], rtol=1e-13, atol=1e-13)
@@ -160,7 +160,7 @@ def test_a_pole_of_the_derivative_is_no_flip():
     """Where heelstrike turns tangential det(DP + 1) changes sign through infinity, whether or not the end is named."""
     problem = Problem(random_walker("kneed, near", 1))
     (branch,) = [b for b in survey(problem) if "end_tangential_heelstrike" in b.why]
-    ends = tuple("end of the window" if why == "end_tangential_heelstrike" else why for why in branch.why)
+    ends = tuple("window" if why == "end_tangential_heelstrike" else why for why in branch.why)
     assert not pick(special_points(problem, replace(branch, why=ends)), "flip")
 
 
@@ -286,7 +286,7 @@ def test_no_branch_jumps_to_one_it_almost_touches(detuning, ends):
 
 def test_a_branch_ends_where_the_stance_leg_comes_to_stand_still():
     first = survey(Problem(replace(CATALOGUE["B"], R=0.3533, m_s=1.0)))[0]
-    assert first.why[1] == "a fall"
+    assert first.why[1] == "end_fall"
     # There the period diverges with the logarithm of the slope's distance; rounding must not split segments for ever.
     assert first.Z[-2, -1] == pytest.approx(LONGEST_PERIOD, abs=1e-11)
     assert len(first.q) < 800
@@ -332,8 +332,8 @@ def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overri
 def test_points_converge_up_to_a_fall():
     """The step before it amplifies its start 1e10 times: beside the end doubles alone resolve no gait."""
     problem, found = branches("C", detuning=1.2694457027163444)
-    (branch,) = [b for b in found if "a fall" in b.why]
-    side = branch.why.index("a fall")
+    (branch,) = [b for b in found if "end_fall" in b.why]
+    side = branch.why.index("end_fall")
     inwards = np.sign(branch.q[1 - 3 * side] - branch.q[-side])
     slope = np.exp(branch.q[-side]) * (1 + inwards * np.geomspace(1e-12, 1e-3, 7))
     lone = [(Z, segment, i) for i, Z, segment in branch.guesses(np.log(slope)) if segment.max() > len(branch.q) - 9]
@@ -377,7 +377,7 @@ def test_a_singular_derivative_ends_no_survey():
             )
         )
     )
-    assert set(branch.why) == {"a fall", "end_tangential_heelstrike"}
+    assert set(branch.why) == {"end_fall", "end_tangential_heelstrike"}
 
 
 def test_a_folds_bound_holds_in_other_units():

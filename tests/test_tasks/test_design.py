@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.continuation import extremes
-from gaitsweep.tasks.continuation.extremes import Points, find
+from gaitsweep.tasks.continuation.extremes import Points, Sought, find
 from gaitsweep.tasks.map_designs import _Rows, _walkers, design
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.step.problem import Lanes
@@ -94,8 +94,8 @@ def place(log_slope):
 def test_a_gait_on_the_edge_but_for_rounding_is_in_the_window():
     """Its smallest slope was listed, beside `no gait` for what it never is: stable."""
     window = (np.log(0.01), np.log(0.02))
-    rows = _Rows(1)
-    rows.store(branches("D")[0], np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), window, surveyed=1)
+    rows = _Rows(1, Sought(window))
+    rows.store(branches("D")[0], np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), surveyed=1)
     assert rows.at["smallest_slope"]["kind"].tolist() == ["window"]
     assert rows.at["largest_stable_slope"]["kind"].tolist() == ["never stable"]
 
@@ -108,15 +108,15 @@ def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
         branch.ratio, branch.leg_passes = np.zeros(len(branch.q)), np.ones(len(branch.q), int)
     for low, number in ((0.01, True), (0.1, False)):
         window = (np.log(low), np.log(0.2))
-        points = find(Lanes(_walkers("D", {}, 1), problem.structure), [below], window)
+        points = find(Lanes(_walkers("D", {}, 1), problem.structure), [below], Sought(window))
         assert (extremes.best(points, 1, window)["smallest_slope"][0] >= 0) == number
 
 
 def test_an_end_that_samples_locate_has_their_error():
     """Ends without equations of their own had an error of 1e-9, whatever that of the branch's end."""
     problem, found = branches("physical-straight")
-    (branch,) = [b for b in found if "zero step length" in b.why]
+    (branch,) = [b for b in found if "end_zero_step" in b.why]
     branch.end_errors = (3e-6, 3e-6)
     window = (np.log(1e-3), np.log(0.2))
-    points = find(Lanes(_walkers("physical-straight", {}, 1), problem.structure), [[branch]], window)
+    points = find(Lanes(_walkers("physical-straight", {}, 1), problem.structure), [[branch]], Sought(window))
     assert (points.error[points.kind == "end_zero_step"] >= 3e-6).all() and "end_zero_step" in points.kind

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from gaitsweep.tasks.continuation import defining, extremes
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.defining import SCALARS, foot_radius, gradient, log_froude, scalar, solve
-from gaitsweep.tasks.continuation.extremes import Points, best, find
+from gaitsweep.tasks.continuation.extremes import Points, Sought, best, find
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families import landscape as landscapes
@@ -34,6 +34,7 @@ from gaitsweep.tasks.walkers.statics import statics
 QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
 SLOPE = np.array([1e-6, 0.45])
 WINDOW = (float(np.log(1e-6)), float(np.log(0.45)))
+SOUGHT = Sought(WINDOW)
 #: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and flip compete for the largest
 #: speed; where gaits continue to vanishing slopes; across a curve on which the smallest slope vanishes.
 PLANES = {
@@ -69,7 +70,7 @@ def made():
             walker, keys = PLANES[name]
             family = Family.of({"walker": walker, "set": {}}, tuple(keys))
             box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-            (landscape,) = make(family, box, WINDOW, 1000)
+            (landscape,) = make(family, box, SOUGHT, 1000)
             kept[name] = family, landscape
         return kept[name]
 
@@ -114,8 +115,8 @@ def test_a_design_does_not_depend_on_its_company():
 
 
 def solved(family, landscape, keys):
-    rows = _Rows(len(keys))
-    accepted = _solve(family, landscape, keys, np.arange(len(keys)), WINDOW, rows)
+    rows = _Rows(len(keys), SOUGHT)
+    accepted = _solve(family, landscape, keys, np.arange(len(keys)), rows)
     return rows, accepted
 
 
@@ -169,7 +170,7 @@ def test_designs_unlike_any_surveyed_line_are_not_accepted(made):
 
 def test_a_dropped_manifold_is_found_again(made):
     family, right = made("A")
-    surveyor = _Surveyor(family, right.box, WINDOW, [])
+    surveyor = _Surveyor(family, right.box, SOUGHT, [])
     surveyor.survey(right.box.unit(np.array([[0.46, 0.1], [0.47, 0.9], [0.64, 0.05]])))
     surveyor.manifolds = list(right.manifolds)
     assert not surveyor.missing(rivals=False)
@@ -220,7 +221,7 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
 
 def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
     family, box = Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)), Box(("R",), (0.27,), (0.3,))
-    (landscape,) = make(family, box, WINDOW, 1000)
+    (landscape,) = make(family, box, SOUGHT, 1000)
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 0, 3)] * 2
     for cut in cuts:
@@ -233,14 +234,14 @@ def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
     family = Family.of({"walker": "A"}, ("R", "m_h"))
     window = float(np.log(1e-4)), float(np.log(0.2))
     whole = Box(("R", "m_h"), (0.02, 0.0), (0.4, 10.0), log=True)
-    parts = make(family, whole, window, 420, log_speed=-0.2)
+    parts = make(family, whole, Sought(window, -0.2), 420)
     assert [part.why for part in parts] == ["", ""] and parts[0].box.high[0] == pytest.approx(0.2, rel=1e-12)
     draw = np.random.default_rng(1)
     keys = np.column_stack([draw.choice(R, 12), draw.choice(m_h, 12)])
     for part in parts:
         own = keys[(part.box.low[0] < keys[:, 0]) & (keys[:, 0] < part.box.high[0])]
-        rows = _Rows(len(own), -0.2)
-        accepted = _solve(family, part, own, np.arange(len(own)), window, rows)
+        rows = _Rows(len(own), Sought(window, -0.2))
+        accepted = _solve(family, part, own, np.arange(len(own)), rows)
         assert accepted.sum() >= 3
         line = {"walker": "A", "set": {"R": own[:, 0], "m_h": own[:, 1]}}
         lines = computed({"line": line, "slope": np.array([1e-4, 0.2]), "at_speed": np.exp(-0.2)})
@@ -260,7 +261,7 @@ def test_parts_that_are_refused_cost_no_more_than_lines(monkeypatch):
 
     monkeypatch.setattr(_Surveyor, "landscape", refuse)
     family, box = Family.of({"walker": "A"}, ("detuning",)), Box(("detuning",), (0.1,), (0.9,))
-    parts = make(family, box, WINDOW, 800)
+    parts = make(family, box, SOUGHT, 800)
     assert len(tried) == 9 and not [part for part in parts if not part.why]
 
 
@@ -323,13 +324,13 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     walker, keys = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.05, 0.05), (0.06, 0.06))
-    assert [part.why for part in make(family, box, WINDOW, 10)] == ["few walkers"]
+    assert [part.why for part in make(family, box, SOUGHT, 10)] == ["few walkers"]
 
     def refuse(self):
         raise Refused("no reason", 1)
 
     monkeypatch.setattr(landscapes._Surveyor, "landscape", refuse)
-    parts = make(family, box, WINDOW, 1000, splits=1)
+    parts = make(family, box, SOUGHT, 1000, splits=1)
     assert [part.why for part in parts] == ["no reason", "no reason"]
     assert parts[0].box.high[1] == parts[1].box.low[1]
 
@@ -395,7 +396,7 @@ def lanes(walker, **keys):
 def test_every_kind_of_point_is_found_under_its_name(walker, keys, kinds):
     problem = lanes(walker, **keys)
     surveyed = survey_lines(problem, COARSE)
-    points = find(problem, surveyed, WINDOW)
+    points = find(problem, surveyed, SOUGHT)
     ends = "any slope" if walker == "E" else "end_tangential_heelstrike"
     assert set(points.kind) == {*kinds.split(), "label", "window", ends}
     changes = sum(int(((branch.ratio[1:] - 0.5) * (branch.ratio[:-1] - 0.5) < 0).sum()) for branch in surveyed[0])
@@ -408,7 +409,7 @@ def test_every_kind_of_point_is_found_under_its_name(walker, keys, kinds):
 def test_the_scalars_vanish_at_points_known_otherwise():
     """A flip and a fold have the multipliers -1 and 1; where the speed is greatest that of both neighbours is less."""
     problem = lanes("C", detuning=0.85, m_h=0.0)
-    points = find(problem, survey_lines(problem, COARSE), WINDOW)
+    points = find(problem, survey_lines(problem, COARSE), SOUGHT)
     assert {"fold", "flip", "neimark_sacker", "fastest", "end_kneestrike_at_heelstrike"} <= set(points.kind)
     value = {"flip": -1.0, "fold": 1.0}
     for k in np.flatnonzero(points.walks):
@@ -440,7 +441,7 @@ def test_a_row_of_differences_is_the_derivative():
 
 def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
     problem = lanes("A", detuning=0.3, m_h=0.5)
-    points = find(problem, survey_lines(problem, COARSE), WINDOW)
+    points = find(problem, survey_lines(problem, COARSE), SOUGHT)
     flip = lanes_of(points, np.flatnonzero((points.kind == "flip") & points.walks)[:1])
     differences = []
     monkeypatch.setattr(defining, "gradient", lambda *_: differences.append(1))
@@ -456,9 +457,9 @@ def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
     walker, keys = PLANES["A"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []
-    _Surveyor(family, box, WINDOW, lines).begin()
+    _Surveyor(family, box, SOUGHT, lines).begin()
     for half in box.parts(0):
-        surveyor = _Surveyor(family, half, WINDOW, lines)
+        surveyor = _Surveyor(family, half, SOUGHT, lines)
         surveyor.begin()
         assert len(surveyor.unit) >= 11 and len(set(surveyor.nodes.tolist())) == 9
         assert np.abs(surveyor.unit[surveyor.nodes]).max() <= 1 + 1e-12
@@ -479,7 +480,7 @@ def extension():
     family, box = Family.of({"walker": "A", "set": {}}, ("detuning",)), Box(("detuning",), (0.2,), (0.5,))
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     problem = maker.problem(np.zeros((1, 1)))
-    points = find(problem, survey_lines(problem, COARSE), WINDOW)
+    points = find(problem, survey_lines(problem, COARSE), SOUGHT)
     (k, *_) = np.flatnonzero((points.kind == "flip") & points.walks)
     return _Extension(maker, "flip", 0.0, np.zeros(1), points.Z[:, k])
 
@@ -564,7 +565,7 @@ def test_a_manifold_whose_drawn_points_are_lost_is_refused(extension, lane, why,
 def test_a_manifold_over_one_key_ends_where_it_turns():
     family = Family.of({"walker": "A", "set": {}}, ("detuning",))
     box = Box(("detuning",), (0.4,), (0.7,))
-    (landscape,) = make(family, box, WINDOW, 1000)
+    (landscape,) = make(family, box, SOUGHT, 1000)
     assert not landscape.why
     (cut,) = [m.region for m in landscape.manifolds if m.region.is_root]
     assert cut.turns and cut.curve.sizes == ()

@@ -242,9 +242,9 @@ def shorter_steps(problem, y, time, slope, ratio):
 @pytest.mark.parametrize(("name", "overrides"), [("physical-straight", {}), ("A", {"detuning": 0.3})])
 def test_the_slope_of_vanishing_steps_is_that_of_ever_shorter_ones(name, overrides):
     problem, found = branches(name, **overrides)
-    (branch,) = [b for b in found if "zero step length" in b.why]
+    (branch,) = [b for b in found if "end_zero_step" in b.why]
     (end,) = [p for p in special_points(problem, branch) if p["kind"] == "end_zero_step"]
-    node = branch.Z[:-1, -branch.why.index("zero step length")]
+    node = branch.Z[:-1, -branch.why.index("end_zero_step")]
     angle = np.exp(node[0])
     slopes = shorter_steps(problem, np.array([angle, *angle * node[1:-1]]), node[-1], end["slope"], 4.0)
     while len(slopes) > 1:

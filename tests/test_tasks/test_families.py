@@ -25,7 +25,7 @@ from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.polish import settle
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
-from gaitsweep.tasks.measures.gaits import nothing_solved
+from gaitsweep.tasks.measures.gaits import Wanted, nothing_solved
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.mechanics.lumped import common_structure, constants_of
@@ -37,6 +37,8 @@ from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
+#: The angle alone, to three digits.
+ANGLE = Wanted(("stance_angle",), set(), accuracy=1e-3)
 #: Walker, keys with their ranges, and slopes; in the last two folds and ends of branches lie inside.
 PLANES = {
     "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01)),
@@ -161,7 +163,7 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
     n = 12_000
 
     def surveyed(params, _):
-        own = nothing_solved(params["want"], 1, 3)
+        own = nothing_solved(params["want"], 1, kneed=False)
         return [({}, {**own, "reasons": np.array([f"{i} {k}" for k in range(7)])}) for i in range(n)]
 
     monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
@@ -286,7 +288,7 @@ def test_pieces_end_where_their_folds_and_steps_do():
     problem = Lanes(Family.of({"walker": "A", "set": {}}, cell.box.keys).walkers(cell.box.at(unit)), cell.structure)
     for i, branches in enumerate(survey_lines(problem, COARSE)):
         every = pieces.pieces_of(branches)
-        fold = next(piece for piece in every if piece.kinds == ("fold", "zero step length"))
+        fold = next(piece for piece in every if piece.kinds == ("fold", "end_zero_step"))
         short = next(piece for piece in every if piece.kinds[0] == "end_tangential_heelstrike")
         assert fold.q == pytest.approx(upper[:, i].tolist(), abs=3e-8)
         assert short.q[0] == pytest.approx(of["end", "cut"].span.ends(unit)[0, i], abs=3e-8)
@@ -481,7 +483,7 @@ def test_gaits_are_absent_beyond_an_end_alone_where_the_equations_solution_is_no
 
 def test_pieces_with_the_same_gaits_are_not_accepted(cell):
     family, right = cell
-    keys, wanted = right.box.at(np.zeros((2, 2))), solve_planes.Wanted(list(WANT), {"long", "short"})
+    keys, wanted = right.box.at(np.zeros((2, 2))), Wanted(list(WANT), {"long", "short"})
     solve = solve_planes.solve
     assert solve(family, right, keys, np.array([0.008]), wanted)[1].all()
     twice = replace(right, patches=[*right.patches, right.patches[0]])
@@ -668,11 +670,11 @@ def test_a_point_whose_prediction_is_not_accepted_is_solved_alone(monkeypatch):
 
 def test_polynomials_of_more_gaits_than_points_are_not_fitted():
     family, cell = cell_of("B")
-    sheet = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)[0]
+    sheet = interpolate.sheets(family, cell, ANGLE, 10**6)[0]
     needed = int(np.prod(sheet.chart.sizes)) + 64
     cell = replace(cell, patches=cell.patches[:1])
-    assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, needed)
-    assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, needed + 1)
+    assert not interpolate.sheets(family, cell, ANGLE, needed)
+    assert interpolate.sheets(family, cell, ANGLE, needed + 1)
 
 
 #: Variables of a plane that polynomials may give.
@@ -681,9 +683,9 @@ SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal")
 
 def test_polynomials_are_not_fitted_to_gaits_that_are_not_those_predicted(monkeypatch):
     family, cell = cell_of("B")
-    assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    assert interpolate.sheets(family, cell, ANGLE, 10**6)
     monkeypatch.setattr("gaitsweep.tasks.families.patch.near_predictions", lambda at, *_: np.arange(len(at.bound)) != 3)
-    assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    assert not interpolate.sheets(family, cell, ANGLE, 10**6)
 
 
 def test_polynomials_are_fitted_for_all_points_of_a_cell(monkeypatch):
@@ -748,7 +750,7 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(mon
 
 def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     family, cell = cell_of("B")
-    made = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    made = interpolate.sheets(family, cell, ANGLE, 10**6)
     ratio = Smooth.of(resolve("B"), ("stance_angle",), 3).names.index("heelstrike_rate_ratio")
     coefficients = made[0].chart.coefficients.copy()
     coefficients[:, ratio] = 0.0
@@ -757,16 +759,16 @@ def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     made[0] = replace(made[0], chart=replace(made[0].chart, coefficients=coefficients, error=1e-3))
     unit = np.column_stack([[-0.9, -0.03, 0.03, 0.9], np.zeros(4)])
     some = cells.Block(family, cell, cell.box.at(unit), np.array([0.006]))
-    parts, sure = interpolate.interpolate(some, made, ("stance_angle",), 1e-3)
+    parts, sure = interpolate.interpolate(some, made, ANGLE)
     assert sure.tolist() == [True, False, False, True]
     # Nor are those where errors are not known.
     made[0] = replace(made[0], unmeasured=(2.0, -1.0))
-    assert not interpolate.interpolate(some, made, ("stance_angle",), 1e-3)[1].any()
+    assert not interpolate.interpolate(some, made, ANGLE)[1].any()
     # Or where two gaits of a label have the same angle; those whose legs pass more often have no label.
     one = replace(made[1], unmeasured=(-1.0, -1.0))
-    parts_of, sure_of = interpolate.interpolate(some, [one, one], ("stance_angle",), 1e-3)
+    parts_of, sure_of = interpolate.interpolate(some, [one, one], ANGLE)
     assert not sure_of.any() and not any(len(part.index) for part in parts_of)
-    parts_of, sure_of = interpolate.interpolate(some, [replace(one, passes=3), one], ("stance_angle",), 1e-3)
+    parts_of, sure_of = interpolate.interpolate(some, [replace(one, passes=3), one], ANGLE)
     assert sure_of.all() and len(parts_of) == 1
     assert parts[0].index.tolist() == [0, 3] and (parts[0].ratio < 0.5).tolist() == [True, False]
 
@@ -786,7 +788,7 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         integrated.append(args[-1].sum())
         return usual(*args)
 
-    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled, from_arrays=Chart.from_arrays))
+    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
     for one, other in zip(right, by_line(params), strict=True):
         np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-5)
@@ -824,10 +826,10 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(one, piece(1.0, -4.4, -3.4)) == pytest.approx(0.3 + 0.1)
     # A shorter piece is compared at its own shares, of which the last lies 0.425 above -4.5 instead of 0.85.
     assert distance(one, piece(1.0, -4.5, -4.0)) == pytest.approx(3 * (0.85 - 0.425) + 0.5)
-    assert distance(one, piece(1.0, -4.5, -3.5, ("fold", "a fall"))) == pieces._FAR
-    assert distance(one, piece(1.0, -4.5, -3.5, ("a fall", "fold"))) == pieces._FAR
+    assert distance(one, piece(1.0, -4.5, -3.5, ("fold", "end_fall"))) == pieces._FAR
+    assert distance(one, piece(1.0, -4.5, -3.5, ("end_fall", "fold"))) == pieces._FAR
     # Beyond the range neither kinds nor, farther than 1, places count.
-    long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("a fall", "fold"))
+    long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("end_fall", "fold"))
     assert distance(long, longer) == distance(longer, long) == 0.0
     # Ends of walking of different kinds may be one's.
     grazing, early = (
@@ -836,7 +838,7 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(grazing, early) == 0.0 and distance(grazing, one) == pieces._FAR
     matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], -5.0, -3.0)
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
-    other = piece(1.0, -4.5, -3.5, ("fold", "a fall"))
+    other = piece(1.0, -4.5, -3.5, ("fold", "end_fall"))
     assert pieces.match([[one], [other]], -5.0, -3.0) == [[one, None], [None, other]]
     # Both of the first line are nearest to the same piece of the second: it continues the nearer one.
     near, far = piece(1.1, -4.5, -3.5), piece(3.0, -4.5, -3.5)
@@ -848,14 +850,14 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     """Well beyond the window, but not where the piece has ended; one that ends beside it is not cut."""
     maker = object.__new__(_Maker)
     maker.d, maker.window = 1, (-4.0, -3.0)
-    group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("a fall", "a fall")) for k in (0, 1)]
+    group = [SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("end_fall", "end_fall")) for k in (0, 1)]
     group[1].q = (-4.0 - beyond, -2.0)
-    low, high = maker.ends(group)
+    low, high = maker.both_ends(group)
     assert (low.kind, high.kind) == ("cut", "cut")
     assert low.at(np.zeros((1, 1))) == pytest.approx([-4.0 - off]) and high.at(np.zeros((1, 1))) == [-2.94]
     group[1].q = (-4.02, -2.0)
     group.append(group[0])
     for piece in group:
         piece.rate_beside = lambda k: 1.0
-    with pytest.raises(Refused, match="a piece ends at a fall"):
-        maker.ends(group)
+    with pytest.raises(Refused, match="a piece ends at end_fall"):
+        maker.both_ends(group)

@@ -67,10 +67,10 @@ def test_more_digits_are_used_where_newton_does_not_halve_its_steps():
     stride = exact.stride
     stride.inverse = 0.3 * stride.inverse
     off = exact.y[:, 0] * (1 + 1e-6)
-    start = (problem, 0, stride, off, exact.times[:, 0], float(slope[0]), float(exact.scale[0]))
-    assert extended_precision.solved(*start, 0)[-1] == np.inf
-    assert extended_precision.solved(*start, 1)[-1] < 1e-15
-    y, *_, bound = extended_precision.refine(*start, 1e-11, 1.0)
+    start = extended_precision.Start(problem, 0, stride, off, exact.times[:, 0], float(slope[0]), float(exact.scale[0]))
+    assert extended_precision.solved(start, 0)[-1] == np.inf
+    assert extended_precision.solved(start, 1)[-1] < 1e-15
+    y, *_, bound = extended_precision.refine(start, 1e-11, 1.0)
     assert bound < 1e-15
     np.testing.assert_allclose(y, exact.y[:, 0], rtol=1e-13)
 

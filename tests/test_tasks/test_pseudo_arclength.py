@@ -119,7 +119,8 @@ def test_hermites_polynomial_is_the_cubic_through_both_points_and_tangents():
     a, length = 0.2, 1.7
     rate = cubic.deriv()
     h = np.linspace(0, 1, 9)
-    found = hermite(cubic(a) + 0 * h, rate(a) + 0 * h, cubic(a + length) + 0 * h, rate(a + length) + 0 * h, length, h)
+    ends = ((cubic(x) + 0 * h, rate(x) + 0 * h) for x in (a, a + length))
+    found = hermite(*ends, length, h)
     np.testing.assert_allclose(found, cubic(a + length * h), atol=1e-14)
 
 

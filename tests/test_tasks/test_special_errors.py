@@ -118,7 +118,7 @@ def test_slopes_at_which_steps_vanish_lie_within_their_bounds(seed):
     """Errors were up to 0.9 of their bounds, by the rounding that extrapolation enlarges."""
     problem, shares = Problem(drawn(seed)), []
     for branch in survey(problem):
-        for end in (i for i in (0, -1) if branch.why[i] == "zero step length"):
+        for end in (i for i in (0, -1) if branch.why[i] == "end_zero_step"):
             place = 0 if end == 0 else len(branch.q) - 1
             (point,) = [p for p in special_points(problem, branch) if p["place"] == place]
             error = abs(limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1)
