@@ -57,7 +57,7 @@ TASKS = {
             side_by_side="gaitsweep.tasks.solve_points:lines",
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
-        Task("points", "gaitsweep.tasks.solve_points:points", 22, needs=("atlas",)),
+        Task("points", "gaitsweep.tasks.solve_points:points", 23, needs=("atlas",)),
         Task("charts", "gaitsweep.tasks.solve_planes:charts", 8),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
         Task("branch", "gaitsweep.tasks.follow_branches:branch", 19, needs=("atlas",)),

@@ -196,7 +196,7 @@ def _outside(branches: list[Branch], n: int) -> str:
     """Why no branch has a gait of n steps at some slope."""
     if not branches:
         return f"No gait of period {n} found: no flip of fewer steps begins one."
-    spans = "; ".join(f"{np.exp(branch.q.min()):.6g} to {np.exp(branch.q.max()):.6g}" for branch in branches)
+    spans = status.ranges([(np.exp(branch.q.min()), np.exp(branch.q.max())) for branch in branches])
     limit = f"followed up to multipliers of {MAX_MULTIPLIER:g}"
     return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
 

@@ -14,6 +14,16 @@ SOLVED = (CONVERGED, LESS_ACCURATE)
 SETTLED, NO_LONG, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, NO_SHORT, TOO_COARSE = range(7)
 
 
+def ranges(pieces: Sequence[tuple[float, float]]) -> str:
+    """Ranges of slopes in words, those that overlap as one."""
+    apart: list[tuple[float, float]] = []
+    for low, high in sorted(pieces):
+        if apart and low <= apart[-1][1]:
+            low, high = apart[-1][0], max(high, apart.pop()[1])
+        apart.append((low, high))
+    return "; ".join(" to ".join(dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))) for low, high in apart)
+
+
 def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: Sequence[float] = ()) -> str:
     """Say why no branch has a gait of a label at some slope.
 
@@ -32,8 +42,7 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: 
         searched += f"; continuation was lost at {', '.join(f'{slope:.6g}' for slope in lost)}"
     if not pieces:
         return f"No {label} gait found: {searched}."
-    spans = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in pieces)
-    return f"No {label} gait at this slope: the branches found span {spans} ({searched})."
+    return f"No {label} gait at this slope: the branches found span {ranges(pieces)} ({searched})."
 
 
 def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> str:

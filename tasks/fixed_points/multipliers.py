@@ -119,6 +119,7 @@ def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
         of_polynomial = sum((-1) ** k * change[k] * z ** (m - 1 - k) for k in range(m))
         moved[:, i] = of_polynomial / gaps.prod(axis=0)
         moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
+    moved.imag[values.imag == 0] = 0.0  # which rounds beside a complex pair
     return moved
 
 

@@ -17,7 +17,7 @@ from gaitsweep.tasks.continuation.sampling import within
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.solve_points import _reasons, atlas
-from gaitsweep.tasks.status import outside
+from gaitsweep.tasks.status import outside, ranges
 from lines import branches
 
 
@@ -166,6 +166,11 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     run(problem, measure(kept, COARSE))
     assert all("continuation was lost at" in sentence for sentence in np.array(_reasons(problem, [kept]))[[1, 5]])
     assert "lost" not in outside("long", [], "searched")
+
+
+def test_slopes_that_branches_span_are_told_in_order_and_once():
+    pieces = [(0.3, 0.4), (0.05, 0.06), (0.01, 0.05), (0.02, 0.03), (0.2, 0.2 + 1e-12)]
+    assert ranges(pieces) == "0.01 to 0.06; 0.2; 0.3 to 0.4"
 
 
 @pytest.mark.parametrize("end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "end_fall"])

@@ -11,6 +11,7 @@ from gaitsweep.tasks.fixed_points.multipliers import (
     characteristic,
     characteristic_errors,
     multiplier_bounds,
+    multiplier_changes,
     multipliers,
 )
 from gaitsweep.tasks.fixed_points.newton import curvature
@@ -62,6 +63,13 @@ def test_bounds_of_eigenvalues(m):
         apart = np.abs(values[:, :m, None] - moved[:, None, :m]).min(axis=2).max(axis=1)
         assert (apart <= bound * (1 + 1e-9)).all()
     assert np.median(bound / error) < 100
+
+
+def test_real_multipliers_stay_real_beside_a_complex_pair():
+    values = multipliers(random_matrices(3), 3)
+    moved = multiplier_changes(values, np.full((3, len(values)), 1e-13))
+    beside_pair = (values.imag == 0) & (values.imag != 0).any(axis=1, keepdims=True)
+    assert beside_pair.sum() > 10 and (moved[beside_pair].real != 0).any() and (moved[beside_pair].imag == 0).all()
 
 
 @pytest.mark.parametrize("m", [2, 3])
