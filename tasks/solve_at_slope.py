@@ -69,7 +69,9 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
-    log.append(f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {sum(len(b.q) for b in branches)} points")
+    log.append(
+        f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {sum(len(b.q) for b in branches)} points"
+    )
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, request, gaits)
         log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
