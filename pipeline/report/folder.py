@@ -144,7 +144,7 @@ class _Report:
         """Number of claims that a page's figures show, by verdict, the best first."""
         ids = dict.fromkeys(id for figure in record.figures for id in self.figures[record.slug, figure["name"]])
         rows = ledger.tally(self.ledger)
-        counts = {verdict: sum(row.id in ids for row in members) for verdict, members in rows.items()}
+        counts = {verdict: sum(row["id"] in ids for row in members) for verdict, members in rows.items()}
         return {verdict: count for verdict, count in counts.items() if count}
 
     def filled(self, text: str, record: Entry | None) -> str:
