@@ -252,10 +252,9 @@ def _data_files(source: Source, slug: str, frames: Mapping[str, pd.DataFrame]) -
 
     What is longer than the list of points without a gait is in the archive alone, which reads faster.
     """
-    known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
     short = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
-    texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in short.items()}
+    texts = {name: folder.csv_text(frame, _UNITS | units) for name, frame in short.items()}
     first: dict[str, str] = {}
     csv = {name: first.setdefault(text, f"{slug}-{name}.csv") for name, text in texts.items()}
     return csv, {f"csv/{name}": text for text, name in first.items()}
