@@ -125,7 +125,10 @@ def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     assert "Residuals of the measurements" in text and ">measured<" in text and 'id="measured"' in text
     assert "<code>measured.csv</code>" in text  # to be saved beside the study
     largest = measured.residuals(read_archive(archive)).groupby("variable")["residual"].agg(lambda r: r.abs().max())
-    assert f"residual of period (s) is {largest['period (s)']:.3g}; the largest" in text and ">γ (rad)" in text
+    assert (
+        f">The largest residual of period (s) is {largest['period (s)']:.3g}; the largest" in text
+        and ">γ (rad)" in text
+    )
 
 
 def _archived(tmp_path, study, measurements):

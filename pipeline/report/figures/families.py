@@ -119,7 +119,7 @@ def measurements(source: Source) -> Sketch | None:
     sketch.line_keys(names)
     left = measured.residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
-    worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
+    worst = "; the largest ".join(f"residual of {name} is {plain(value, 3)}" for name, value in largest.items())
     return sketch.finish(lines=names, names=", ".join(variables), count=len(rows), worst=worst)
 
 
