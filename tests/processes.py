@@ -36,6 +36,7 @@ def ended(code):
     """In place of a process, one that has ended so."""
     process = MagicMock(returncode=code)
     process.__enter__.return_value = process
+    process.poll.return_value, process.communicate.return_value = code, (None, None)
     return process
 
 

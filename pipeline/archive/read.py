@@ -237,18 +237,14 @@ def _probe(paths: list[Path]) -> None:
     command = [sys.executable, "-P", "-m", "gaitsweep.pipeline.archive.read", str(seconds), *map(str, paths)]
     try:
         null = subprocess.DEVNULL
-        with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:
-            try:
-                process.wait()
-            finally:
-                process.kill()
+        code = subprocess.run(command, stdin=null, stdout=null, stderr=null, env=environment).returncode
     except OSError as error:
         raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
-    if process.returncode < 0:
-        what = "hangs" if process.returncode == -signal.SIGXCPU else "crashes"
+    if code < 0:
+        what = "hangs" if code == -signal.SIGXCPU else "crashes"
         raise ArchiveError(f"{path} is damaged: the netCDF library {what} on it.")
-    if process.returncode:
-        raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
+    if code:
+        raise WorkerError(f"{path} cannot be tried in another process: that ended with {code}.")
 
 
 def _read_whole(path: Path) -> None:

@@ -144,7 +144,7 @@ class _Report:
         """Number of claims that a page's figures show, by verdict, the best first."""
         ids = dict.fromkeys(id for figure in record.figures for id in self.figures[record.slug, figure["name"]])
         rows = ledger.tally(self.ledger)
-        counts = {verdict: sum(row.id in ids for row in members) for verdict, members in rows.items()}
+        counts = {verdict: sum(row["id"] in ids for row in members) for verdict, members in rows.items()}
         return {verdict: count for verdict, count in counts.items() if count}
 
     def filled(self, text: str, record: Entry | None) -> str:
@@ -204,33 +204,20 @@ def _thumbnails(entries: list[Entry]) -> dict[str, str]:
     return thumbnails
 
 
-def csv_text(
-    frame: pd.DataFrame, units: Mapping[str, str] | None = None, known: dict[bytes, list[str]] | None = None
-) -> str:
-    """A frame as CSV, with units in its head; `known` keeps the entries of columns that other frames may have too."""
-    columns = [_entries(column, {} if known is None else known) for _, column in frame.items()]
+def csv_text(frame: pd.DataFrame, units: Mapping[str, str] | None = None) -> str:
+    """A frame as CSV, with units in its head."""
     units = {**(units or {}), **{name: unit for name, unit in frame.attrs.get("units", {}).items() if unit}}
     heads = [with_unit(str(c), unit if (unit := units.get(str(c), "1")) != "1" else "") for c in frame.columns]
-    return "".join(",".join(row) + "\n" for row in [map(_word, heads), *zip(*columns, strict=True)])
+    words = frame.columns[[column.dtype.kind not in "iuf" for _, column in frame.items()]]
+    texts = {name: frame[name].astype(object).map(_word, na_action="ignore") for name in words}
+    return frame.assign(**texts).to_csv(index=False, header=[*map(_word, heads)], lineterminator="\n")
 
 
-def _entries(column: pd.Series, known: dict[bytes, list[str]]) -> list[str]:
-    """What a column has in a CSV file: nothing where its number or word is missing."""
-    if column.dtype.kind in "iuf":
-        key = column.dtype.str.encode() + column.to_numpy().tobytes()
-        if key not in known:
-            known[key] = ["" if x != x else repr(x) for x in column.tolist()]
-        return known[key]
-    return ["" if no else _word(str(word)) for word, no in zip(column, column.isna(), strict=True)]
-
-
-def _word(word: str) -> str:
-    """A word in a CSV file, within quotes if it holds a sign of the format.
-
-    One that a spreadsheet would evaluate as a formula is told to be text.
-    """
-    word = f"'{word}" if word[:1] in ("=", "+", "-", "@", "\t", "\r") else word
-    return '"' + word.replace('"', '""') + '"' if re.search('[,"\n\r]', word) else word
+def _word(word: Any) -> str:
+    """A word in a CSV file: one that a spreadsheet would evaluate as a formula is told to be text."""
+    is_formula = str(word)[:1] in ("=", "+", "-", "@", "\t", "\r")
+    text = f"'{word}" if is_formula else str(word)
+    return text.replace("\r", "\n")  # which alone is quoted
 
 
 def _publish(path: Path, text: str) -> None:

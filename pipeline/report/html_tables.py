@@ -47,6 +47,7 @@ class Table:
     frame: pd.DataFrame | None = None
     gaits: list[str] = field(default_factory=list)
     most: int = MAX_COLUMNS
+    is_open: bool = False
 
     @property
     def numeric(self) -> list[bool]:
@@ -56,7 +57,7 @@ class Table:
     @property
     def folded(self) -> bool:
         """Whether the rows are folded under the caption."""
-        return len(self.rows) > _OPEN_ROWS
+        return len(self.rows) > _OPEN_ROWS and not self.is_open
 
 
 def _head(column: str) -> str:
@@ -86,22 +87,31 @@ def from_frame(
 
 
 def named(
-    name: str, frame: pd.DataFrame, most: int = MAX_ROWS, where: str = "archive", note: str = "",
+    name: str, frame: pd.DataFrame, is_open: bool = False, where: str = "archive", note: str = "",
     whole: pd.DataFrame | None = None,
 ) -> Table:  # fmt: skip
-    """Make a table of the first rows of a frame, with the words of its name and the number of rows left out."""
-    words = WORDS["tables"].get(name, {})
+    """Make a table of the first rows of a frame, with the words of its name and the number of rows left out.
+
+    One that `is_open` has up to twice as many rows, and they are never folded.
+    """
+    words, most = WORDS["tables"].get(name, {}), MAX_ROWS * (1 + is_open)
     most = most if len(frame) <= most else _EXCERPT
     left = len(frame) - most
     notes = [words.get("note", ""), note, f"{grouped(left)} more rows are in the {where}." if left > 0 else ""]
     caption, whole = words.get("caption", spaced(name).replace("/", ": ")), frame if whole is None else whole
     file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
-    return from_frame(caption, frame.head(most), " ".join(filter(None, notes)), file, whole)
+    table = from_frame(caption, frame.head(most), " ".join(filter(None, notes)), file, whole)
+    return replace(table, is_open=is_open)
 
 
-def fits(source: Source) -> list[Table]:
-    """One table for each fit in the archive."""
-    return [_fit(name, frame) for name, frame in source.tables.items() if name.startswith("fits/") and len(frame)]
+def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
+    """Tables of results on a page, by the section in which they stand: its heading, and they."""
+    parts = {
+        "landmarks": ("Paper and computation", landmarks(source)),
+        "residuals": ("Measurements", residuals(source)),
+        "fits": ("Tables", results(source)),
+    }
+    return {name: (heading, tables) for name, (heading, tables) in parts.items() if tables}
 
 
 def _fit(name: str, frame: pd.DataFrame) -> Table:
@@ -112,45 +122,41 @@ def _fit(name: str, frame: pd.DataFrame) -> Table:
     if "quantity" in fitted:
         law = fitted["quantity"].map(lambda quantity: WORDS["laws"].get(quantity, quantity))
         fitted = fitted.assign(quantity=law).rename(columns={"quantity": "law"})
-    return named(name, fitted, 2 * MAX_ROWS, note=note, whole=frame)
+    return named(name, fitted, True, note=note, whole=frame)
 
 
-def landmarks(source: Source) -> Table | None:
+def landmarks(source: Source) -> list[Table]:
     """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
     heads = WORDS["landmarks"]
-    tables = [source.table(name, *heads) for name in ("landmarks", "crises")]
-    frame = pd.concat([t[list(heads)] for t in tables if t is not None] or [pd.DataFrame()])
-    if frame.empty:
-        return None
+    frame = places.every(source, *heads)
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
-    return Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)
+    return [Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)] if rows else []
 
 
-def residuals(source: Source) -> Table | None:
+def residuals(source: Source) -> list[Table]:
     """The study's own measurements beside the computed values."""
     frame = measured.residuals(source)
-    return None if frame.empty else named("residuals", frame, 2 * MAX_ROWS, "CSV file")
-
-
-def special_points(source: Source) -> Table | None:
-    """Folds, flips and ends, with their coordinates."""
-    frame = source.table("special_points")
-    if frame is None:
-        return None
-    table = named("special_points", frame, 2 * MAX_ROWS)
-    return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
+    return [] if frame.empty else [named("residuals", frame, True, "CSV file")]
 
 
 def results(source: Source) -> list[Table]:
     """Make every table of results in the archive that is not shown elsewhere on its page."""
     captions, elsewhere = WORDS["tables"], WORDS["elsewhere"]["tables"]
     order = [*captions, *sorted(source.tables.keys() - captions.keys())]
-    names = [name for name in order if name not in elsewhere and not name.startswith("fits/")]
-    return [_result(name, frame) for name in names if (frame := source.table(name)) is not None]
+    return [
+        _result(source, name, frame)
+        for name in order
+        if name not in elsewhere and (frame := source.table(name)) is not None
+    ]
 
 
-def _result(name: str, frame: pd.DataFrame) -> Table:
+def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
+    if name.startswith("fits/"):
+        return _fit(name, frame)
+    if name == "special_points":
+        table = named(name, frame, True)
+        return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
     if name in ("figure9", "figure10") and "walker" in frame:
         return _transposed(name, frame)
     if name == "figure10_cells":

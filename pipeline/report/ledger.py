@@ -31,27 +31,11 @@ class Bar:
     words: str
 
 
-@dataclass(frozen=True)
-class ClaimRow:
-    """One claim of the ledger, with links to the pages that show it."""
-
-    id: str
-    printed: Cell
-    quotation: str
-    source: str
-    computed: list[str]
-    value: Cell
-    number: Cell
-    interval: list[Cell]
-    bar: Bar | None
-    verdict: str
-    sign: str
-    short: str
-    shown: list[tuple[str, str]]
-    command: str
+#: A claim as the ledger shows it: texts, cells of numbers, its picture, and the figures that show it with their links.
+Claim = dict[str, Any]
 
 
-def families(entries: Iterable[Entry]) -> dict[str, list[ClaimRow]]:
+def families(entries: Iterable[Entry]) -> dict[str, list[Claim]]:
     """Every claim of some studies by subject, each with links to the figures that show it."""
     entries = list(entries)
     titles = {
@@ -63,10 +47,10 @@ def families(entries: Iterable[Entry]) -> dict[str, list[ClaimRow]]:
     for (slug, name), ids in figures(entries).items():
         for id in ids:
             shown.setdefault(id, []).append((titles[slug, name], f"{slug}.html#{name}"))
-    rows = [_claim_row(row, shown.get(str(row["id"]), [])) for entry in entries for row in entry.claims]
-    groups: dict[str, list[ClaimRow]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
-    for row in sorted(rows, key=lambda row: (row.id[:1], len(row.id), row.id)):
-        groups[WORDS["subjects"].get(row.id[:1].upper(), "Others")].append(row)
+    rows = [_claim(row, shown.get(str(row["id"]), [])) for entry in entries for row in entry.claims]
+    groups: dict[str, list[Claim]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
+    for row in sorted(rows, key=lambda row: (row["id"][:1], len(row["id"]), row["id"])):
+        groups[WORDS["subjects"].get(row["id"][:1].upper(), "Others")].append(row)
     return {subject: members for subject, members in groups.items() if members}
 
 
@@ -86,31 +70,33 @@ def figures(entries: Iterable[Entry]) -> dict[tuple[str, str], list[str]]:
     return places
 
 
-def tally(ledger: Mapping[str, list[ClaimRow]]) -> dict[str, list[ClaimRow]]:
+def tally(ledger: Mapping[str, list[Claim]]) -> dict[str, list[Claim]]:
     """Claims by verdict, the best verdict first."""
-    groups: dict[str, list[ClaimRow]] = {verdict: [] for verdict in WORDS["verdicts"]}
+    groups: dict[str, list[Claim]] = {verdict: [] for verdict in WORDS["verdicts"]}
     for row in itertools.chain(*ledger.values()):
-        groups.setdefault(row.verdict, []).append(row)
+        groups.setdefault(row["verdict"], []).append(row)
     return {verdict: members for verdict, members in groups.items() if members}
 
 
-def table(ledger: Mapping[str, list[ClaimRow]]) -> pd.DataFrame:
+def table(ledger: Mapping[str, list[Claim]]) -> pd.DataFrame:
     """The ledger as a table, for the CSV file."""
-    columns = {
-        "id": lambda row: row.id,
-        "claim": lambda row: row.printed.text,
-        "quotation": lambda row: row.quotation,
-        "place": lambda row: row.source,
-        "printed": lambda row: row.number.value,
-        "computed": lambda row: row.value.value,
-        "interval_low": lambda row: row.interval[0].value if row.interval else None,
-        "interval_high": lambda row: row.interval[1].value if row.interval else None,
-        "verdict": lambda row: row.verdict,
-        "result": lambda row: "; ".join(row.computed),
-        "command": lambda row: row.command,
-    }
-    rows = list(itertools.chain(*ledger.values()))
-    return pd.DataFrame({name: [value(row) for row in rows] for name, value in columns.items()})
+    rows = [
+        {
+            "id": row["id"],
+            "claim": row["printed"].text,
+            "quotation": row["quotation"],
+            "place": row["source"],
+            "printed": row["number"].value,
+            "computed": row["value"].value,
+            "interval_low": row["interval"][0].value if row["interval"] else None,
+            "interval_high": row["interval"][1].value if row["interval"] else None,
+            "verdict": row["verdict"],
+            "result": "; ".join(row["computed"]),
+            "command": row["command"],
+        }
+        for row in itertools.chain(*ledger.values())
+    ]
+    return pd.DataFrame(rows)
 
 
 def sign(verdict: str) -> str:
@@ -120,27 +106,26 @@ def sign(verdict: str) -> str:
     return str(known["chip"]) if known else "no" if words.startswith("not ") else "open"
 
 
-def _claim_row(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> ClaimRow:
-    verdict = spaced(row.get("verdict", ""))
-    interval = [_number(row, name) for name in ("interval_low", "interval_high")]
-    computed = row.get("computed", "")
+def _claim(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> Claim:
+    """A claim of an archive as the ledger shows it."""
+    verdict, printed, computed = spaced(row.get("verdict", "")), row.get("printed", ""), row.get("computed", "")
+    low, high = (_number(row, name) for name in ("interval_low", "interval_high"))
+    has_interval = low.value is not None and high.value is not None
     words = [str(computed)] if not isinstance(computed, str) else [part.strip() for part in computed.split(";")]
-    return ClaimRow(
-        str(row["id"]),
-        Cell(typeset(printed)) if isinstance(printed := row.get("printed", ""), str) else cell(printed),
-        str(row.get("quotation", "")),
-        str(row.get("source", "")),
-        [typeset(part) for part in words if part],
-        _number(row, "value") if "value" in row else _number(row, "computed"),
-        _number(row, "printed_value"),
-        interval if all(c.value is not None for c in interval) else [],
-        _bar(row),
-        verdict,
-        sign(verdict),
-        paper.claim(row),
-        shown,
-        str(row.get("command", "")),
-    )
+    return {
+        "id": str(row["id"]),
+        **{name: str(row.get(name, "")) for name in ("quotation", "source", "command")},
+        "printed": Cell(typeset(printed)) if isinstance(printed, str) else cell(printed),
+        "computed": [typeset(part) for part in words if part],
+        "value": _number(row, "value" if "value" in row else "computed"),
+        "number": _number(row, "printed_value"),
+        "interval": [low, high] if has_interval else [],
+        "bar": _bar(row),
+        "verdict": verdict,
+        "sign": sign(verdict),
+        "short": paper.claim(row),
+        "shown": shown,
+    }
 
 
 def _number(row: Mapping[str, Any], name: str) -> Cell:

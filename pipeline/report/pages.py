@@ -106,17 +106,15 @@ def _in_processes(
 ) -> dict[str, tuple[str, dict[str, str]]]:
     """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some.
 
-    Processes are forked one for each few pages and only write to a pipe: what one does not deliver, for lack of memory
-    or in error, is made here, where the error is raised.
+    Each is made in a process of its own that only writes to a pipe: what one does not deliver, for lack of memory or in
+    error, is made here, where the error is raised.
     """
     made: dict[str, tuple[str, dict[str, str]]] = {}
     workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
     if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
         _environment()
-        size = -(-len(sources) // (3 * workers))
-        parts = [list(zip(sources, slugs, strict=True))[k : k + size] for k in range(0, len(sources), size)]
         with contextlib.suppress(OSError):  # no room for another process
-            for slug, page in _forked(parts, workers):
+            for slug, page in _forked(dict(zip(slugs, sources, strict=True)), workers):
                 made[slug] = page
                 tell(len(made))
     for source, slug in zip(sources, slugs, strict=True):
@@ -126,37 +124,34 @@ def _in_processes(
     return {slug: made[slug] for slug in slugs}
 
 
-def _forked(parts: list[list[tuple[Source, str]]], workers: int) -> Iterator[tuple[str, tuple[str, dict[str, str]]]]:
-    """Yield pages, with their slugs, as processes make them, each one part of the pages."""
-    fork = multiprocessing.get_context("fork")
-    running: dict[Any, multiprocessing.process.BaseProcess] = {}
-    waiting = parts[::-1]
+def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, tuple[str, dict[str, str]]]]:
+    """Yield pages, with their slugs, as processes make them, one each."""
+    fork, waiting = multiprocessing.get_context("fork"), [*sources.items()][::-1]
+    running: dict[Any, tuple[str, multiprocessing.process.BaseProcess]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:
+                slug, source = waiting.pop()
                 receiver, sender = fork.Pipe(duplex=False)
-                process = fork.Process(target=_deliver, args=(waiting.pop(), sender, [*running, receiver]), daemon=True)
+                process = fork.Process(target=_deliver, args=(source, slug, sender, [*running, receiver]), daemon=True)
                 process.start()
                 sender.close()
-                running[receiver] = process
+                running[receiver] = slug, process
             ready: list[Any] = connection.wait(list(running))
             for end in ready:
-                try:
-                    yield end.recv()
-                except (EOFError, pickle.UnpicklingError):
-                    running.pop(end).join()
-                    end.close()
+                with contextlib.suppress(EOFError, pickle.UnpicklingError):
+                    yield running[end][0], end.recv()
+                running.pop(end)[1].join()
+                end.close()
     finally:
-        for end, maker in running.items():
+        for end, (_, maker) in running.items():
             maker.terminate()
             maker.join()
             end.close()
 
 
-def _deliver(
-    part: list[tuple[Source, str]], sender: connection.Connection, receivers: list[connection.Connection]
-) -> None:
-    """Make some pages in a process of their own, and send each; on an error it ends without a word.
+def _deliver(source: Source, slug: str, sender: connection.Connection, receivers: list[connection.Connection]) -> None:
+    """Make a page in a process of its own, and send it; on an error it ends without a word.
 
     The ends at which its parent receives are closed here, so that it does not wait for one that was killed.
     """
@@ -164,8 +159,7 @@ def _deliver(
     try:
         for receiver in receivers:
             receiver.close()
-        for source, slug in part:
-            sender.send((slug, _make(source, slug)))
+        sender.send(_make(source, slug))
     finally:
         os._exit(0)
 
@@ -173,18 +167,11 @@ def _deliver(
 def _study(source: Source, slug: str) -> tuple[str, dict[str, str]]:
     """The page of one study, which depends on no other, and its data files."""
     drawings, undrawn = _drawings(source, slug)
-    tables: dict[str, Any] = {
-        "landmarks": html_tables.landmarks(source),
-        "residuals": html_tables.residuals(source),
-        "fits": html_tables.fits(source),
-        "special": html_tables.special_points(source),
-        "results": html_tables.results(source),
-    }
+    sections = html_tables.sections(source)
     absent = html_tables.points(source)
     listed = html_tables.listed(absent)
-    every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
     frames = {drawing.name: drawing.data for drawing in drawings}
-    frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
+    frames |= {f"table-{table.name}": table.frame for _, own in sections.values() for table in own if table.name}
     frames |= {"absent": listed} if len(absent) else {}
     csv, files = _data_files(source, slug, frames)
     template, lines, states = _environment().get_template("study.html"), starts.lines(source), _share_states(drawings)
@@ -196,7 +183,7 @@ def _study(source: Source, slug: str) -> tuple[str, dict[str, str]]:
         lines=lines,
         states=states,
         entries=[vars(_entry(source, slug, drawings, lines, files))],
-        **tables,
+        sections=sections,
         csv=csv,
         absent=absent,
         listed=listed,
@@ -265,10 +252,9 @@ def _data_files(source: Source, slug: str, frames: Mapping[str, pd.DataFrame]) -
 
     What is longer than the list of points without a gait is in the archive alone, which reads faster.
     """
-    known: dict[bytes, list[str]] = {}  # a column may be in several tables
     units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
     short = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
-    texts = {name: folder.csv_text(frame, _UNITS | units, known) for name, frame in short.items()}
+    texts = {name: folder.csv_text(frame, _UNITS | units) for name, frame in short.items()}
     first: dict[str, str] = {}
     csv = {name: first.setdefault(text, f"{slug}-{name}.csv") for name, text in texts.items()}
     return csv, {f"csv/{name}": text for text, name in first.items()}

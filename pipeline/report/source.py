@@ -47,17 +47,17 @@ def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9)
 
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and the archive's data along it.
+    """One walker with every axis but `slope` fixed, and what the archive holds along it.
 
-    `at` is its place: `walker`, by name, then the values of the axes; `followed` are the rows of its branches, if
-    the study follows them.
+    `at` is its place: `walker`, by name, then the values of the axes; `command` solves it, without the slope. `rows`
+    are its rows of a table; of a line of the grid, which has `data`, those of its branches, if the study follows them.
     """
 
     at: dict[str, Any]
     label: str
-    data: xr.Dataset
     command: str
-    followed: pd.DataFrame
+    rows: pd.DataFrame
+    data: xr.Dataset = field(default_factory=xr.Dataset)
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
         """Yield a frame for each piece of a branch: `slope`, variables, state, `stable` (1, 0 or NaN) and `gait`.
@@ -69,7 +69,7 @@ class Line:
         """
         data, dims = self.data, ("slope", "gait")
         if "gait" not in data.dims:
-            for _, rows in self.followed.groupby("branch", sort=False):
+            for _, rows in self.rows.groupby("branch", sort=False):
                 falls = rows["slope"].diff().bfill() < 0
                 parts = rows.groupby((falls != falls.shift()).cumsum())
                 yield from (part.sort_values("slope") for _, part in parts)
@@ -314,7 +314,7 @@ class Source:
             named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
             label = axis_values({**named, **varying})
             line = {"walker": walker, **settings}
-            yield Line(line, label, self.grid.isel(at), self.command(line), rows_at(followed, line))
+            yield Line(line, label, self.command(line), rows_at(followed, line), self.grid.isel(at))
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs; None if there is none."""
@@ -326,16 +326,14 @@ class Source:
         settings = {c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"}
         return {"walker": str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, **settings}
 
-    def line_command(self, rows: pd.DataFrame) -> str:
-        """The `gaitsweep solve` command of the line of some rows, without the slope."""
-        return self.command(self.line_of(rows))
-
-    def line_groups(self, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-        """Rows of a table by line, in the archive's order, with the values that differ between lines."""
+    def lines_of(self, table: pd.DataFrame) -> list[Line]:
+        """Lines of a table, in its order, called by the values that differ between them: one alone by none."""
         columns = [c for c in self.line_columns(table) if table[c].nunique() > 1]
-        if not columns:
-            return [({}, table)]
-        return [(dict(zip(columns, key, strict=True)), rows) for key, rows in table.groupby(columns, sort=False)]
+        lines = []
+        for key, rows in table.groupby(columns, sort=False) if columns else [((), table)]:
+            at, label = self.line_of(rows), axis_values(dict(zip(columns, key, strict=True)))
+            lines.append(Line(at, label, self.command(at), rows))
+        return lines
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
         """Columns of a table that identify the line of a row."""

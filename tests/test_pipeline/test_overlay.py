@@ -125,7 +125,10 @@ def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     assert "Residuals of the measurements" in text and ">measured<" in text and 'id="measured"' in text
     assert "<code>measured.csv</code>" in text  # to be saved beside the study
     largest = measured.residuals(read_archive(archive)).groupby("variable")["residual"].agg(lambda r: r.abs().max())
-    assert f"residual of period (s) is {largest['period (s)']:.3g}; the largest" in text and ">γ (rad)" in text
+    assert (
+        f">The largest residual of period (s) is {largest['period (s)']:.3g}; the largest" in text
+        and ">γ (rad)" in text
+    )
 
 
 def _archived(tmp_path, study, measurements):
@@ -187,6 +190,6 @@ def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
 def test_rows_that_a_page_leaves_out_are_counted(monkeypatch):
     rows = pd.DataFrame({"task": ["trace"] * 130, "residual": np.zeros(130)})
     monkeypatch.setattr(measured, "residuals", lambda source: rows)
-    assert html_tables.residuals(None).note.endswith("118 more rows are in the CSV file.")
+    assert html_tables.residuals(None)[0].note.endswith("118 more rows are in the CSV file.")
     failed = html_tables.failed_tasks(SimpleNamespace(table=lambda name: {"failed_tasks": rows}.get(name)))
     assert len(failed.rows) == 12 and failed.note == "118 more rows are in the archive."

@@ -164,7 +164,7 @@ def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_pa
     text = f'name = "census"\nkind = "census"\nwalker = {list(walkers)}\n[axes]\nslope = [0.001, 0.01]\n'
     tables = {"census": rows | {"stance_angle": slope ** (1 / 3)}, "coverage": rows | counts}
     sketch = FIGURES["census"](read(write(tmp_path / "c.nc", text, {}, {}, dict.fromkeys(walkers, POINT), tables)))
-    drawn = np.array([mark.x for mark in sketch.marks]) / [1e-3, 1e-2]
+    drawn = np.array([mark.rows[mark.x] for mark in sketch.marks]) / [1e-3, 1e-2]
     assert np.abs(np.log(drawn)).max() < np.log(1.25) * (len(walkers) > 1) + 1e-12
     np.testing.assert_allclose(np.exp(np.log(drawn).mean()), 1)
     assert ("side by side" in sketch.words[1]) == (len(walkers) > 1)
@@ -357,7 +357,7 @@ def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_inte
         tables = {"orbits": rows | orbits, "crises": mark, "survival": rows | survival}
         source = read(write(tmp_path / f"{walker}-{upto}.nc", text, {}, {}, {walker: KNEED}, tables))
         drawing = draw(source, "bifurcation", "test")
-        return drawing.caption + drawing.finding, html_tables.landmarks(source).note, drawing.svg
+        return drawing.caption + drawing.finding, html_tables.landmarks(source)[0].note, drawing.svg
 
     caption, note, svg = page("D", 3)
     assert "beyond the loss of walking are transients, not yet fallen after 576 steps" in caption

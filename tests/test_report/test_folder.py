@@ -151,6 +151,13 @@ def test_heads_and_cells_that_are_formulas_are_text():
     assert folder.csv_text(frame, {"slope": "rad"}) == "'=cmd|' /C calc'!A0,slope (rad)\n'@x,-0.1\n'-1+1,0.2\n"
 
 
+def test_words_of_a_csv_file_that_hold_its_signs_are_quoted_and_missing_ones_are_empty():
+    words = ["u,v", 'q"', "a\rb", "c\nd", None]
+    frame = pages.pd.DataFrame({"word": words, "number": [1e-6, float("nan"), 0.1 + 0.2, 3.0, -0.0]})
+    rows = ['"u,v",1e-06', '"q""",', '"a\nb",0.30000000000000004', '"c\nd",3.0', ",-0.0"]
+    assert folder.csv_text(frame) == "\n".join(["word,number", *rows, ""])
+
+
 def test_a_thousand_archives_make_a_small_index_and_pages_that_list_their_neighbours(tmp_path):
     picture = "<svg>" + "x" * 500 + "</svg>"
     record = entry.Entry("s0", "s0", "s0", "s0", "About. " * 30, "point", "", 99, [], [], [], [], picture, [], "")

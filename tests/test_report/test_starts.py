@@ -70,8 +70,8 @@ def test_a_walker_of_which_the_archive_lacks_a_key_does_not_walk(tmp_path):
 
 
 def test_gaits_of_several_steps_fly_freely_for_the_script_solves_gaits_of_one(tmp_path):
+    one, *_ = starts.lines(_grid(tmp_path))
     source = _grid(tmp_path)
-    one, *_ = starts.lines(source)
     source.grid.attrs["steps"] = 2
     two, *_ = starts.lines(source)
     assert one["branches"] and one["first"] and two == {**one, "branches": [], "first": "", "command": two["command"]}

@@ -18,7 +18,6 @@ from gaitsweep.pipeline.report.figures import (
     families,
     laws,
     maps,
-    measured,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -31,8 +30,6 @@ from gaitsweep.pipeline.study.plot import Plot
 
 #: What draws each figure, of the archive and of the tables that `words.toml` names for it.
 _DRAWN: dict[str, Callable[..., Sketch | None]] = {
-    "loglog": families.loglog,
-    "linear": families.linear,
     "residuals": families.residuals,
     "transition_ladder": laws.transition_ladder,
     "angles": cycle.angles,
@@ -44,7 +41,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "basin": maps.basin,
     "design": design_maps.design,
     **{name: partial(families.quantity, name) for name in families.QUANTITIES},
-    "measured": measured.measured,
+    "measured": families.measurements,
     "lyapunov": bifurcation.lyapunov,
     "exponents": laws.exponents,
     "census": searches.census,

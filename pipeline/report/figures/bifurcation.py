@@ -20,7 +20,7 @@ from gaitsweep.pipeline.report.figures.style import (
     thin,
 )
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import axis_values, shorten, spaced
+from gaitsweep.pipeline.report.words import shorten, spaced
 
 
 def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
@@ -28,24 +28,24 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
     table = table[np.isfinite(table["stance_angle"])]
     if table.empty:
         return None
-    every_line = source.line_groups(table)
+    every_line = source.lines_of(table)
     lines = evenly(every_line, MAX_PANELS)
     sketch = Sketch("bifurcation", 330 if len(lines) == 1 else 230 * len(lines), len(lines), sharex=True)
     raster = len(table) > SHAPES
     printed = []
     # A dot is one step of an attractor: only its walker and slope can be solved again, for the gaits there.
     tips = {"slope": "γ (rad)", "stance_angle": "θ* of one step (rad)", "period": "period"}
-    for axes, (at, rows) in zip(sketch.panels, lines, strict=True):
-        size, name = 0.9 if len(rows) > 10_000 else 2, axis_values(at)
+    for axes, line in zip(sketch.panels, lines, strict=True):
+        rows, size = line.rows, 0.9 if len(line.rows) > 10_000 else 2
         ink = RASTER["long"] if raster else LINE
         axes.plot(rows["slope"], rows["stance_angle"], ".", ms=size, mew=0, color=ink, rasterized=raster)
-        set_heading(axes, (shorten(name) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
-        of_walker = landmarks.rows(source, str(at.get("walker", source.walker)))
+        set_heading(axes, f"{shorten(line.label)}: " * bool(line.label) + "stance angle θ* of successive steps (rad)")
+        of_walker = landmarks.rows(source, line.at["walker"])
         shown = of_walker[of_walker["printed"].between(0.8 * rows["slope"].min(), 1.2 * rows["slope"].max())]
         landmarks.draw_over_slopes(axes, shown)
         printed.append(shown)
-        label, command = f"{name or 'orbit'}; command: the gaits there", source.line_command(rows)
-        sketch.mark_gaits(axes, thin(rows, 400), label, command, tips, free=True)
+        label = f"{line.label or 'orbit'}; command: the gaits there"
+        sketch.mark(axes, thin(rows, 400), label, command=line.command, tips=tips, free=True)
     every = pd.concat(printed, ignore_index=True)
     if len(every):
         _widen(sketch.panels[-1], every)
@@ -93,14 +93,14 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
         shown.append((survival, "lifetime"))
     sketch = Sketch("lyapunov", 330 if len(shown) > 1 else 230, len(shown), sharex=True)
     sketch.panels[0].axhline(0, color=MUTED, lw=0.9)
-    lines = [axis_values(at) or source.walker for at, _ in source.line_groups(table)]
+    lines = [line.label or source.walker for line in source.lines_of(table)]
     for axes, (frame, column) in zip(sketch.panels, shown, strict=True):
-        for k, (at, rows) in enumerate(source.line_groups(frame)):
-            seen = thin(rows[np.isfinite(rows[column])], 400)
+        for k, line in enumerate(source.lines_of(frame)):
+            seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
             axes.plot(seen["slope"], seen[column], ".", color=colour(k), ms=2.5)
-            command, tips = source.line_command(rows), {"slope": "γ (rad)", column: spaced(column)}
-            sketch.mark_gaits(axes, seen, lines[k], command, tips, y=column)
-            sketch.pieces.append(rows[["slope", column]].assign(line=axis_values(at)))
+            tips = {"slope": "γ (rad)", column: spaced(column)}
+            sketch.mark(axes, seen, lines[k], command=line.command, tips=tips, y=column)
+            sketch.pieces.append(line.rows[["slope", column]].assign(line=line.label))
     sketch.line_keys(lines)
     chaotic = table[table["exponent"] > 0]["slope"]
     return sketch.finish(first=chaotic.min() if len(chaotic) else None, last=chaotic.max() if len(chaotic) else None)

@@ -179,8 +179,9 @@ def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mappi
         if gyration > 0:
             axes.add_patch(Circle((at.real, at.imag), gyration, fill=False, color=MUTED, lw=0.7, ls=(0, (2, 2))))
         letter = part[0]
-        values = {f"m_{letter}": [mass]} | ({f"r_{letter}": [gyration]} if part != "hip" else {})
-        sketch.mark(axes, [at.real], [at.imag], f"{name} · {part}", values)
+        values = {f"m_{letter}": mass} | ({f"r_{letter}": gyration} if part != "hip" else {})
+        rows = pd.DataFrame([{**values, "x": at.real, "y": at.imag}])
+        sketch.mark(axes, rows, f"{name} · {part}", tips={key: key for key in values}, x="x", y="y")
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
 

@@ -20,7 +20,7 @@ from gaitsweep.pipeline.report.figures.style import (
     write_at,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import WORDS, axis_values, shorten, spaced, yes_or_no
+from gaitsweep.pipeline.report.words import WORDS, shorten, spaced, yes_or_no
 
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
@@ -29,23 +29,25 @@ _UNBOUNDED = 1e12
 def locus(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot stance angle against slope along each branch, with special points; one panel per line."""
     special = source.tables.get("special_points", pd.DataFrame())
-    every = source.line_groups(table)
-    together = len(every) == 2 and all(set(at) == {"walker"} for at, _ in every)
+    every = source.lines_of(table)
+    together = len(every) == 2 and all(line.label == line.at["walker"] for line in every)
     chosen = evenly(every, MAX_PANELS)
     count = 1 if together else len(chosen)
     across = min(count, 3)
     rows = -(-count // across)
     sketch = Sketch("locus", 350 if count == 1 else 200 * rows + 60, rows, across, sharex=True, sharey=True)
     panels = sketch.panels
-    for k, (at, frame) in enumerate(chosen):
+    for k, line in enumerate(chosen):
         axes = panels[0 if together else k]
-        sketch.pieces += _draw_branches(axes, frame, k)
-        _mark_branch(sketch, axes, source, frame, at)
-        measured.draw(sketch, axes, source, "stance_angle", at)
-        _draw_special(sketch, axes, rows_at(special, at), source.line_command(frame))
-        if at and not together:
+        sketch.pieces += _draw_branches(axes, line.rows, k)
+        rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
+        rows = rows.assign(stable=yes_or_no(rows["stable"])) if "stable" in rows else rows
+        sketch.mark(axes, rows, line.label or "branch", command=line.command, tips=TIPS | {"stable": "stable"})
+        measured.draw(sketch, axes, source, "stance_angle", line.at)
+        _draw_special(sketch, axes, rows_at(special, line.at), line.command)
+        if line.label and not together:
             letter = f"({'abcdef'[k]}) " if count > 1 else ""
-            axes.set_title(letter + shorten(axis_values(at), 60 // across), fontsize=9, pad=4, loc="left")
+            axes.set_title(letter + shorten(line.label, 60 // across), fontsize=9, pad=4, loc="left")
     for axes in panels[count:]:
         axes.axis("off")
     for axes in panels:
@@ -61,11 +63,11 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         set_heading(panels[0], "stance angle θ* (rad)")
     else:
         sketch.figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
-    data = pd.concat(sketch.pieces, ignore_index=True)
+    data = sketch.data
+    sketch.gait_keys()
     if "spectral_radius" in data:  # at a tangential strike the derivative of the step map has no bound
         data["spectral_radius"] = data["spectral_radius"].where(data["spectral_radius"] < _UNBOUNDED, np.inf)
-    sketch.gait_keys(data)
-    sketch.line_keys([str(at["walker"]) for at, _ in chosen] if together else [])
+    sketch.line_keys([line.label for line in chosen] if together else [])
     for kind in special["kind"].astype(str).unique() if "kind" in special else ():
         sketch.dot_key(spaced(kind), **_mark(kind))
     if has_printed:
@@ -110,23 +112,19 @@ def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame
     return pieces
 
 
-def _mark_branch(sketch: Sketch, axes: Axes, source: Source, frame: pd.DataFrame, at: dict[str, Any]) -> None:
-    rows = thin(frame.dropna(subset=["stance_angle"]), 300)
-    if "stable" in rows:
-        rows = rows.assign(stable=yes_or_no(rows["stable"]))
-    sketch.mark_gaits(axes, rows, axis_values(at) or "branch", source.line_command(frame), TIPS | {"stable": "stable"})
-
-
 def _draw_special(sketch: Sketch, axes: Axes, points: pd.DataFrame, command: str) -> None:
     if not {"kind", "slope", "stance_angle"} <= set(points.columns) or points.empty:
         return
     for kind, rows in points.groupby(points["kind"].astype(str), sort=False):
         axes.plot(rows["slope"], rows["stance_angle"], ls="", zorder=5, clip_on=False, **_mark(str(kind)))
-    values = {"kind": points["kind"].map(spaced), "γ (rad)": points["slope"], "θ* (rad)": points["stance_angle"]}
     # At the slope where steps vanish there is none, however small the last one followed.
-    gaits = points.assign(stance_angle=points["stance_angle"].where(points["kind"] != "end_zero_step", 0.0))
-    more: dict[str, Any] = {"command": command, "slopes": points["slope"], "gaits": gaits, "above": True}
-    sketch.mark(axes, points["slope"], points["stance_angle"], "special point", values, **more)
+    gaits = points.assign(
+        told=points["kind"].map(spaced),
+        angle=points["stance_angle"],
+        stance_angle=points["stance_angle"].where(points["kind"] != "end_zero_step", 0.0),
+    )
+    tips = {"told": "kind", "slope": "γ (rad)", "angle": "θ* (rad)"}
+    sketch.mark(axes, gaits, "special point", command=command, tips=tips, y="angle", above=True)
 
 
 def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:

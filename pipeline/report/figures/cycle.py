@@ -72,10 +72,10 @@ def angles(source: Source) -> Sketch | None:
         set_heading(top, f"{shorten(step.label, 24)}: " * several + "angle from the ground normal (rad)")
         top.set_xlabel(with_unit("time", source.units("period")))
         _draw_strobe(below, step)
-    data = pd.concat(sketch.pieces, ignore_index=True)
     listing = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
     kneed = any(step.kneestrike for step in steps)
-    return sketch.finish(data, gaits=listing, kneed=kneed, low=data["angle"].min(), high=data["angle"].max())
+    drawn = sketch.data["angle"]
+    return sketch.finish(gaits=listing, kneed=kneed, low=drawn.min(), high=drawn.max())
 
 
 def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
@@ -92,8 +92,9 @@ def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
             axes.plot(t, angle, color=ink, lw=width, ls="-" if part == "thigh" else (0, (4, 1.4)))
             pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
             if leg == "heavy":
-                label, values = f"{part if kneed else 'leg'}, heavy line", {"time": t, "angle (rad)": angle}
-                sketch.mark(axes, t, angle, label, values, command=step.command, slopes=np.full(len(t), step.slope))
+                rows = pd.DataFrame({"time": t, "angle": angle, "slope": step.slope})
+                label, tips = f"{part if kneed else 'leg'}, heavy line", {"time": "time", "angle": "angle (rad)"}
+                sketch.mark(axes, rows, label, command=step.command, tips=tips, x="time", y="angle")
     data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
     sketch.pieces.append(data)
     impacts = [("heelstrike", period)]

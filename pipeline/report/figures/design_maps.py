@@ -8,9 +8,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
-from gaitsweep.pipeline.report.figures.starts import START, cells
-from gaitsweep.pipeline.report.figures.style import add_bar, choose_rows, hatch, on_map
+from gaitsweep.pipeline.report.figures.maps import draw_map, mark_cells
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.starts import START
+from gaitsweep.pipeline.report.figures.style import add_bar, choose_rows, on_map
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, axis_values, plain, shorten, spaced, with_unit
 
@@ -57,11 +58,17 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
         part = rows_at(table, at)
         for axes, (column, mapped) in zip(row, MAPPED.items(), strict=True):
-            pictures[column] = _draw_map(axes, part.pivot(index=down, columns=along, values=column), table[column])
+            values = part.pivot(index=down, columns=along, values=column)
+            pictures[column] = draw_map(axes, values, table[column])
+            _draw_contours(axes, values, *pictures[column].get_clim())
+            if columns := _gait_columns(part, column):
+                grids = {name: part.pivot(index=down, columns=along, values=own) for name, own in columns.items()}
+                grids["slope"] *= mapped.inside
+                shown = (down, along, *(name for name in ("slope", "froude_speed") if name in grids))
+                mark_cells(sketch, axes, source, at, grids, shown, mapped.cell)
             own = source.walkers.get(str(at.get("walker", source.walker)), {})
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(mapped.title if k == 0 else "", pad=5)
-            sketch.maps += _panel(axes, source, part, at, (down, along), column, panels.size)
         row[0].set_ylabel(f"{shorten(names[k], 22)}: " * bool(names[k]) + _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
@@ -94,14 +101,8 @@ def _best(source: Source, table: pd.DataFrame) -> str:
     return text[0].upper() + text[1:]
 
 
-def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
-    """Draw one map; all maps of a quantity share one colour scale, each has contours of its own."""
-    values = np.asarray(whole, float)
-    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
-    low, high = (low, high) if low <= high else (0.0, 1.0)
-    scale: Any = {"cmap": "cividis", "vmin": low, "vmax": high, "rasterized": True}
-    picture = axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **scale)
-    hatch(axes)
+def _draw_contours(axes: Axes, z: pd.DataFrame, low: float, high: float) -> None:
+    """Draw contours of a map, with labels, in inks that stand out from its colours."""
     if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
         inner = np.ma.masked_invalid(z.to_numpy())
         levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(inner.min(), inner.max())
@@ -111,7 +112,6 @@ def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
         # Labels in the middle of the curves, where they fit, not in a row.
         middles = [curve[int(len(curve) * (0.4 + 0.2 * (k % 2)))] for k, curve in enumerate(curves) if _fits(curve, z)]
         axes.clabel(drawn, fmt=lambda level: plain(level), fontsize=7, inline_spacing=2, manual=middles)
-    return picture
 
 
 def _fits(curve: np.ndarray, z: pd.DataFrame) -> bool:
@@ -146,23 +146,12 @@ def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str)
     return is_marked
 
 
-def _panel(
-    axes: Axes, source: Source, table: pd.DataFrame, at: dict[str, Any], keys: tuple[str, str], column: str, maps: int
-) -> list[Panel]:
-    """A map each cell of which starts the gait of its quantity; none where the archive lacks the gaits."""
-    down, along = keys
-    _, called, slope, ending, inside = MAPPED[column]
-    names = {name: f"{name}{ending}" for name in START[1:] if f"{name}{ending}" in table}
-    if not set(START[1:4]) <= set(names):
-        return []
-    names |= {"slope": slope} if column == slope else {"slope": slope, "froude_speed": column}
-    grids = {to: table.pivot(index=down, columns=along, values=name) for to, name in names.items()}
-    columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
-    columns["slope"] = columns["slope"] * inside
-    shown = (down, along, *(name for name in ("slope", "froude_speed") if name in names))
-    start = cells(source, at, (along, down), columns, shown, maps, called)
-    x, y = (axis.to_numpy(float) for axis in (grids["slope"].columns, grids["slope"].index))
-    return [Panel(axes, (along, down), x, y, start)]
+def _gait_columns(table: pd.DataFrame, column: str) -> dict[str, str]:
+    """Columns of the gaits that have a quantity, by those of a start; none where the archive lacks them."""
+    mapped = MAPPED[column]
+    states = {name: f"{name}{mapped.ending}" for name in START[1:] if f"{name}{mapped.ending}" in table}
+    speed = {} if column == mapped.slope else {"froude_speed": column}
+    return {**states, "slope": mapped.slope, **speed} if set(START[1:4]) <= set(states) else {}
 
 
 def _symbol(source: Source, key: str) -> str:

@@ -1,4 +1,4 @@
-"""Gaits along lines: stance angle (the paper's figures 5 and 11), other quantities, and residuals of the power laws."""
+"""Gaits along lines: their quantities against slope or speed, those measured, and residuals of the power laws."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -17,31 +17,35 @@ from gaitsweep.pipeline.report.figures.style import (
     INK,
     MUTED,
     PAPER,
-    SAMPLES,
     colour,
-    dash,
     draw_gait,
     draw_guide,
     end_labels,
+    set_heading,
     thin,
     write_at,
 )
 from gaitsweep.pipeline.report.source import RATES, Line, Source, rows_at
-from gaitsweep.pipeline.report.words import WORDS, plain, shorten, spaced, with_unit
+from gaitsweep.pipeline.report.words import WORDS, plain, shorten, spaced, titled, with_unit
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One figure: its heading, variables read, abscissa, and words at values marked across it.
+    """One figure of gaits along lines: its heading, variables read, abscissa, and words at values marked across it.
 
     What is drawn is the first variable; of losses, the share of all but the first. A quantity of another unit than 1 is
-    named with the unit of its first variable.
+    named with the unit of its first variable. `shows` are further variables under the pointer, `samples` points of all
+    curves; with `laws` fitted power laws and printed slopes are drawn, with `origin` axes begin at zero.
     """
 
     heading: str
-    reads: tuple[str, ...]
+    reads: Sequence[str]
     abscissa: str = "slope"
     guides: Mapping[str, str] = field(default_factory=dict)
+    shows: Sequence[str] = ()
+    samples: int = 700
+    laws: bool = False
+    origin: bool = False
 
     def value(self, frame: pd.DataFrame) -> pd.Series:
         """What is drawn, of each row of a frame; power over m g √(g l) follows from the dimensionless speed."""
@@ -57,110 +61,99 @@ QUANTITIES = {
 }
 
 
-def loglog(source: Source) -> Sketch | None:
-    """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
-    if not (drawn := _draw_families(source, "loglog")):
-        return None
-    sketch, lines, names = drawn
-    (axes,) = sketch.panels
-    fitted = _draw_power_laws(source, axes, lines)
-    crossings = _draw_fitted_lines(source, axes, lines, names)
-    measured.draw(sketch, axes, source, "stance_angle")
-    printed = landmarks.rows(source)
-    has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
-    if len(lines) > 1:
-        _label_lines(sketch, lines, names, "left")
-    sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
-    return _finish(sketch, names, fitted=fitted, crossings=crossings, printed=sentence)
-
-
-def linear(source: Source) -> Sketch | None:
-    """Plot stance angle against slope on linear axes."""
-    if not (drawn := _draw_families(source, "linear")):
-        return None
-    sketch, lines, names = drawn
-    (axes,) = sketch.panels
-    measured.draw(sketch, axes, source, "stance_angle")
-    axes.set_xlim(left=0)
-    axes.set_ylim(bottom=0)
-    if 1 < len(lines) <= len(COLOURS):
-        _label_lines(sketch, lines, names)
-    return _finish(sketch, names)
-
-
 def quantity(name: str, source: Source) -> Sketch | None:
-    """Plot a quantity of every gait against slope or speed."""
+    """Plot a quantity of every gait against slope (the paper's figures 5 and 11) or speed."""
     shown = QUANTITIES[name]
     if shown.abscissa == "speed" and "froude_speed" in source.grid:
         shown = replace(shown, heading="power P/(m g √(g l))", reads=("froude_speed",), abscissa="froude_speed")
     lines = [line for line in source.lines if set(shown.reads) <= set(line.data)]
-    if not any(np.isfinite(line.data[shown.reads[0]]).any() for line in lines):
-        return None
-    sketch = Sketch(name, 330)
+    sketch, names, x, y = Sketch(name, 350), _line_titles(source, lines), shown.abscissa, shown.heading
     (axes,) = sketch.panels
-    tips = {column: spaced(column) for column in ("slope", shown.abscissa, *shown.reads)}
-    for k, line in enumerate(lines):
-        for frame in line.curves(*shown.reads):
-            curve = thin(frame, max(60, 700 // len(lines)))
-            curve = curve.assign(value=shown.value(curve))
-            for gait in source.gaits:
-                _draw_curve(sketch, curve, gait, line, k, line.label, tips, shown.abscissa, "value")
+    _draw_lines(sketch, axes, source, shown, lines, names)
     if not sketch.pieces:
         return None
-    data, names = pd.concat(sketch.pieces, ignore_index=True), [line.label for line in lines]
-    sketch.gait_keys(data)
-    if 1 < len(lines) <= len(COLOURS):
-        _label_lines(sketch, lines, names, x=shown.abscissa, y="value")
+    sketch.gait_keys()
+    data, laws = sketch.data, _draw_laws(sketch, axes, source, lines, names) if shown.laws else {}
+    # Shares of several losses are drawn, which no measurement of one of them can be compared with.
+    if x == "slope" and len(shown.reads) == 1:
+        measured.draw(sketch, axes, source, shown.reads[0])
+    if shown.origin:
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+    if 1 < len(lines) <= len(COLOURS) or (shown.laws and len(lines) > 1):
+        _label_lines(sketch, lines, names, x, y, "left" if shown.laws else "right")
     for at, words in shown.guides.items():
         draw_guide(axes, float(at), words)
-    # Shares of several losses are drawn, which no measurement of one of them can be compared with.
-    if shown.abscissa == "slope" and len(shown.reads) == 1:
-        measured.draw(sketch, axes, source, shown.reads[0])
-    finite = data["value"][np.isfinite(data["value"])]
-    said = {"heading": shown.heading, "count": len(names), "low": finite.min(), "high": finite.max()}
-    if shown.abscissa != "slope":
-        across, upward = (source.units(v) for v in (shown.abscissa, shown.reads[0]))
-        speed = "speed v" if shown.abscissa == "speed" else spaced(shown.abscissa)
-        said |= {"x": with_unit(speed, across), "y": with_unit(shown.heading, upward)}
-    return sketch.finish(data.rename(columns={"value": shown.heading}), names, **said)
+    finite, called = data[y][np.isfinite(data[y])], "speed v" if x == "speed" else spaced(x)
+    return sketch.finish(
+        lines=names,
+        heading=y,
+        names=", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}",
+        stable=(data["stable"] == 1).any(),
+        least=finite.min(),
+        most=finite.max(),
+        count=data["line"].nunique(),
+        gaits=", ".join(data["gait"].unique()),
+        x=with_unit(called, source.units(x)),
+        y=with_unit(y, source.units(shown.reads[0])),
+        **laws,
+    )
 
 
-def _draw_families(source: Source, name: str) -> tuple[Sketch, list[Line], list[str]] | None:
-    """Draw every gait of every line; the sketch, the lines and their names, or None without gaits."""
-    sketch, lines = Sketch(name, 350), [line for line in source.lines if "stance_angle" in line.data]
-    names, tips = _line_titles(source, lines), TIPS | {"spectral_radius": "max |λ|"}
-    for k, line in enumerate(lines):
-        curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
-        for gait, curve in itertools.product(source.gaits, curves):
-            _draw_curve(sketch, curve, gait, line, k, names[k], tips)
-    return (sketch, lines, names) if sketch.pieces else None
+def measurements(source: Source) -> Sketch | None:
+    """Plot every measured variable against slope, with the curves and their measurements."""
+    rows, lines = measured.table(source), source.lines
+    read = [line.curves(*measured.variables(source)) for line in lines]
+    known = {column for curves in read for curve in curves for column in curve}
+    variables = [name for name in measured.variables(source) if name in known]
+    if not variables or "slope" not in rows:
+        return None
+    sketch = Sketch("measured", 60 + 250 * len(variables), len(variables), sharex=True)
+    names = [line.label for line in lines]
+    for axes, name in zip(sketch.panels, variables, strict=True):
+        _draw_lines(sketch, axes, source, Quantity(name, (name,), samples=1800), lines, names)
+        measured.draw(sketch, axes, source, name)
+        sketch.mark(axes, rows, "measured", tips={"slope": "γ (rad)", name: spaced(name)}, y=name)
+        set_heading(axes, titled(name, source.units(name)))
+    sketch.gait_keys()
+    sketch.line_keys(names)
+    left = measured.residuals(source)
+    largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
+    worst = "; the largest ".join(f"residual of {name} is {plain(value, 3)}" for name, value in largest.items())
+    return sketch.finish(lines=names, names=", ".join(variables), count=len(rows), worst=worst)
+
+
+def _draw_lines(
+    sketch: Sketch, axes: Axes, source: Source, shown: Quantity, lines: Sequence[Line], names: Sequence[str]
+) -> None:
+    """Draw a quantity of every gait of some lines, called so."""
+    known, columns = TIPS | {"spectral_radius": "max |λ|"}, ("slope", shown.abscissa, *shown.reads, *shown.shows)
+    tips = {column: known.get(column, spaced(column)) for column in columns}
+    for k, (line, name) in enumerate(zip(lines, names, strict=True)):
+        curves = [thin(c, max(60, shown.samples // len(lines))) for c in line.curves(*shown.reads, *shown.shows)]
+        curves = [c.assign(**{shown.heading: shown.value(c)}) for c in curves if set(shown.reads) <= set(c)]
+        gaits = dict.fromkeys([*source.gaits, *(gait for curve in curves for gait in curve["gait"])])
+        for gait, curve in itertools.product(gaits, curves):
+            _draw_curve(sketch, axes, curve, gait, line, k, name, tips, shown.abscissa, shown.heading)
 
 
 def _draw_curve(
-    sketch: Sketch, curve: pd.DataFrame, gait: str, line: Line, k: int, name: str, tips: Mapping[str, str],
-    x: str = "slope", y: str = "stance_angle",
+    sketch: Sketch, axes: Axes, curve: pd.DataFrame, gait: str, line: Line, k: int, name: str,
+    tips: Mapping[str, str], x: str, y: str,
 ) -> None:  # fmt: skip
     """Draw a gait of a curve of line k, called so, if the curve has it: with the points that it lacks, as gaps."""
     points = curve[(curve["gait"] == gait) & curve[y].notna()]
     if len(points):
-        (axes,) = sketch.panels
         draw_gait(axes, curve, gait, k, k, x, y)
-        sketch.mark_gaits(axes, points, f"{gait} step · {name}", line.command, tips, x, y, group=k)
+        how: Any = {"command": line.command, "tips": tips, "x": x, "y": y, "group": k}
+        sketch.mark(axes, points, f"{gait} step · {name}", **how)
         sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
 
 
-def _label_lines(
-    sketch: Sketch,
-    lines: Sequence[Line],
-    names: Sequence[str],
-    side: str = "right",
-    x: str = "slope",
-    y: str = "stance_angle",
-) -> None:
+def _label_lines(sketch: Sketch, lines: Sequence[Line], names: Sequence[str], x: str, y: str, side: str) -> None:
     """Write the name of each line at the right end of one of its curves, or at the left end of each of its gaits."""
     (axes,), ends = sketch.panels, []
-    data = pd.concat(sketch.pieces, ignore_index=True)
-    data = data[np.isfinite(data[x]) & np.isfinite(data[y])]
+    data = sketch.data[np.isfinite(sketch.data[[x, y]]).all(axis=1)]
     for k, (line, name) in enumerate(zip(lines, names, strict=True)):
         own = data[data["line"] == line.label]
         for _, rows in own.groupby("gait" if side == "left" else "line", sort=False):
@@ -169,26 +162,19 @@ def _label_lines(
     end_labels(axes, ends, side)
 
 
-def _finish(sketch: Sketch, names: list[str], **sentences: Any) -> Sketch:
-    """Say what is drawn."""
-    data = pd.concat(sketch.pieces, ignore_index=True)
-    sketch.gait_keys(data)
-    if sentences.get("fitted"):
+def _draw_laws(sketch: Sketch, axes: Axes, source: Source, lines: list[Line], names: list[str]) -> dict[str, Any]:
+    """Draw fitted power laws and printed slopes; what is said of them."""
+    fitted, crossings = _draw_power_laws(source, axes, lines), _draw_fitted_lines(source, axes, lines, names)
+    printed = landmarks.rows(source)
+    has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
+    if fitted:
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
-    if sentences.get("crossings"):
+    if crossings:
         sketch.key("fitted on either side of the transition", INK, lw=0.6)
-    if sentences.get("printed"):
+    if has_printed:
         sketch.printed_key()
-    return sketch.finish(
-        data,
-        lines=names,
-        names=_line_names(names),
-        stable=(data["stable"] == 1).any(),
-        most=data["stance_angle"].max(),
-        count=data["line"].nunique(),
-        gaits=", ".join(data["gait"].unique()),
-        **sentences,
-    )
+    said = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
+    return {"fitted": fitted, "crossings": crossings, "printed": said}
 
 
 def _line_titles(source: Source, lines: list[Line]) -> list[str]:
@@ -270,10 +256,6 @@ def _draw_power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
     return drawn
 
 
-def _line_names(names: list[str]) -> str:
-    return ", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}"
-
-
 def residuals(source: Source) -> Sketch | None:
     """Plot the relative residuals of the fitted power laws, each over its fitted range."""
     if "stance_angle" not in source.grid:
@@ -281,6 +263,8 @@ def residuals(source: Source) -> Sketch | None:
     sketch = Sketch("residuals", 210)
     (axes,) = sketch.panels
     names = _line_titles(source, source.lines)
+    percent = "residual (%)"
+    tips = {"slope": TIPS["slope"], percent: percent}
     for k, line in enumerate(source.lines):
         curves = list(line.curves("stance_angle"))
         for gait in source.gaits:
@@ -288,23 +272,13 @@ def residuals(source: Source) -> Sketch | None:
                 if any(getattr(row, c, piece[c].iloc[0]) != piece[c].iloc[0] for c in ("branch", "piece")):
                     continue
                 fitted = (piece["gait"] == gait) & piece["slope"].between(row.slope_from, row.slope_to)
-                used = thin(piece[fitted].dropna(subset="stance_angle"), 80)
-                if used.empty:
-                    continue
+                used, regime = thin(piece[fitted], 80), getattr(row, "regime", "")
                 law = row.amplitude * used["slope"] ** row.exponent
-                used = used.assign(residual=used["stance_angle"] / law - 1)
-                percent = 100 * used["residual"]
-                axes.plot(used["slope"], percent, color=colour(k), lw=1.2, ls=dash(gait))
-                regime = getattr(row, "regime", "")
-                label = f"{gait} step · {names[k]} · {regime} slopes"
-                tips = {"slope": "γ (rad)", "percent": "residual (%)"}
-                sketch.mark_gaits(axes, used.assign(percent=percent), label, line.command, tips, y="percent")
-                used = used.drop(columns=list(RATES), errors="ignore")
-                sketch.pieces.append(used.assign(line=line.label, regime=regime))
+                used = used.assign(**{percent: 100 * (used["stance_angle"] / law - 1), "regime": regime})
+                _draw_curve(sketch, axes, used, gait, line, k, f"{names[k]} · {regime} slopes", tips, "slope", percent)
     if not sketch.pieces:
         return None
-    data = pd.concat(sketch.pieces, ignore_index=True)
     axes.axhline(0, color=MUTED, lw=0.7)
-    sketch.gait_keys(data[["gait"]])
+    sketch.gait_keys()
     sketch.line_keys(names)
-    return sketch.finish(data, worst=100 * data["residual"].abs().max())
+    return sketch.finish(lines=names, worst=sketch.data[percent].abs().max())

@@ -17,21 +17,23 @@ _EXACT = ("B", "D", "E", "F")
 _TUNED = ("A", "C")
 
 
+def every(source: Source, *columns: str) -> pd.DataFrame:
+    """Some columns of the tables `landmarks` and `crises`."""
+    found = [source.table(name, *columns) for name in ("landmarks", "crises")]
+    tables = [table[[*columns]] for table in found if table is not None]
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=[*columns])
+
+
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
-    """Rows of the tables `landmarks` and `crises` with a printed number, of one walker or of all."""
-    found = [source.table(name, *_COLUMNS) for name in ("landmarks", "crises")]
-    tables = [table[_COLUMNS] for table in found if table is not None]
-    table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=_COLUMNS)
-    table = table.astype(dict.fromkeys(_COLUMNS[2:], float))
+    """Landmarks with a printed number, of one walker or of all."""
+    table = every(source, *_COLUMNS).astype(dict.fromkeys(_COLUMNS[2:], float))
     table = table[np.isfinite(table["printed"])]
     return table if walker is None else table[table["walker"] == walker]
 
 
 def point_numbers(source: Source) -> pd.DataFrame:
-    """Rows of the table `landmarks` that are numbered in the paper's figure."""
-    table = source.table("landmarks", "point", "slope", "walker")
-    if table is None:
-        return pd.DataFrame(columns=["walker", "slope", "point"])
+    """Landmarks that are numbered in the paper's figure."""
+    table = every(source, *_COLUMNS, "point")
     return table[table["point"].astype(str) != ""]
 
 

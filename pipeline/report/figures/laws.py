@@ -38,9 +38,10 @@ def exponents(source: Source, table: pd.DataFrame) -> Sketch:
             for when, marker in _RANGES.items():
                 value, ink = float(row[f"{gait}_{of}_{when}"]), colour(walkers.index(walker))
                 axes.plot([value], [-k], marker, color=ink, mfc=PAPER if when == "small" else ink, ms=6)
-                data.append({"walker": walker, "gait": gait, "law": name, "slopes": when, "exponent": value})
-                shown = {f"p of {name}": [value], "slopes": [when]}
-                sketch.mark(axes, [value], [-k], f"{walker}, {gait} step", shown)
+                told = {"walker": walker, "gait": gait, "law": name, "slopes": when, "exponent": value}
+                data.append(told)
+                tips, place = {"exponent": f"p of {name}", "slopes": "slopes"}, pd.DataFrame([{**told, "row": -k}])
+                sketch.mark(axes, place, f"{walker}, {gait} step", tips=tips, x="exponent", y="row")
         axes.set_xticks([*laws, *_TICKS[of]], [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])])
         axes.set_yticks([-k for k in range(len(rows))], [f"{walker} {gait}" for walker, gait, _ in rows])
     for when, marker in _RANGES.items():
@@ -89,5 +90,4 @@ def _draw_columns(sketch: Sketch, axes: Any, table: pd.DataFrame, stem: str) -> 
         name = f"{words.partition(' of ')[0]}, {rest}" if rest else words
         how: Any = {"color": _INKS[k % 3], "lw": 1, "marker": MARKERS[k % 5], "ms": 4.5}
         axes.plot(table["foot_mass_ratio"], table[column], label=name, **how)
-        values = {"ρ": table["foot_mass_ratio"], tip: table[column]}
-        sketch.mark(axes, table["foot_mass_ratio"], table[column], name, values)
+        sketch.mark(axes, table, name, tips={"foot_mass_ratio": "ρ", column: tip}, x="foot_mass_ratio", y=column)

@@ -1,11 +1,11 @@
 """Maps of a quantity over two axes, and of the outcomes of initial conditions."""
 
 import itertools
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.patches import Rectangle
@@ -42,39 +42,33 @@ def heatmap(source: Source) -> Sketch | None:
     if len(wide) < 2 or variable is None:
         return None
     down, along = wide
-    grid = grid.sortby(wide)  # an axis may fall
+    columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in grid]
+    states = [name for name in START[1:] if name in grid] if source.steps == 1 else []
+    states = states if set(START[1:4]) <= set(states) else []
+    table = grid.sortby(wide)[[*dict.fromkeys((*columns, *states))]].to_dataframe().reset_index()  # an axis may fall
     rest = [d for d in source.axes if d not in wide]
     every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
     rows, names, more = choose_rows(every)
-    slices = {gait: [grid.sel(at).sel(gait=gait) for at in rows] for gait in source.gaits}
-    present = [gait for gait, maps in slices.items() if any(np.isfinite(part[variable]).any() for part in maps)]
+    parts = {gait: [rows_at(table[table["gait"] == gait], at) for at in rows] for gait in source.gaits}
+    present = [gait for gait, maps in parts.items() if any(np.isfinite(part[variable]).any() for part in maps)]
     if not (gaits := present[:2]):
         return None
     height = 260 if len(rows) == 1 else 60 + 150 * len(rows)
     sketch = Sketch("heatmap", height, len(rows), len(gaits), sharex=True, sharey=True)
-    panels = sketch.grid
-    values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
-    low, high = np.nanmin(values), np.nanmax(values)
+    shown = pd.concat([part[variable] for gait in gaits for part in parts[gait]])
     for k, (at, name) in enumerate(zip(rows, names, strict=True)):
-        for axes, gait in zip(panels[k], gaits, strict=True):
-            part = slices[gait][k].transpose(down, along, ...)
-            x, y, z = part[along].values, part[down].values, part[variable].values
-            _set_scales(axes, x, y)
-            sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
-            picture = axes.pcolormesh(*sides, z, cmap="cividis", vmin=low, vmax=high, rasterized=True)
-            _draw_stability_border(axes, part, x, y)
-            hatch(axes)
+        for axes, gait in zip(sketch.grid[k], gaits, strict=True):
+            part = parts[gait][k]
+            grids = {v: part.pivot(index=down, columns=along, values=v) for v in (*columns, *states)}
+            _set_scales(axes, grids[variable])
+            picture = draw_map(axes, grids[variable], shown)
+            _draw_stability_border(axes, grids.get("spectral_radius"))
             title = ", ".join(filter(None, (f"{gait} step", name)))
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
-            columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in part]
-            frame = part[columns].to_dataframe().reset_index()[[down, along, *columns]]
-            sketch.pieces.append(frame.assign(gait=gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}))
-            starts = {name: part[name].values for name in START[1:] if name in part} if source.steps == 1 else {}
-            known = starts if set(START[1:4]) <= set(starts) else {}
-            numbers = {**{v: part[v].values for v in columns}, **known}
-            start = cells(source, at, (along, down), numbers, (down, along, *columns), panels.size, f"{gait} step")
-            sketch.maps.append(Panel(axes, (along, down), x, y, start))
-        panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
+            fixed = {"gait": gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}}
+            sketch.pieces.append(part[[down, along, *columns]].assign(**fixed))
+            mark_cells(sketch, axes, source, at, grids, (down, along, *columns), f"{gait} step")
+        sketch.grid[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
     add_bar(picture, sketch.panels).set_label(quantity)
     return sketch.finish(
@@ -89,24 +83,42 @@ def heatmap(source: Source) -> Sketch | None:
         omitted=", ".join(present[2:]),
         more=more,
         rows=f" {more}" if more else "",
-        low=low,
-        high=high,
+        low=shown.min(),
+        high=shown.max(),
     )
 
 
-def _draw_stability_border(axes: Axes, part: xr.Dataset, x: np.ndarray, y: np.ndarray) -> None:
+def draw_map(axes: Axes, values: pd.DataFrame, every: pd.Series) -> Any:
+    """Draw numbers over two keys as cells; all maps of `every` value share one scale of colours."""
+    x, y = values.columns.to_numpy(float), values.index.to_numpy(float)
+    sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
+    low, high = (every.min(), every.max()) if every.notna().any() else (0.0, 1.0)
+    hatch(axes)
+    return axes.pcolormesh(*sides, values.to_numpy(float), cmap="cividis", vmin=low, vmax=high, rasterized=True)
+
+
+def mark_cells(
+    sketch: Sketch, axes: Axes, source: Source, at: dict[str, Any], grids: Mapping[str, pd.DataFrame],
+    shown: Sequence[str], called: str,
+) -> None:  # fmt: skip
+    """Let every cell of a map name its values and start its gait, from columns over the keys along and down."""
+    values, *_ = grids.values()
+    columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
+    keys = str(values.columns.name), str(values.index.name)
+    sketch.maps.append(Panel(axes, values, cells(source, at, keys, columns, shown, sketch.grid.size, called)))
+
+
+def _draw_stability_border(axes: Axes, radius: pd.DataFrame | None) -> None:
     """Draw the contour max |λ| = 1 where it crosses the map."""
-    if "spectral_radius" not in part or min(len(x), len(y)) < 2:
-        return
-    radius = part["spectral_radius"].values
-    if np.nanmin(radius, initial=np.inf) < 1 < np.nanmax(radius, initial=-np.inf):
+    if radius is not None and radius.min().min() < 1 < radius.max().max():
         for ink, width in (("#101418", 3.0), ("#ffffff", 1.4)):
-            axes.contour(x, y, np.ma.masked_invalid(radius), levels=[1.0], colors=ink, linewidths=width)
+            inner = np.ma.masked_invalid(radius.to_numpy())
+            axes.contour(radius.columns, radius.index, inner, levels=[1.0], colors=ink, linewidths=width)
 
 
-def _set_scales(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+def _set_scales(axes: Axes, grid: pd.DataFrame) -> None:
     """Make axes that span more than a factor of 30 logarithmic."""
-    for which, values in (("x", x), ("y", y)):
+    for which, values in (("x", grid.columns), ("y", grid.index)):
         if len(values) > 2 and (values > 0).all() and values[-1] / values[0] > 30:
             set_log(axes, which)
 
@@ -180,7 +192,11 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         sketch.dot_key("unstable gait", marker="X", mfc="#ffffff")
     if len(manifold):
         sketch.key("stable manifold", ls=":", lw=2)
-    sketch.maps = _cells(panels, shown, plane, start)
+    grid = shown.pivot_table(index=plane[1], columns=plane[0], values="outcome", aggfunc="first")
+    # Every cell names its outcome and, with a start, is set in motion.
+    called: dict[str, Any] = {"label": "initial condition", "shown": [[name, name] for name in (*plane, "outcome")]}
+    every = {"free": True, **start, **called, "fields": {"outcome": fields.words(grid.fillna("–").to_numpy(str))}}
+    sketch.maps = [Panel(axes, grid, every) for axes in panels]
     return sketch.finish(
         table,
         x=_column(table, plane[0]),
@@ -206,16 +222,6 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     if np.isfinite(row.get("swing_rate", np.nan)):
         start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
     return {"at": at, "keys": keys, "command": source.command(at), **start}
-
-
-def _cells(panels: list[Axes], table: pd.DataFrame, plane: list[str], start: dict[str, Any]) -> list[Panel]:
-    """The maps whose every cell names its outcome and, with a start, is set in motion."""
-    grid = table.pivot_table(index=plane[1], columns=plane[0], values="outcome", aggfunc="first")
-    outcomes = grid.fillna("–").to_numpy(str)
-    known = {"label": "initial condition", "shown": [[name, name] for name in (*plane, "outcome")]}
-    every = {"free": True, **start, **known, "fields": {"outcome": fields.words(outcomes)}}
-    return [Panel(axes, (plane[0], plane[1]), grid.columns.to_numpy(float), grid.index.to_numpy(float), every)
-            for axes in panels]  # fmt: skip
 
 
 def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: list[str], inks: list[str]) -> None:

@@ -7,9 +7,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import INK, PAPER, draw_gait, set_heading, thin
+from gaitsweep.pipeline.report.figures.style import INK, PAPER
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import plain, print_units, spaced, titled, with_unit
+from gaitsweep.pipeline.report.words import print_units, spaced, with_unit
 
 #: How measurements are drawn, and their entry in a legend.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
@@ -95,32 +95,3 @@ def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: f
         if len(part) and part["slope"].iloc[0] <= slope <= part["slope"].iloc[-1]:
             computed.append(float(np.interp(slope, part["slope"], part[variable])))
     return min(computed, key=lambda y: abs(y - value)) if computed else np.nan
-
-
-def measured(source: Source) -> Sketch | None:
-    """Plot every measured variable against slope, with the curves and their measurements."""
-    curves = [(line.label, list(line.curves(*variables(source)))) for line in source.lines]
-    names = [v for v in variables(source) if any(v in curve for _, of_line in curves for curve in of_line)]
-    if not names or "slope" not in table(source):
-        return None
-    sketch = Sketch("measured", 60 + 250 * len(names), len(names), sharex=True)
-    rows = table(source)
-    for axes, name in zip(sketch.panels, names, strict=True):
-        for k, (label, of_line) in enumerate(curves):
-            for whole in of_line:
-                curve = thin(whole)
-                for gait in curve["gait"].unique() if name in curve else ():
-                    part = curve[(curve["gait"] == gait) & curve[name].notna()]
-                    draw_gait(axes, curve, gait, k, y=name)
-                    sketch.pieces.append(part.assign(line=label, variable=name, value=part[name]))
-        draw(sketch, axes, source, name)
-        values = {"γ (rad)": rows["slope"], spaced(name): rows[name]}
-        sketch.mark(axes, rows["slope"], rows[name], "measured", values)
-        set_heading(axes, titled(name, source.units(name)))
-    data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
-    sketch.gait_keys(data[["gait"]])
-    sketch.line_keys([label for label, _ in curves])
-    left = residuals(source)
-    largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
-    worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
-    return sketch.finish(data, names=", ".join(names), count=len(rows), worst=worst)

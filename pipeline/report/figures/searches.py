@@ -5,7 +5,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
 from gaitsweep.pipeline.report.figures.style import (
     DOTTED,
     INK,
@@ -16,7 +16,7 @@ from gaitsweep.pipeline.report.figures.style import (
     write_at,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import axis_values, plain, print_units, shorten, spaced, symbol, with_unit
+from gaitsweep.pipeline.report.words import plain, print_units, shorten, spaced, symbol, with_unit
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
@@ -28,19 +28,17 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
     """Plot the gaits that a census found, and the bound on what it missed, against slope."""
     sketch = Sketch("census", 430, 2, sharex=True, height_ratios=[5, 3])
     top, below = sketch.panels
-    every, reached = source.line_groups(table), coverage[coverage["converged"] > 0]
-    tips = {"γ (rad)": "slope", "θ* (rad)": "stance_angle", "hits": "hits" if "hits" in table else "slope"}
-    for k, (at, rows) in enumerate(every):
-        name, ink, marker = axis_values(at) or source.walker, colour(k), MARKERS[k % 8]
+    every, reached = source.lines_of(table), coverage[coverage["converged"] > 0]
+    for k, line in enumerate(every):
+        name, ink, marker = line.label or source.walker, colour(k), MARKERS[k % 8]
         # Walkers at one slope stand side by side, one alone at its slope.
         beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
+        rows = line.rows.assign(place=beside * line.rows["slope"])
         for passes_once, fill in ((1, ink), (0, PAPER)):
             part = rows[rows["anthropomorphic"] == passes_once]
-            top.plot(beside * part["slope"], part["stance_angle"], marker, color=ink, mfc=fill, ms=5, ls="")
-        values, place = {tip: rows[column] for tip, column in tips.items()}, beside * rows["slope"]
-        command = source.line_command(rows)
-        sketch.mark(top, place, rows["stance_angle"], name, values, command=command, slopes=rows["slope"])
-        seen = rows_at(reached, at)
+            top.plot(part["place"], part["stance_angle"], marker, color=ink, mfc=fill, ms=5, ls="")
+        sketch.mark(top, rows, name, command=line.command, tips=TIPS | {"hits": "hits"}, x="place")
+        seen = rows_at(reached, line.at)
         below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, lw=1.1, marker=marker, ms=4)
         if k < len(MARKERS):
             sketch.key(shorten(name), ink, marker=marker, ms=5)
@@ -55,23 +53,23 @@ def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the distances between successive flips of each family on a logarithmic axis, with Feigenbaum's line."""
     sketch = Sketch("cascade", 330)
     (axes,) = sketch.panels
-    for at, rows in source.line_groups(table):
-        for family, events in rows[rows["kind"] == "flip"].groupby("family", sort=False):
+    titles = {name: f"{name} (rad)" for name in ("flip", "next flip", "distance")}
+    for line in source.lines_of(table):
+        for family, events in line.rows[line.rows["kind"] == "flip"].groupby("family", sort=False):
             slopes = events["slope"].to_numpy()
             if len(slopes) < 3:
                 continue
-            distance, number, k = np.diff(slopes), np.arange(1, len(slopes)), len(sketch.pieces)
-            name = ", ".join(filter(None, (axis_values(at), f"period {family}")))
-            ink, marker = colour(k), MARKERS[k % 5]
-            axes.plot(number, np.abs(distance), marker, color=ink, ms=5, ls="-", lw=0.9)
-            law = np.abs(distance[-1]) * FEIGENBAUM ** (number[-1] - number)
-            axes.plot(number, law, color=MUTED, lw=1, ls=DOTTED)
+            number, k = np.arange(1, len(slopes)), len(sketch.pieces)
+            flips = {"flip": slopes[:-1], "next flip": slopes[1:], "distance": np.diff(slopes)}
+            named = {"number": number, "line": line.label, "family": str(family)}
+            sketch.pieces.append(pd.DataFrame({**{titles[name]: v for name, v in flips.items()}, **named}))
+            name = ", ".join(filter(None, (line.label, f"period {family}")))
+            ink, marker, distance = colour(k), MARKERS[k % 5], np.abs(flips["distance"])
+            axes.plot(number, distance, marker, color=ink, ms=5, ls="-", lw=0.9)
+            axes.plot(number, distance[-1] * FEIGENBAUM ** (number[-1] - number), color=MUTED, lw=1, ls=DOTTED)
             sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
-            values = {"flip (rad)": slopes[:-1], "next flip (rad)": slopes[1:], "distance (rad)": distance}
-            command = source.line_command(rows)
-            sketch.mark(axes, number, np.abs(distance), name, values, command=command, slopes=slopes[:-1])
-            named = {"number": number, "line": axis_values(at), "family": str(family)}
-            sketch.pieces.append(pd.DataFrame({**values, **named}))
+            rows = pd.DataFrame({**flips, "slope": slopes[:-1], "number": number, "gap": distance})
+            sketch.mark(axes, rows, name, command=line.command, tips=titles, x="number", y="gap")
     if not sketch.pieces:
         return None
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -88,16 +86,15 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     (axes,) = sketch.panels
     table = table if "kind" in table else table.assign(kind="curve")
     kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
-    for at, rows in source.line_groups(table):
-        for number, curve in rows.groupby("curve", sort=False):
+    for line in source.lines_of(table):
+        for number, curve in line.rows.groupby("curve", sort=False):
             kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
             axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
-            label = ", ".join(filter(None, (axis_values(at), f"{spaced(kind)}, curve {number}")))
-            base = source.line_command(curve.drop(columns=key, errors="ignore"))
+            label = ", ".join(filter(None, (line.label, f"{spaced(kind)}, curve {number}")))
+            base = source.command({name: value for name, value in line.at.items() if name != key})
             places = curve[["slope", "value"]].to_numpy(float).tolist()
-            commands = [f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places]
-            values = {"γ (rad)": curve["slope"], key: curve["value"]}
-            sketch.mark(axes, curve["slope"], curve["value"], label, values, commands=commands)
+            rows = curve.assign(command=[f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places])
+            sketch.mark(axes, rows, label, tips={"slope": "γ (rad)", "value": key}, y="value")
     key, unit = str(table["key"].iloc[0]), print_units(table.attrs.get("units", {}).get("value", ""))
     touches = _mark_touches(source, axes, key)
     for kind, ink in kinds.items():

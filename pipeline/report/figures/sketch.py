@@ -1,10 +1,9 @@
 """A figure while it is drawn: panels, marks that a page walks along, legend, data, and the values of its words."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -20,21 +19,20 @@ TIPS = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "period": "period"}
 class Marks:
     """Points of one curve that show their values and the command that reproduces them under the pointer.
 
-    The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
-    points and their rates, from which the page's script starts them; with `free` they are steps of no gait. Points
-    that are drawn `above` others are found before those that they hide.
+    They are `rows` of a frame that lie at two of its columns, and show those that `tips` names. The command is
+    `command` with the slope of the row, or the row's own where there is a column `command`. Rows with a stance angle
+    also have its rates, from which the page's script starts them; with `free` they are steps of no gait. Points that
+    are drawn `above` others are found before those that they hide.
     """
 
     axes: Axes
-    x: Any
-    y: Any
+    rows: pd.DataFrame
     label: str
-    values: Mapping[str, Any]
     command: str = ""
-    slopes: Any = None
-    commands: Sequence[str] | None = None
+    tips: Mapping[str, str] = field(default_factory=lambda: TIPS)
+    x: str = "slope"
+    y: str = "stance_angle"
     group: int | None = None
-    gaits: pd.DataFrame | None = None
     free: bool = False
     above: bool = False
 
@@ -43,13 +41,12 @@ class Marks:
 class Panel:
     """A map whose every cell has a gait, a motion or an outcome of its own.
 
-    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to name and start one.
+    `values` are those of one of its quantities, over the keys along and down; `cells` is what the script needs to name
+    and start one.
     """
 
     axes: Axes
-    names: tuple[str, str]
-    x: np.ndarray
-    y: np.ndarray
+    values: pd.DataFrame
     cells: Mapping[str, Any]
 
 
@@ -71,23 +68,14 @@ class Sketch:
         self.keys: list[Any] = []
         self.last_key: dict[str, Any] = {}  # points that stand last in the legend, if there are any
         self.pieces: list[pd.DataFrame] = []
-        self.data = pd.DataFrame()
         self.values: dict[str, Any] = {}
         self.lines: list[str] = []
         for axes, sides in zip(self.panels, self.texts.get("log", ()), strict=False):
             set_log(axes, sides)
 
-    def mark(self, axes: Axes, x: Any, y: Any, label: str, values: Mapping[str, Any], **more: Any) -> None:
-        """Add points with the values that they show, and the other fields of `Marks`."""
-        self.marks.append(Marks(axes, x, y, label, values, **more))
-
-    def mark_gaits(
-        self, axes: Axes, rows: pd.DataFrame, label: str, command: str, tips: Mapping[str, str] = TIPS,
-        x: str = "slope", y: str = "stance_angle", **more: Any,
-    ) -> None:  # fmt: skip
-        """Add gaits, a row each, that lie at two of their columns and show those that `tips` names."""
-        values = {title: rows[column] for column, title in tips.items() if column in rows}
-        self.mark(axes, rows[x], rows[y], label, values, command=command, slopes=rows["slope"], gaits=rows, **more)
+    def mark(self, axes: Axes, rows: pd.DataFrame, label: str, **more: Any) -> None:
+        """Add points, a row of a frame each, with the other fields of `Marks`."""
+        self.marks.append(Marks(axes, rows, label, **more))
 
     def key(self, label: str, color: str = INK, **line: Any) -> None:
         """Add an entry to the legend."""
@@ -97,12 +85,19 @@ class Sketch:
         """Add an entry of points to the legend."""
         self.key(label, color, ls="", marker=marker, **line)
 
-    def gait_keys(self, rows: pd.DataFrame) -> None:
-        """Add the colours of the gaits in some rows to the legend, and how stable ones are drawn if there are any."""
-        for gait in rows["gait"].unique():
+    @property
+    def data(self) -> pd.DataFrame:
+        """What the figure shows: all pieces."""
+        whole = len(self.pieces) == 1
+        return self.pieces[0] if whole else pd.concat(self.pieces or [pd.DataFrame()], ignore_index=True)
+
+    def gait_keys(self) -> None:
+        """Add the dashes of the gaits drawn to the legend, and how stable ones are drawn if there are any."""
+        data = self.data
+        for gait in data["gait"].unique() if len(data) else ():
             if gait:
                 self.key(shorten(f"{gait} step"), lw=1.4, ls=dash(gait))
-        if "stable" in rows and (rows["stable"] == 1).any():
+        if "stable" in data and (data["stable"] == 1).any():
             self.key("stable", lw=2.6)
 
     def line_keys(self, names: Sequence[str]) -> None:
@@ -122,14 +117,13 @@ class Sketch:
         """
         if self.last_key:
             self.dot_key(**self.last_key)
-        self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
-        known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
-        if "slope" in self.data:
-            known |= {"low": self.data["slope"].min(), "high": self.data["slope"].max()}
-            stable = self.data[self.data["stable"] == 1] if "stable" in self.data else self.data[:0]
+        data = self.data if data is None else data
+        known: dict[str, Any] = {"count": len(data), "omitted": values.get("drawn") != values.get("every")}
+        if "slope" in data:
+            known |= {"low": data["slope"].min(), "high": data["slope"].max()}
+            stable = data[data["stable"] == 1] if "stable" in data else data[:0]
             known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
-        if "stable" in self.data:
-            self.data = self.data.assign(stable=yes_or_no(self.data["stable"]))
+        self.pieces = [data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data]
         self.lines, self.values = list(lines), known | values
         for axes, text in zip(self.panels, self.texts.get("y", ()), strict=False):
             set_heading(axes, fill(text, self.values))

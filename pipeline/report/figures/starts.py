@@ -9,7 +9,7 @@ import pandas as pd
 
 from gaitsweep.pipeline.report.figures import fields
 from gaitsweep.pipeline.report.figures.style import spread_evenly
-from gaitsweep.pipeline.report.source import RATES, Source
+from gaitsweep.pipeline.report.source import RATES, Line, Source
 from gaitsweep.pipeline.report.words import axis_values, symbol
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
@@ -69,30 +69,29 @@ def lines(source: Source) -> list[dict[str, Any]]:
     by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
-        for _, rows in [] if table is None else source.line_groups(table):
-            at = source.line_of(rows)
-            known = name == "branches" and set(START[:4]) <= set(rows.columns)
-            branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
-            by_line.setdefault(tuple(at.values()), (at, branches))
-    chosen = [(at, [] if source.steps > 1 else own) for at, own in [*by_line.values()][:_MAX_LINES]]
+        for line in [] if table is None else source.lines_of(table):
+            known = name == "branches" and set(START[:4]) <= set(line.rows.columns)
+            branches = [part for _, part in line.rows.groupby("branch", sort=False)] if known else []
+            by_line.setdefault(tuple(line.at.values()), (line, branches))
+    chosen = [(line, [] if source.steps > 1 else own) for line, own in [*by_line.values()][:_MAX_LINES]]
     total = sum(len(branch) for _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
-    for at, branches in chosen:
-        if keys := parameters(source, at):
+    for line, branches in chosen:
+        if keys := parameters(source, line.at):
             records.append(
                 {
-                    "name": axis_values(at),
-                    "at": at,
+                    "name": axis_values(line.at),
+                    "at": line.at,
                     "keys": keys,
-                    "command": source.command(at),
-                    "first": _first(at, branches),
+                    "command": line.command,
+                    "first": _first(line.at, branches),
                     "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
                 }
             )
     return records
 
 
-def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[dict[str, Any], list[pd.DataFrame]]]:
+def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[Line, list[pd.DataFrame]]]:
     """Lines of a grid with their branches: the pieces of each joined at its folds."""
     by_line = {}
     for line in source.lines[:_MAX_LINES]:
@@ -104,7 +103,7 @@ def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[dict[str, Any], list
                 piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
             )
         joined = [pd.concat(pieces) for number, pieces in branches.items() if number >= 0]
-        by_line[tuple(line.at.values())] = (line.at, joined)
+        by_line[tuple(line.at.values())] = (line, joined)
     return by_line
 
 

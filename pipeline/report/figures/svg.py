@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, rounded
-from gaitsweep.pipeline.report.figures.style import VARIABLES, spread_evenly
+from gaitsweep.pipeline.report.figures.style import VARIABLES, thin
 from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
@@ -138,23 +138,22 @@ def _adapt(svg: str, decimals: int) -> str:
 def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     """Marks in the SVG's coordinates, at most `TARGETS` per figure."""
     targets = []
-    share = _share([len(np.atleast_1d(mark.x)) for mark in marks])
+    share = _share([len(mark.rows) for mark in marks])
     for mark in marks:
-        x, y = np.asarray(mark.x, float), np.asarray(mark.y, float)
-        (left, right), (low, high) = sorted(mark.axes.get_xlim()), sorted(mark.axes.get_ylim())
-        inside = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
-        if not len(inside):
+        x, y = (mark.rows[column].astype(float) for column in (mark.x, mark.y))
+        inside = x.between(*sorted(mark.axes.get_xlim())) & y.between(*sorted(mark.axes.get_ylim()))
+        rows = thin(mark.rows[inside], share)
+        if rows.empty:
             continue
-        inside = inside[spread_evenly(len(inside), share)]
-        pixels = mark.axes.transData.transform(np.column_stack([x[inside], y[inside]]))
-        columns = [np.asarray(column)[inside].tolist() for column in mark.values.values()]
-        commands = [mark.commands[i] for i in inside] if mark.commands is not None else _slopes(mark, inside)
-        rows = [
+        pixels = mark.axes.transData.transform(rows[[mark.x, mark.y]].to_numpy(float))
+        tips = {column: title for column, title in mark.tips.items() if column in rows}
+        more = next((rows[column].tolist() for column in ("command", "slope") if column in rows), [None] * len(rows))
+        shown = [
             [round(float(a), 1), round(float(height - b), 1), command, *map(_text, values)]
-            for (a, b), command, *values in zip(pixels, commands, *columns, strict=True)
+            for (a, b), command, *values in zip(pixels, more, *(rows[c].tolist() for c in tips), strict=True)
         ]
-        target = {"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows}
-        target |= _starts(mark, inside) | ({"above": True} if mark.above else {})
+        target = {"label": mark.label, "names": [*tips.values()], "command": mark.command, "rows": shown}
+        target |= _starts(mark, rows) | ({"above": True} if mark.above else {})
         targets.append(target if mark.group is None else {**target, "line": mark.group})
     return targets[:TARGETS]
 
@@ -170,15 +169,12 @@ def _share(sizes: list[int]) -> int:
     return share
 
 
-def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
+def _starts(mark: Marks, rows: pd.DataFrame) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
-    if mark.gaits is None or not {"slope", "stance_angle"} <= set(mark.gaits):
+    names = [name for name in START[1:] if name in rows]
+    if not mark.command or "stance_angle" not in names or (mark.free and "stance_rate" not in names):
         return {}
-    names = [name for name in START[1:] if name in mark.gaits]
-    if mark.free and "stance_rate" not in names:
-        return {}
-    values = mark.gaits[names].to_numpy(float)[inside]
-    starts = [[v for v in rounded(row, 12) if v is not None] for row in values]
+    starts = [[v for v in rounded(row, 12) if v is not None] for row in rows[names].to_numpy(float)]
     return {"starts": starts, **({"free": True} if mark.free else {})}
 
 
@@ -189,9 +185,10 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
     """
     panel = panels[k]
     frame = _frame(panel.axes, height)
-    for side, name, values in zip("xy", panel.names, (panel.x, panel.y), strict=True):
-        frame[side]["name"] = name
-        if not k or not np.array_equal(values, getattr(panels[0], side)):
+    for side, which in (("x", "columns"), ("y", "index")):
+        values, first = (getattr(map.values, which) for map in (panel, panels[0]))
+        frame[side]["name"] = values.name
+        if not k or not np.array_equal(values, first):
             frame[side]["values"] = rounded(values, 12)
     earlier = [other.cells for other in panels[:k]]
     same = {name: i for name, value in panel.cells.items() if (i := _first(earlier, name, value)) is not None}
@@ -221,11 +218,6 @@ def _title(axes: Axes, side: str) -> str:
     figure: Any = axes.figure
     own = getattr(axes, f"get_{side}label")() or (axes.get_title(loc="left") if side == "y" else "")
     return str(own or getattr(figure, f"get_sup{side}label")())
-
-
-def _slopes(mark: Marks, inside: np.ndarray) -> list[float | None]:
-    """The slopes that complete a curve's command at some of its points."""
-    return [None] * len(inside) if mark.slopes is None else np.asarray(mark.slopes, float)[inside].tolist()
 
 
 def _text(value: Any) -> str:
