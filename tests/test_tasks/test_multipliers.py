@@ -20,7 +20,7 @@ from gaitsweep.tasks.fixed_points.rounding import characteristic_scale
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_points import atlas, lines, points
-from gaitsweep.tasks.step.extended_precision import _extended_step_map, solved
+from gaitsweep.tasks.step.extended_precision import Start, _extended_step_map, solved
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT, branches
@@ -124,7 +124,8 @@ def exact_multipliers(problem, found, g, slope):
     times = [found[name][g] / unit for name in ("kneestrike_time", "period")][-problem.phases :]
     w = np.array([[np.log(angle), *rates, *times]]).T
     at = settle(problem, unmeasured(problem, w, np.array([slope])))
-    y, times, *_, last_step = solved(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0], 1)
+    start = Start(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0])
+    y, times, *_, last_step = solved(start, 1)
     assert last_step < 1e-15
     step = _extended_step_map(problem.structure, 1)
     with mpmath.workdps(34):
