@@ -9,7 +9,7 @@ import pytest
 from benchmarks.counted import STUDIES, work
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.runner import Options, run
-from gaitsweep.pipeline.graph.layers import layers
+from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.study.parse import read
 from gaitsweep.tasks.registry import ALWAYS
@@ -58,7 +58,7 @@ figures = ["loglog"]
 def test_one_figure_asks_for_its_inputs_alone(tmp_path):
     (tmp_path / "one.toml").write_text(STUDY)
     study = read(tmp_path / "one.toml")
-    assert set(layers(study)) == {"atlas", "points"}
+    assert set(Graph(study).layers) == {"atlas", "points"}
     start = {"stance_angle", "stance_rate", "thigh_rate", "shank_rate"}  # with which a page lets a gait walk
     assert set(variables(study)) == {*start, "spectral_radius", *ALWAYS}
 

@@ -10,8 +10,8 @@ import gaitsweep
 from gaitsweep.pipeline.cli import plan
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.graph import layers
+from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
-from gaitsweep.pipeline.grid.costs import seconds
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study.parse import read
@@ -77,14 +77,14 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
 def test_a_plan_tells_what_designs_cost(tmp_path):
     few, many = (read(written(tmp_path, '"B"', PLANE.format(n=n, m=20))) for n in (5, 100))
     assert many.plane and not few.plane
-    each = [seconds(study, "design") * study.batches / study.lines for study in (few, many)]
+    each = [Graph(study).seconds("design") * study.batches / study.lines for study in (few, many)]
     assert each[1] < 0.1 * each[0]
     planned = Plan(many, Store(tmp_path / "journal"))
     todo = summary(planned)
     # The slopes are a window, of which each design is one answer.
     assert next(plan.lines(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")
     assert todo.todo["design"] == {"new": 2}
-    assert todo.seconds == pytest.approx(2 * seconds(many, "design"), rel=0.3)
+    assert todo.seconds == pytest.approx(2 * Graph(many).seconds("design"), rel=0.3)
 
 
 def test_a_plan_of_a_billion_designs_is_made_at_once(tmp_path):
@@ -93,7 +93,7 @@ def test_a_plan_of_a_billion_designs_is_made_at_once(tmp_path):
     assert study.batches == math.ceil(31623**2 / 65536)
     last = study.batch(study.batches - 1)
     assert last[-1] == study.lines - 1 and len(last) < 65536
-    assert seconds(study, "design") * study.batches > 3600
+    assert Graph(study).seconds("design") * study.batches > 3600
 
 
 @pytest.fixture(scope="module")
