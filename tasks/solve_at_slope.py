@@ -69,9 +69,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
-    log.append(
-        f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {sum(len(b.q) for b in branches)} points"
-    )
+    nodes = sum(len(branch.q) for branch in branches)
+    log.append(f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {nodes} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, request, gaits)
         log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
@@ -91,7 +90,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
 def _absent(branches: list[Branch], point: Mapping[str, Any], slope: float, labels: list[str]) -> list[str]:
     """Why there is no gait of a label; where branches were lost, what they span does not say it."""
     are_whole = not any(branch.lost() for branch in branches)
-    pieces = {label: [s for b in branches for s in spans(b, label)] if are_whole else [] for label in GAITS[:2]}
+    pieces = {label: list(spans(branches, label)) if are_whole else [] for label in GAITS[:2]}
     return [
         status.beyond(label, pieces[label], slope) or str(point["reasons"][point["reason"][0, g]])
         for g, label in enumerate(GAITS[:2])

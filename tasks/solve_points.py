@@ -186,9 +186,7 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
         return status.reasons(outside, outside)
     searched = f"searched from {atlases.searched(problem.walker)}"
     lost = sorted(slope for branch in branches for slope in branch.lost())
-    long, short = (
-        status.outside(label, [s for b in branches for s in spans(b, label)], searched, lost) for label in GAITS[:2]
-    )
+    long, short = (status.outside(label, list(spans(branches, label)), searched, lost) for label in GAITS[:2])
     return status.reasons(long, short)
 
 
@@ -260,11 +258,11 @@ def _parts(guessed: list[_Guessed], gaits: Arrays) -> list[Part]:
     return parts
 
 
-def spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
-    """Least and largest slope of each run of a branch's gaits with one label [rad]."""
-    has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (branch.leg_passes == 1)
-    for first, last in branch.pieces():
-        nodes = np.arange(first, last + 1)
+def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
+    """Least and largest slope of each run of the gaits of branches with one label [rad]."""
+    for piece in pieces_of(branches):
+        branch, nodes = piece.branch, np.arange(piece.first, piece.last + 1)
+        has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (branch.leg_passes == 1)
         for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):
             if has_label[run[0]]:
                 slopes = np.exp(branch.q[run])
