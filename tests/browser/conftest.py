@@ -1,4 +1,5 @@
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -92,6 +93,10 @@ def opened(browser):
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         browser.get("about:blank")
         browser.get(path.as_uri() + anchor)
+        loaded = "return location.protocol === 'file:' && document.readyState === 'complete'"
+        deadline = time.monotonic() + 30
+        while not browser.execute_script(loaded) and time.monotonic() < deadline:  # on a busy machine
+            time.sleep(0.05)
         return browser
 
     return go
