@@ -28,14 +28,12 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
     is_possible = study.kind == "grid" and study.steps == 1 and TASKS["atlas"].over_plane and wants_points_alone(study)
     if not study.plane or not is_possible:
         return math.inf, math.inf
-    by_charts, by_lines = (
-        study.lines * sum(costs.seconds(study, name, method) * n for name, n in each.items())
-        for method, each in (
-            (Method.PLANE, {"charts": 1, "atlas": 1, "points": len(study.slope)}),
-            (_by_lines(study), {"atlas": 1, "points": len(study.slope)}),
-        )
-    )
-    return by_charts, by_lines
+
+    def seconds(method: Method, *tasks: str) -> float:
+        of_line = sum(costs.seconds(study, name, method) for name in tasks)
+        return study.lines * (of_line + len(study.slope) * costs.of_point(study, method))
+
+    return seconds(Method.PLANE, "charts", "atlas"), seconds(_by_lines(study), "atlas")
 
 
 def _by_lines(study: Study, in_memory: bool = False) -> Method:
