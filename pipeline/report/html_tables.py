@@ -16,6 +16,7 @@ from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.starts import addresses
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
+from gaitsweep.pipeline.terminal import counted
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000
@@ -117,8 +118,7 @@ def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
 def _fit(name: str, frame: pd.DataFrame) -> Table:
     fitted = frame[frame["n"] > 0] if "n" in frame else frame
     missing, more = len(frame) - len(fitted), "further " if len(fitted) else ""
-    plural = "" if missing == 1 else "s"
-    note = f"For {missing} {more}case{plural} no power law fits." if missing else ""
+    note = f"For {counted(missing, f'{more}case')} no power law fits." if missing else ""
     if "quantity" in fitted:
         law = fitted["quantity"].map(lambda quantity: WORDS["laws"].get(quantity, quantity))
         fitted = fitted.assign(quantity=law).rename(columns={"quantity": "law"})
