@@ -114,10 +114,10 @@ def version(package: str) -> str:
         return "not installed"
 
 
-def code_digest() -> str:
-    """Digest of the code of `tasks` and of its tables, without docstrings, comments and layout."""
+def code_digest(folder: str = "tasks") -> str:
+    """Digest of the code of a folder and of its tables, without docstrings, comments and layout."""
     digest = hashlib.sha256()
-    for file in sorted(file for kind in ("py", "toml") for file in (_ROOT / "tasks").rglob(f"*.{kind}")):
+    for file in sorted(file for kind in ("py", "toml") for file in (_ROOT / folder).rglob(f"*.{kind}")):
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
         digest.update(" ".join(text.split()).encode())
     return digest.hexdigest()

@@ -197,7 +197,7 @@ class StudyRun:
             if jobs.error:
                 raise jobs.error
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = write.write(jobs.plan, self.path, signals.check)
+            written = write.update(jobs.plan, self.path, signals.check)
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptStoreError(jobs.store.path)
             failures = result_tables.failed(jobs.plan)

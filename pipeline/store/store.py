@@ -48,6 +48,8 @@ class Store:
     ----------
     numbers : dict
         Of each record, by its key; later ones are larger.
+    last : int
+        The largest.
 
     Raises
     ------
@@ -68,7 +70,7 @@ class Store:
             for number, key, kin in self._execute("SELECT id, key, kin FROM records ORDER BY id"):
                 self.numbers[str(key)] = number
                 self._kin.add(str(kin))
-            self._last = max(self.numbers.values(), default=0)
+            self.last = max(self.numbers.values(), default=0)
         except BaseException:
             self.close()
             raise
@@ -97,10 +99,10 @@ class Store:
         clock, earlier = time.monotonic(), self.numbers.get(key.key)
         is_synchronous = clock - self._synced > _SYNC_INTERVAL
         self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
-        number = self._last + 1
+        number = self.last + 1
         sums = file.sums(number, *key, head, payload)
         self._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, *key, *sums, head, payload)
-        self._last = number
+        self.last = number
         if earlier:  # if this is lost, the later one counts
             self._execute("DELETE FROM records WHERE id = ?", earlier)
         self._synced = clock if is_synchronous else self._synced

@@ -44,14 +44,47 @@ def test_a_run_needs_no_shared_memory(toy, whole):
     assert toy.bytes() == whole
 
 
-def test_the_same_command_again_computes_nothing(toy):
+def test_the_same_command_again_computes_and_writes_nothing(toy):
     toy("run", "toy.toml")
-    first = toy.bytes()
+    first = written(toy)
     toy("run", "toy.toml")
-    assert toy.bytes() == first
+    assert written(toy) == first
     log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
     begins = [i for i, event in enumerate(log) if event["event"] == "begin"]
     assert len(begins) == 2 and not [e for e in log[begins[1] :] if e["event"] in ("chunk", "task")]
+
+
+def written(toy):
+    """The archive's place on the disk, which each writing changes."""
+    return journal(toy, ".nc").stat().st_ino
+
+
+def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
+    """Whether one bit of it changed, it was removed, or results of another accuracy were written in between."""
+    toy("run", "toy.toml")
+    archive = journal(toy, ".nc")
+    data = bytearray(archive.read_bytes())
+    data[-1] ^= 1
+    archive.write_bytes(data)
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+    archive.unlink()
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+    for _ in range(2):  # the second time both are stored
+        toy("run", "toy.toml", "--accuracy", "1e-4")
+        assert toy.bytes() != whole
+        toy("run", "toy.toml")
+        assert toy.bytes() == whole
+
+
+def test_failures_are_told_again_by_a_run_that_writes_nothing(toy):
+    trouble = {"TOY_TROUBLE": "raise@0.2"}
+    failures = re.findall(r".* x .* First: .*", toy("run", "toy.toml", expect=1, **trouble).stderr)
+    archive = written(toy)
+    again = toy("run", "toy.toml", expect=1, **trouble).stderr
+    assert failures == re.findall(r".* x .* First: .*", again) != []
+    assert written(toy) == archive
 
 
 @pytest.mark.parametrize(
