@@ -25,6 +25,7 @@ import numpy as np
 from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
 from gaitsweep.tasks.mechanics.lumped import Structure, general_structure, locked
+from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
 #: Intervals at whose ends the motion is sampled to verify a step.
@@ -146,6 +147,7 @@ class StrideMap:
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
+        self._end = rows_of_end(self.m, 1 + self.kneed)
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> CompiledFunction:
         """Compile a function; `tests/soak/extended_reference.py` overrides this with wider numbers."""
@@ -326,9 +328,7 @@ class StrideMap:
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))
-        shapes = finish_shapes(m, k)
-        rows = _split(out, *map(math.prod, shapes.values()))
-        end = {name: own.reshape(*shape, n) for (name, shape), own in zip(shapes.items(), rows, strict=False)}
+        end = {name: out[rows].reshape(*shape, n) for name, (rows, shape) in self._end.items()}
         shifts, moves, newton, derivative = end.pop("shifts"), end.pop("moves"), end.pop("newton"), end["derivative"]
         if self.kneed:  # a later kneestrike with the same heelstrike shortens the last phase, and so does all else
             others = [*range(m + 1), m + 2]
@@ -348,13 +348,15 @@ class StrideMap:
         )
 
 
-def finish_shapes(m: int, k: int) -> dict[str, tuple[int, ...]]:
-    """What the end of a step gives, in order, for m coordinates and k phases."""
-    return {
+def rows_of_end(m: int, k: int) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Rows and shape of all that the end of a step gives, for m coordinates and k phases."""
+    shapes: dict[str, tuple[int, ...]] = {
         **{"image": (m,), "jacobian": (m, m), "by_slope": (m,), "shifts": (k, m + 2), "residual": (m + k,)},
         **{"derivative": (m + k, m + k + 1), "moves": (m + k, m + k), "newton": (m + k,)},
         **{"impact": (2,), "impact_by_y": (2, m)},
     }
+    rows = slices([math.prod(shape) for shape in shapes.values()])
+    return {name: (own, shape) for own, (name, shape) in zip(rows, shapes.items(), strict=True)}
 
 
 def _split(values: np.ndarray, *sizes: int) -> list[np.ndarray]:

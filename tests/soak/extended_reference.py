@@ -1,6 +1,5 @@
 """The step map and its fixed points in extended precision, from the same symbols as gaitsweep's."""
 
-import math
 from typing import Any
 
 import heyoka as hy
@@ -8,7 +7,7 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.lumped import Structure
-from gaitsweep.tasks.step.step_map import StrideMap, finish_shapes
+from gaitsweep.tasks.step.step_map import StrideMap, rows_of_end
 
 
 class _Algebra(StrideMap):
@@ -100,23 +99,21 @@ class Precise:
         directions = self._padded(final[4:], 4)
         out = self.algebra.finish(np.concatenate([y, final[:4], directions, parts, knee, parameters]))
         k = len(times)
-        sizes = [math.prod(shape) for shape in finish_shapes(m, k).values()]
-        image, jacobian, _, shifts, residual, derivative, _, newton, *_ = np.split(out, np.cumsum(sizes))
+        end = {name: out[rows].reshape(shape) for name, (rows, shape) in rows_of_end(m, k).items()}
         # The durations' shifts and their derivatives by y; heelstrike comes after both, less the shift along the field.
-        moved = shifts.reshape(k, m + 2)[:, : m + 1].copy()
+        moved = end["shifts"][:, : m + 1].copy()
         if self.kneed:
             moved[1] += moved[0] - parts[m] * moved[0]
             moved[1, 1:] -= parts[:m]
         times, by = times + moved[:, 0], moved[:, 1:]
-        jacobian = jacobian.reshape(m, m)
         return {
-            "image": image,
-            "jacobian": jacobian,
-            "newton": newton[:m],
+            "image": end["image"],
+            "jacobian": end["jacobian"],
+            "newton": end["newton"][:m],
             "times": times,
             "times_by_y": by,
-            "residual": residual,
-            "derivative": derivative.reshape(m + k, m + k + 1)[:, :-1],
+            "residual": end["residual"],
+            "derivative": end["derivative"][:, :-1],
             "start": after_heelstrike,
         }
 
