@@ -17,9 +17,10 @@ from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
-from gaitsweep.tasks.tables import stacked, table
+from gaitsweep.tasks.tables import nothing, stacked, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Columns of the tables `branches` and `special_points`.
@@ -79,7 +80,10 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
                 state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
                 period, error = point["period"] * time_unit, point["error_bound"]
                 points.append((number, point["kind"], point["slope"], *state, period, error))
-    return stacked("branches", parts, COLUMNS) | table("special_points", points, SPECIAL)
+    tables = stacked("branches", parts, COLUMNS) | table("special_points", points, SPECIAL)
+    if parts:
+        return tables
+    return tables | nothing(over("gait" + f" of {problem.steps} steps" * (problem.steps > 1), np.array([low, high])))
 
 
 def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:

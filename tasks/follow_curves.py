@@ -15,11 +15,13 @@ from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, foll
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
-from gaitsweep.tasks.tables import table
+from gaitsweep.tasks.tables import nothing, table
 from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
+#: Why a line has no curve.
+_NO_START = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 #: Columns of the tables.
 _CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "error_bound", "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
@@ -93,7 +95,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                         turns.append((number, kind, turn, *_place(equations, found[0], key, window), found[1]))
         if seen:
             break
-    return table("curves", rows, _CURVES) | table("turnings", turns, _TURNINGS)
+    return table("curves", rows, _CURVES) | table("turnings", turns, _TURNINGS) | ({} if rows else nothing(_NO_START))
 
 
 def _beginnings(own: float, low: float, high: float) -> list[float]:

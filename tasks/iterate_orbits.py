@@ -13,9 +13,10 @@ from gaitsweep.tasks.dynamics.initial_states import NO_START, gaits_at, r_sequen
 from gaitsweep.tasks.dynamics.lyapunov import Exponents, estimate
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fixed_points.polish import SAFETY_FACTOR
+from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
-from gaitsweep.tasks.tables import Arrays, table
+from gaitsweep.tasks.tables import Arrays, nothing, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.
@@ -81,6 +82,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         "falls/steps": np.concatenate([walk.taken[~walks], np.zeros(len(without), int)]),
         "falls/cause": np.array([CAUSES[c] for c in walk.outcome[~walks]] + [NO_START] * len(without), "U24"),
     }
+    out |= {} if len(known) else nothing(over(f"{options['gait']} gait", slope))
     out |= _survival(lane_slope, walk.taken, ~walks)
     return out | _exponents(means[:, :, walks], lane_slope[walks], strides - _ALIGNMENT)
 

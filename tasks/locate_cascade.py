@@ -24,11 +24,12 @@ from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride
-from gaitsweep.tasks.tables import table
+from gaitsweep.tasks.tables import nothing, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 Arrays = dict[str, np.ndarray]
@@ -104,6 +105,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows: list[tuple[Any, ...]] = []
     limits: list[tuple[Any, ...]] = []
     ends: list[tuple[Any, ...]] = []
+    missing: list[str] = []
     for number in options["families"]:
         families: list[list[_Event]] = []
         reasons: list[str] = []
@@ -113,7 +115,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 families.append(family)
                 reasons.append(stopped)
         if not families:
-            limits.append((f"{number}", 0, *[np.nan] * 4, _absent(int(number), slope)))
+            missing.append(over("long gait" if number == 1 else f"gait of period {number} was found", slope))
+            limits.append((f"{number}", 0, *[np.nan] * 4, missing[-1]))
         for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
             flips = np.array([e.slope for e in family if e.kind == "flip"])
@@ -142,13 +145,10 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 reason = _unbracketed(low, high, value, end)
                 bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
                 ends.append((name, *bracket, _ORBITS, int(options["steps"]), reason))
-    return table("cascade", rows, _CASCADE) | table("accumulation", limits, _ACCUMULATION) | table("lost", ends, _LOST)
-
-
-def _absent(n: int, slope: np.ndarray) -> str:
-    """Why a family of period n has no gait to begin with."""
-    searched = "No long gait" if n == 1 else f"No gait of period {n} was found"
-    return f"{searched} at slopes from {slope[0]:.6g} to {slope[-1]:.6g}."
+    tables = (
+        table("cascade", rows, _CASCADE) | table("accumulation", limits, _ACCUMULATION) | table("lost", ends, _LOST)
+    )
+    return tables if len(missing) < len(limits) else tables | nothing(" ".join(missing))
 
 
 def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:

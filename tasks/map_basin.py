@@ -13,8 +13,9 @@ from gaitsweep.tasks.dynamics.attractors import Neighbourhoods, attractors
 from gaitsweep.tasks.dynamics.initial_states import NO_START, gaits_at
 from gaitsweep.tasks.dynamics.stable_manifold import saddle_at, stable_manifold
 from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.tables import Arrays, stacked, table
+from gaitsweep.tasks.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Default ranges, as multiples of the long gait's angle and rate.
@@ -42,7 +43,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
         coordinates, `stable_manifold` (likewise, and point, a number), points of those of saddles, and `areas`
         (slope, outcome, area, standard_error, share, starts), in the walker's units; an area is of angles and rates;
-        of slopes without a long gait only a row of `areas`, which says so.
+        of slopes without a long gait only a row of `areas`, which says so; of a line without any `nothing` (reason).
 
     Notes
     -----
@@ -58,7 +59,8 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     time_unit = walker.time_unit
     areas, basins, gaits, manifolds = (list[tuple[Any, ...]]() for _ in range(4))
     branches = atlases.from_arrays(inputs[0])
-    for slope in np.asarray(params["slope"], float):
+    slopes = np.asarray(params["slope"], float)
+    for slope in slopes:
         targets = {}
         for label in ("long", "short"):
             known, y = gaits_at(problem, branches, np.array([slope]), label)
@@ -95,7 +97,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     # Points of a slope are numbered across saddles.
     _, first, place = np.unique(edges["stable_manifold/slope"], return_index=True, return_inverse=True)
     edges["stable_manifold/point"] = np.arange(len(place)) - first[place]
-    return tables | edges | table("areas", areas, _AREAS)
+    return tables | edges | table("areas", areas, _AREAS) | ({} if basins else nothing(over("long gait", slopes)))
 
 
 def _section(y: np.ndarray, time_unit: float) -> list[Any]:

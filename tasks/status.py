@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from gaitsweep.tasks.registry import STATUSES
 
 CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
@@ -53,6 +55,18 @@ def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> s
     if below and above:
         return f"No {label} gait: none between {max(below):.6g} and {min(above):.6g} rad."
     return f"No {label} gait: none " + (f"above {max(below):.6g} rad." if below else f"below {min(above):.6g} rad.")
+
+
+def over(gait: str, slope: np.ndarray) -> str:
+    """Say that a line has no gait of some kind at any of its slopes.
+
+    Parameters
+    ----------
+    gait : str
+    slope : ndarray, shape (n,) [rad]
+    """
+    low, high = f"{slope.min():.6g}", f"{slope.max():.6g}"
+    return f"No {gait} " + (f"at slopes from {low} to {high}." if low != high else f"at slope {low}.")
 
 
 def absent(label: str, where: str) -> str:

@@ -31,6 +31,16 @@ def table(group: str, rows: Sequence[Mapping[str, Any] | Sequence[Any]], columns
     return {f"{group}/{name}": np.array(column) for name, column in zip(names, values, strict=True)}
 
 
+def nothing(why: str) -> Arrays:
+    """The table by which a task says that a line has nothing for it: no gait to begin with.
+
+    Returns
+    -------
+    dict of ndarray, shape (1,)
+    """
+    return {"nothing/reason": np.array([why])}
+
+
 def stacked(group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]) -> Arrays:
     """Parts of several rows, one after another, as the columns of one group.
 

@@ -42,7 +42,9 @@ def write(file: Any, plan: Plan) -> None:
             result = plan.store.result(key)
             if result is None:
                 continue
-            for group, columns in split(serialize.load(result)).items():
+            tables = split(serialize.load(result))
+            tables.pop("nothing", None)  # its reason is the line's
+            for group, columns in tables.items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
                 places.setdefault(group, []).append(numbers)
         for group in sorted(parts):

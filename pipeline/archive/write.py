@@ -30,9 +30,6 @@ from gaitsweep.pipeline.store.store import Key, Outcome
 from gaitsweep.pipeline.study import corners, units
 from gaitsweep.tasks.registry import VARIABLES
 
-#: Reason of a line on which a curve has no starting point.
-_NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
-
 
 def update(plan: Plan, path: Path, check: Callable[[], None] = lambda: None) -> Written:
     """Write the results in the store as `write` does, unless the archive at `path` was last written of the same ones.
@@ -244,10 +241,10 @@ class _LineWriter:
                 return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
                 return outcome.status, of_atlas(outcome.reason) if name == "atlas" else outcome.reason
-        if self.study.kind == "curve":
-            result = self.plan.store.result(keys["curve"].key)
-            if result is not None and not len(serialize.load(result)["curves/slope"]):
-                return "converged", _NO_CURVE
+        result = self.plan.store.result(keys[self.study.kind].key)
+        with self.plan.store.reading():
+            for reason in serialize.load(result).get("nothing/reason", ()) if result else ():
+                return "no_gait", str(reason)
         return "converged", "The line was followed; its results are in the groups."
 
     def define(self, file: Any) -> None:

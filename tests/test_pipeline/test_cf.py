@@ -13,6 +13,7 @@ import gaitsweep
 from conftest import GAITSWEEP
 from gaitsweep.pipeline.api import studies
 from gaitsweep.pipeline.archive import diff, result_tables
+from gaitsweep.tasks.registry import STATUSES
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
@@ -114,6 +115,7 @@ def test_a_curve_that_could_not_begin_says_so(archives):
     with netCDF4.Dataset(archives["curve"]) as found, netCDF4.Dataset(archives["no curve"]) as none:
         assert len(found["curves/slope"]) and "followed" in str(found["reason_text"][0])
         assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith("No point to start")
+        assert (found["status"][...].item(), none["status"][...].item()) == (STATUSES["converged"], STATUSES["no_gait"])
 
 
 def _variables(group, path=""):

@@ -58,6 +58,7 @@ def test_a_cascade_tells_why_it_stopped():
     found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
     assert found["cascade/period"].tolist() == [1] and found["cascade/family"].tolist() == ["1"]
     (stopped,) = found["accumulation/stopped"]
+    assert "nothing/reason" not in found
     assert stopped == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
     assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
@@ -67,6 +68,7 @@ def test_a_cascade_tells_what_it_could_not_begin_with():
     absent = doublings("physical-straight", 0.005, 0.01, steps=0)
     assert absent["accumulation/stopped"].tolist() == ["No long gait at slopes from 0.005 to 0.01."]
     assert (absent["accumulation/family"][0], absent["accumulation/flips"][0]) == ("1", 0)
+    assert absent["nothing/reason"].tolist() == absent["accumulation/stopped"].tolist()
     assert "families of other periods" in OPTIONS["cascade"]["starts"].meaning  # to which `starts` belongs
     absent = doublings("D", 0.001, 0.002, families=[5], periods=20, starts=20, steps=0)
     assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at slopes from 0.001 to 0.002."]

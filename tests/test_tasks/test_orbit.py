@@ -14,7 +14,9 @@ from gaitsweep.tasks.dynamics import walk as walks
 from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
 from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.follow_branches import branch
 from gaitsweep.tasks.iterate_orbits import orbit
+from gaitsweep.tasks.map_basin import basin
 from gaitsweep.tasks.step import simulate
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import stride
@@ -25,6 +27,18 @@ from oracle import Oracle, SimplestWalker
 
 D = {"walker": "D", "set": {}}
 SHORT = {"starts": 4, "transient": 120, "steps": 80, "shown": 40}
+
+
+@pytest.mark.parametrize("task", [orbit, basin, branch])
+def test_a_line_without_a_gait_to_begin_with_says_so(task):
+    window = {"slope_from": 0.005, "slope_to": 0.01} if task is branch else {"slope": np.array([0.005, 0.01]), **SHORT}
+    none, some = (
+        task({"line": {"walker": name, "set": {}}, "size": 2, **window}, [_atlas(name, ())])
+        for name in ("physical-straight", "D")
+    )
+    what = "gait" if task is branch else "long gait"
+    assert none["nothing/reason"].tolist() == [f"No {what} at slopes from 0.005 to 0.01."]
+    assert "nothing/reason" not in some
 
 
 def walked(slopes, **options):
