@@ -118,9 +118,8 @@ def _check_room(study: Study, path: Path) -> None:
     """Refuse a grid whose archive the disk cannot hold, however few gaits exist and however well they are packed."""
     needed, free = _MIN_BYTES * study.points * len(variables(study)), shutil.disk_usage(path.parent).free
     if study.kind == "grid" and needed > free:
-        raise DiskFullError(
-            f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {free / 1e9:,.1f} are free."
-        )
+        room = f"in {path.parent} {free / 1e9:,.1f} are free"
+        raise DiskFullError(f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {room}.")
 
 
 class StudyRun:

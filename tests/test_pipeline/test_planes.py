@@ -251,7 +251,7 @@ def test_gaits_of_several_steps_have_no_charts(tmp_path):
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("gaitsweep.pipeline.engine.runner._MIN_BYTES", 10**12)
-    with pytest.raises(DiskFullError, match=r"^576 points need 5,184,000.0 GB at least; [\d,.]+ are free\.$"):
+    with pytest.raises(DiskFullError, match=r"^576 points need 5,184,000.0 GB at least; in \S+ [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
 
