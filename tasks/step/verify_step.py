@@ -245,6 +245,8 @@ def strikes_fall_in_order(closing: np.ndarray, times: np.ndarray, touch: float |
     return np.asarray(((closing < 0) & (height > -touch)).all(axis=0) & (times[0] > 0))
 
 
+# A strike that is tangential to the last digit has no rate.
+@np.errstate(divide="ignore", invalid="ignore")
 def verify(
     motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> StepCheck:
@@ -279,15 +281,17 @@ def verify(
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
     # At the strike itself a guard is as far from zero as rounding, which a long step amplifies, has moved it.
-    off = np.abs(guard[-1])
+    touch = height = np.maximum(_TOUCH, 8 * np.abs(guard[-1]))
     if len(motion) == 2:
-        off = np.maximum(off, np.abs(motion[0][-1, 1] - motion[0][-1, 2]))
-    touch = np.maximum(_TOUCH, 8 * off)
+        knee = 8 * np.abs(motion[0][-1, 1] - motion[0][-1, 2])
+        touch = np.maximum(touch, knee)
+        # Until a knee that is late has struck, the foot falls on.
+        height = np.fmax(touch, knee * np.abs(closing[1] / closing[0]))
     falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
     intervals = _intervals(motion, times)
     falls, late = _behind(falls, (guard, intervals[-1] * (da + db)), (a, intervals[-1] * da))
     # A guard that falls to zero was positive just before.
-    step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
+    step = strikes_fall_in_order(closing, times, height) & ~falls.any(axis=0) & (a[-1] < 0)
     doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late | np.isnan(a[0])
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
@@ -307,7 +311,7 @@ def verify(
         # The foot could strike before the knee; where both strike together its height at kneestrike is rounding.
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         down = sum_[1:] <= 0
-        down[-1] = sum_[-1] < -touch
+        down[-1] = sum_[-1] < -height
         stance = three[:, 0], intervals[0] * three[:, 3]
         falls, late = _behind(down & (sum_[:-1] > 0), (sum_, intervals[0] * closing_in), stance)
         step &= ~falls.any(axis=0)

@@ -188,6 +188,20 @@ def test_strikes_at_once_are_in_order_to_rounding():
     np.testing.assert_array_equal(strikes_fall_in_order(closing, times), [True, False, False, False])
 
 
+@pytest.mark.parametrize(("off", "early", "happens"), [(1e-8, 1e-7, True), (1e-8, 1e-5, False), (0.0, 1e-7, False)])
+def test_a_knee_that_rounding_delays_finds_the_foot_as_much_lower(off, early, happens):
+    """Where a long step amplifies rounding, a gait was refused whose foot struck 15 times as fast as its knee."""
+    time = np.linspace(0, 1, 9)
+    stance, foot, knee = 0.3 - 0.6 * time, 4.8 * time * (1 - time), 0.325 * time * (1 - time) + off * time
+    foot[-1] -= 4.8 * early
+    rates = np.full(9, -0.6), 4.8 * (1 - 2 * time) + 0.6, 4.8 * (1 - 2 * time) + 0.6 - 0.325 * (1 - 2 * time)
+    three = np.array([stance, foot - stance, foot - stance - knee, *rates]).T[:, :, None]
+    two = three[-1:, [0, 1, 3, 4]] + np.zeros((9, 1, 1))
+    two[:, 1, 0] += 4.8 * early * time
+    check = verify([three, two], np.array([[-0.325], [-4.8]]), np.array([[1.0], [1.0 - early]]))
+    assert (check.step[0], check.leg_passes[0], check.doubt[0]) == (happens, 1, False)
+
+
 def test_where_the_knee_strikes_at_once_the_end_has_the_error_that_this_leaves():
     """Nearer the end rounding decides whether the knee's guard has another root than that of its release."""
     walker, overrides, _, label = point("at_once")
