@@ -81,9 +81,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
                 period, error = point["period"] * time_unit, point["error_bound"]
                 points.append((number, point["kind"], point["slope"], *state, period, error))
     tables = stacked("branches", parts, COLUMNS) | table("special_points", points, SPECIAL)
-    if parts:
-        return tables
-    return tables | nothing(over("gait" + f" of {problem.steps} steps" * (problem.steps > 1), np.array([low, high])))
+    gait = f"gait of {problem.steps} steps" if problem.steps > 1 else "gait"
+    return tables if parts else tables | nothing(over(gait, np.array([low, high])))
 
 
 def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:

@@ -15,11 +15,10 @@ from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, foll
 from gaitsweep.tasks.continuation.defining import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
-from gaitsweep.tasks.tables import nothing, table
+from gaitsweep.tasks.tables import Arrays, nothing, table
 from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
-Arrays = dict[str, np.ndarray]
 #: Why a line has no curve.
 _NO_START = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 #: Columns of the tables.

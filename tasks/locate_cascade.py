@@ -29,10 +29,9 @@ from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
 from gaitsweep.tasks.step.simulate import STRUCK, stride
-from gaitsweep.tasks.tables import nothing, table
+from gaitsweep.tasks.tables import Arrays, nothing, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
-Arrays = dict[str, np.ndarray]
 #: Orbits that locate the loss of walking, their relative distance from the last gait (chaos separates them), and how
 #: far beyond the accumulation they search, relative to its distance from the first flip.
 _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0

@@ -25,12 +25,12 @@ from gaitsweep.tasks.solve_planes import lines as lines_of_plane
 from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.resolve import resolve_many
 from gaitsweep.tasks.walkers.statics import is_tuned
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
-Arrays = dict[str, np.ndarray]
 #: Entries in place of a reason where there is no number.
 _NO_WALKER, _NO_GAIT, _NEVER_STABLE = "no walker", "no gait", "never stable"
 #: A gait's state just after heelstrike.

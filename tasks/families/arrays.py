@@ -9,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
-Arrays = dict[str, np.ndarray]
+from gaitsweep.tasks.tables import Arrays
 
 
 def arrays_of(value: Any, name: str = "") -> Arrays:

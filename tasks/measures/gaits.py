@@ -22,9 +22,9 @@ from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
+from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.walker import Walker
 
-Arrays = dict[str, np.ndarray]
 #: Significant bits in which bounds are kept that need not be exact.
 _BOUND_BITS = 4
 #: Number of multipliers of a gait, by whether there are knees (paper, section 2.2).

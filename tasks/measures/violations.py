@@ -12,9 +12,9 @@ from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.mechanics.contact import THIGH, Chain, total
 from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
+from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.walker import Walker
 
-Arrays = dict[str, np.ndarray]
 #: Intervals of each phase.
 SAMPLES = 96
 #: Lanes measured at a time, to bound memory.

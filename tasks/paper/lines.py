@@ -20,10 +20,10 @@ from gaitsweep.tasks.measures.kinematics import step_length
 from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import atlas, lines, points
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import Walker
 
-Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
 BOTH = {"long": LONG, "short": SHORT}
 #: Variables that a look-up returns by default.
