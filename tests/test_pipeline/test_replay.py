@@ -38,8 +38,9 @@ class Recording(Engine):
     def parallel(self):
         self.results = {} if self.results is None else self.results
 
-        def parallel(jobs):
-            for number, request in jobs:
+        def parallel(is_there, take):
+            while is_there() and (taken := take()):
+                number, request = taken
                 place = [request.params.get(name) for name in ("line", "lines", "slope")]
                 key = request.function, serialize.dump(place)
                 if key not in self.results:
