@@ -31,7 +31,7 @@ from gaitsweep.pipeline.study import corners, units
 from gaitsweep.tasks.registry import VARIABLES
 
 
-def update(plan: Plan, path: Path, check: Callable[[], None] = lambda: None) -> Written:
+def update(plan: Plan, path: Path, check: Callable[[], None]) -> Written:
     """Write the results in the store as `write` does, unless the archive at `path` was last written of the same ones.
 
     What it was written of is noted in the store, with the digest of its bytes.
