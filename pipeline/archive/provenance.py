@@ -106,6 +106,7 @@ def _is_same(a: dict[str, Any], b: dict[str, Any], keys: Iterable[str] = ()) -> 
     )
 
 
+@functools.cache
 def version(package: str) -> str:
     """Version of an installed package."""
     try:

@@ -42,20 +42,23 @@ class Digests:
         walkers, *indices = np.unravel_index(numbers, self.study.line_shape)
         digest = self._walkers[versioned][walkers]
         axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
-        values = [axis.values.astype(float)[index] for axis, index in axes]
-        if self.method is Method.PLANE and self.study.plane:
-            # The results of a line of a plane depend on its charts.
-            region = self.study.plane.region
-            mark = _mark(np.array([*region["low"], *region["high"], *region["log"], region["lines"]]))
-            values.append(np.full(len(numbers), mark).view(float))
-        # All slopes of a line are computed together, and kept in their order.
-        values.append(np.full(len(numbers), _mark(self.study.slope)).view(float))
+        values = [axis.values[index].astype(float) for axis, index in axes]
+        values += [np.full(len(numbers), mark).view(float) for mark in self._shared]
         for value in values:
             z = (digest ^ value.view(np.uint64)[:, None]) + _INCREMENT
             z = (z ^ z >> np.uint64(30)) * _FIRST
             z = (z ^ z >> np.uint64(27)) * _SECOND
             digest = z ^ z >> np.uint64(31)
         return digest
+
+    @functools.cached_property
+    def _shared(self) -> list[np.uint64]:
+        """Marks of what lines share: the charts of a plane, and the slopes, computed together and in their order."""
+        shared = [self.study.slope]
+        if self.method is Method.PLANE and self.study.plane:
+            region = self.study.plane.region
+            shared.insert(0, np.array([*region["low"], *region["high"], *region["log"], region["lines"]]))
+        return [_mark(values) for values in shared]
 
     @functools.cached_property
     def _walkers(self) -> dict[bool, np.ndarray]:

@@ -219,7 +219,12 @@ class Graph:
         shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
         if node.line is not None:
             return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}
-        lines = [study.line(number) for number in node.numbers.tolist()]
         plane = {"plane": study.plane.region} if self.method is Method.PLANE and study.plane else {}
         keeps_atlases = {"atlases": "atlas" in self.line_tasks}
-        return {"lines": lines, **plane, **keeps_atlases, **layers.point_params(study, self.method), **shared}
+        return {
+            "lines": study.lines_at(node.numbers),
+            **plane,
+            **keeps_atlases,
+            **layers.point_params(study, self.method),
+            **shared,
+        }

@@ -104,7 +104,8 @@ def _window(study: Study) -> dict[str, float]:
 
 def study_params(study: Study, name: str) -> dict[str, Any]:
     """Parameters of a task over the whole study."""
-    params: dict[str, Any] = {"lines": [{**study.line(i), "name": study.name_of(i)} for i in range(study.lines)]}
+    lines = enumerate(study.lines_at(np.arange(study.lines)))
+    params: dict[str, Any] = {"lines": [{**line, "name": study.name_of(number)} for number, line in lines]}
     if name == "claims":
         params["ids"] = list(study.claims)
     return params

@@ -137,11 +137,17 @@ class Study:
 
     def line(self, number: int) -> dict[str, Any]:
         """Walker and parameters of a line, numbered in C order of `line_shape`."""
-        values: dict[str, float] = {}
-        for axis in reversed(self.line_axes):
-            number, k = divmod(number, len(axis.values))
-            values[axis.name] = axis.values[k].item()  # of `knees` true or false
-        return {"walker": self.walkers[number], "set": dict(reversed(values.items()))}
+        return self.lines_at(np.array([number]))[0]
+
+    def lines_at(self, numbers: np.ndarray) -> list[dict[str, Any]]:
+        """Walker and parameters of each of some lines."""
+        walkers, *indices = np.unravel_index(numbers, self.line_shape)
+        names = [axis.name for axis in self.line_axes]
+        columns = [axis.values[k].tolist() for axis, k in zip(self.line_axes, indices, strict=True)]
+        return [
+            {"walker": self.walkers[walker], "set": dict(zip(names, values, strict=True))}
+            for walker, *values in zip(walkers.tolist(), *columns, strict=True)
+        ]
 
     @functools.cached_property
     def plane(self) -> Plane | None:

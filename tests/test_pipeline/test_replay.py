@@ -2,11 +2,11 @@
 
 import contextlib
 import os
+import pickle
 import time
 
 import pytest
 
-from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.executors import Engine
@@ -42,7 +42,7 @@ class Recording(Engine):
             while is_there() and (taken := take()):
                 number, request = taken
                 place = [request.params.get(name) for name in ("line", "lines", "slope")]
-                key = request.function, serialize.dump(place)
+                key = request.function, pickle.dumps(place)  # as joblib sends it
                 if key not in self.results:
                     self.results[key] = worker_process.run(0, request)[1]
                 yield number, self.results[key]
@@ -58,23 +58,24 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
     (tmp_path / "s.toml").write_text(
         f'name = "s"\nwalker = "{walker}"\n[axes]\n{axes}\n[want]\nvariables = ["stance_angle", "period"]\n'
     )
-    study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), {}
-    for run in ("recorded", "replayed"):
-        with contextlib.closing(Store(tmp_path / run)) as store:
+    study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), []
+    for run in range(4):
+        with contextlib.closing(Store(tmp_path / f"{run}")) as store:
             jobs = Jobs(Plan(study, store), engine, lambda *_: None)
             clock = time.process_time()
             Scheduler([jobs], engine, Signals()).run()
-            spent["journal"] = time.process_time() - clock
+            recorded = time.process_time()
             write.write(jobs.plan, tmp_path / f"{run}.nc")
-            spent["archive"] = time.process_time() - clock - spent["journal"]
-        bytes_a_point = (tmp_path / run).stat().st_size / study.points
+            spent.append((recorded - clock, time.process_time() - recorded))
+        bytes_a_point = (tmp_path / f"{run}").stat().st_size / study.points
     worker_process.close_all()
-    assert (tmp_path / "recorded.nc").read_bytes() == (tmp_path / "replayed.nc").read_bytes()
+    assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
     worker = sum(result["cpu"] for result in engine.results.values()) / study.points
-    parent = sum(spent.values()) / study.points
+    # Other work slows some replays, and the first run computes.
+    journal, archive = (seconds / study.points for seconds in min(spent[1:], key=sum))
     tell(
-        f"{name}: {1e6 * spent['journal'] / study.points:.2f} µs a point for the journal,"
-        f" {1e6 * spent['archive'] / study.points:.2f} for the archive, {1e6 * worker:.0f} in a worker:"
-        f" one parent feeds {worker / parent:.0f} workers; {bytes_a_point:.0f} byte a point in the journal"
+        f"{name}: {1e6 * journal:.2f} µs a point for the journal,"
+        f" {1e6 * archive:.2f} for the archive, {1e6 * worker:.0f} in a worker:"
+        f" one parent feeds {worker / (journal + archive):.0f} workers; {bytes_a_point:.0f} byte a point in the journal"
     )
-    assert worker / parent > least
+    assert worker / (journal + archive) > least
