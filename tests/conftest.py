@@ -154,9 +154,14 @@ def _tiers() -> tuple[dict[str, int], frozenset[str]]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make test` leaves out, and begin with the dearest files, so that no worker ends alone."""
+    """Mark the tests that `make test` leaves out, and begin with the dearest files, so that no worker ends alone.
+
+    A long test has all its time, unless `make soak` sets how much.
+    """
     order, thorough = _tiers()
     for item in items:
+        if item.get_closest_marker("soak") and not os.environ.get("SOAK_SECONDS"):
+            item.add_marker(pytest.mark.timeout(0))
         if {item.nodeid, item.nodeid.split("[")[0], item.nodeid.split("::")[0]} & thorough:
             item.add_marker("thorough")
     items.sort(key=lambda item: order.get(item.nodeid.split("::")[0], -1))

@@ -96,6 +96,8 @@ class Graph:
         #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
         #: latest lines are usually requested several times in a row.
         self.line_keys = functools.lru_cache(8)(self._line_keys)
+        # All lines are cut at the same slopes.
+        self._slopes_digest = functools.cache(lambda *ends: layers.digest(study.slope[slice(*ends)].tobytes()))
 
     @property
     def atlas_readers(self) -> list[str]:
@@ -125,7 +127,7 @@ class Graph:
 
     def chunk_key(self, chunk: Chunk) -> Key:
         """Key of a chunk."""
-        slopes = layers.digest(self.study.slope[chunk.slopes].tobytes())
+        slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
         if self.method.is_of_lines:
             parts = [layers.digest(self.digests(chunk.lines, is_versioned).tobytes()) for is_versioned in (True, False)]
         else:

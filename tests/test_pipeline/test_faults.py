@@ -188,12 +188,15 @@ def _solving(cache, largest):
     return subprocess.Popen(command, env=environment, text=True, preexec_fn=limit, **pipes)
 
 
-def _solved(cache, n=1, largest=resource.RLIM_INFINITY):
-    """What so many processes that share a compile cache give, of which all give the same; its files end at a size."""
+def _solved(cache, n=1, largest=resource.RLIM_INFINITY, said=""):
+    """What so many processes that share a compile cache give, of which all give the same; its files end at a size.
+
+    Nothing else is printed, but for one line that ends as `said`.
+    """
     processes = [_solving(cache, largest) for _ in range(n)]
     ends = {(*process.communicate(timeout=900), process.returncode) for process in processes}
     ((out, err, code),) = ends
-    assert not err and not code, err
+    assert (err.count("\n"), code) == (bool(said), 0) and err.endswith(said), err
     return out
 
 
@@ -259,8 +262,8 @@ def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_pat
     assert _solved(file) == wanted and file.read_text() == "x"
     if len(sizes) > 1:
         assert _solved(cache, largest=0) == _solved("/proc/self") == _solved("/proc/none") == wanted
-        (tmp_path / "folders" / "cache.db").mkdir(parents=True)
-        assert _solved(tmp_path / "folders") == wanted
+        (folder := tmp_path / "folders" / "cache.db").mkdir(parents=True)
+        assert _solved(folder.parent, said=f"{folder} is no plain file or folder that only you may change.\n") == wanted
     tell(f"full at {len(sizes)} sizes, a file or folder in its place, a folder read only: the same numbers")
 
 
