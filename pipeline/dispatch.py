@@ -1,4 +1,4 @@
-"""The one door to `tasks`: its functions by the names the registry gives them."""
+"""Functions of `tasks` by their names: solvers are loaded only where one is called."""
 
 import importlib
 from typing import Any

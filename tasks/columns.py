@@ -4,8 +4,12 @@ A column is looked up as "group/column", then by its own name, then among the va
 keys. Like the registry, this module imports no solver.
 """
 
+import functools
 import tomllib
 from pathlib import Path
 
-#: Kind and meaning by "group/column" or column.
-COLUMNS: dict[str, list[str]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+@functools.cache
+def table_columns() -> dict[str, list[str]]:
+    """Kind and meaning by "group/column" or column; grids of points do without."""
+    return tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

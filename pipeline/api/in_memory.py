@@ -15,7 +15,7 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
-from gaitsweep.pipeline.grid.choice import method_of
+from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory

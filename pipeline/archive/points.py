@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.archive import attributes, chunks, layout
+from gaitsweep.pipeline.archive import attributes, layout
+from gaitsweep.pipeline.archive.direct_chunks import DirectChunks
 from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
@@ -123,7 +124,7 @@ class PointWriter:
 
     def fill(self, draft: Path) -> None:
         """Write the values chunk by chunk."""
-        with chunks.Chunks(draft) as out:
+        with DirectChunks(draft) as out:
             for chunk, key in self._chunks():
                 start = tuple(span.start for span in chunk.box)
                 data, payload = self._record(chunk, key)

@@ -15,7 +15,7 @@ from gaitsweep.pipeline.dispatch import resolve
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks import registry
-from gaitsweep.tasks.columns import COLUMNS
+from gaitsweep.tasks.columns import table_columns
 
 Columns = dict[str, np.ndarray]
 #: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
@@ -220,9 +220,11 @@ def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     """Kind of quantity and meaning of a column; one without a description is called by its name."""
     keys = resolve("gaitsweep.tasks.walkers.walker:KEYS")
-    if name in registry.VARIABLES and f"{group}/{name}" not in COLUMNS:
+    if name in registry.VARIABLES and f"{group}/{name}" not in table_columns():
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or (keys.get(name, "number"), "")
+    kind, meaning = (
+        table_columns().get(f"{group}/{name}") or table_columns().get(name) or (keys.get(name, "number"), "")
+    )
     return kind, meaning or (f"walker's {name}" if name in keys else name.replace("_", " "))
 
 
@@ -233,7 +235,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
     study, is_si = plan.study, units.is_si(plan.study)
     kind, meaning = meaning_of(name, group)
-    if name in ("slope", "detuning") and f"{group}/{name}" not in COLUMNS:
+    if name in ("slope", "detuning") and f"{group}/{name}" not in table_columns():
         kind = "angle" if name == "slope" else kind
         meaning = of_axis(name, is_si, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, is_si, units.is_mixed(study))

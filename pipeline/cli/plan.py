@@ -11,7 +11,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.engine.progress import duration
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.choice import seconds_over_plane
+from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import corners
 from gaitsweep.pipeline.terminal import counted

@@ -1,6 +1,7 @@
 """The order in which the jobs of all studies of a command run.
 
-The ready jobs of all studies are one finite iterator, which joblib runs; it is made anew while there are ready jobs.
+The ready jobs of all studies are one finite iterator, which joblib or a cluster runs; it is made anew while there are
+ready jobs.
 Results are recorded as they arrive, and between them a signal is looked for.
 """
 

@@ -188,7 +188,7 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
     number : int
     answer : dict
         `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; of a chunk its
-        `head` and `payload`, and the `atlases` of lines side by side, each its place, outcome, reason and data; of
+        `record`, and the `atlases` of lines side by side, each its place, outcome, reason and data; of
         another task `outcome`, and `data` (packed result) or `reason`; `worker`, the process that ran it.
 
     Raises

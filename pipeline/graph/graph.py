@@ -1,4 +1,4 @@
-"""The graph of a study: key -> node, a task with its parameters and the keys that it needs.
+"""The graph of a study: nodes, each a task with its parameters, its key and the keys that it needs.
 
 Nodes are made when they are asked for: a grid of a million points needs no object per point.
 """
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.graph import layers
-from gaitsweep.pipeline.graph.digests import Digests
+from gaitsweep.pipeline.graph.keys import Digests, digest, task_key
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid
 from gaitsweep.pipeline.grid.method import Method, variables
@@ -97,7 +97,7 @@ class Graph:
         #: latest lines are usually requested several times in a row.
         self.line_keys = functools.lru_cache(8)(self._line_keys)
         # All lines are cut at the same slopes.
-        self._slopes_digest = functools.cache(lambda *ends: layers.digest(study.slope[slice(*ends)].tobytes()))
+        self._slopes_digest = functools.cache(lambda *ends: digest(study.slope[slice(*ends)].tobytes()))
 
     @property
     def atlas_readers(self) -> list[str]:
@@ -122,17 +122,17 @@ class Graph:
         for name, layer in self.layers.items():
             if layer.per_line:
                 params = layers.line_params(self.study, self.method, name, line)
-                keys[name] = layers.key(layer.task, params, [keys[need].key for need in layer.needs])
+                keys[name] = task_key(layer.task, params, [keys[need].key for need in layer.needs])
         return keys
 
     def chunk_key(self, chunk: Chunk) -> Key:
         """Key of a chunk."""
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
         if self.method.is_of_lines:
-            parts = [layers.digest(self.digests(chunk.lines, is_versioned).tobytes()) for is_versioned in (True, False)]
+            parts = [digest(self.digests(chunk.lines, is_versioned).tobytes()) for is_versioned in (True, False)]
         else:
             parts = list(self.line_keys(int(chunk.lines[0]))["points"])
-        return Key(*(f"points-{layers.digest(f'{part} {slopes}'.encode())}" for part in parts))
+        return Key(*(f"points-{digest(f'{part} {slopes}'.encode())}" for part in parts))
 
     @functools.cached_property
     def study_keys(self) -> dict[str, Key]:
@@ -141,12 +141,12 @@ class Graph:
             return {}
         chunks = (self.chunk_key(self.grid.chunk(k)).key for k in range(self.grid.chunks))
         lines = (self.line_keys(i)[name].key for i in range(self.study.batches) for name in self.line_tasks)
-        shared = [layers.digest("".join(itertools.chain(chunks, lines)).encode()), *self.study.gaits]
+        shared = [digest("".join(itertools.chain(chunks, lines)).encode()), *self.study.gaits]
         keys: dict[str, Key] = {}
         for name in self.study_tasks:
             layer = self.layers[name]
             inputs = [keys[need].key for need in layer.needs if need in keys]
-            keys[name] = layers.key(layer.task, layers.study_params(self.study, name), [*shared, *inputs])
+            keys[name] = task_key(layer.task, layers.study_params(self.study, name), [*shared, *inputs])
         return keys
 
     def line_node(self, number: int, name: str) -> Node:
@@ -188,7 +188,7 @@ class Graph:
                 sides = zip(values, box["low"], box["high"], strict=True)
                 if all(v.min() <= high and v.max() >= low for v, low, high in sides):
                     params = layers.line_params(self.study, self.method, "charts", self.study.line(number), box)
-                    key = layers.key(self.layers["charts"].task, params)
+                    key = task_key(self.layers["charts"].task, params)
                     left.append(Node("charts", key, line=number, box=box))
 
     def study_node(self, name: str) -> Node:

@@ -1,15 +1,12 @@
 """The layers of a study's graph, each one task over every line or over the whole study: parameters and keys."""
 
-import hashlib
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, variables
-from gaitsweep.pipeline.store.store import Key
 from gaitsweep.pipeline.study.model import Study, about
 from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, VARIABLES, Task
 
@@ -109,30 +106,3 @@ def study_params(study: Study, name: str) -> dict[str, Any]:
     if name == "claims":
         params["ids"] = list(study.claims)
     return params
-
-
-def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Key:
-    """Key of a task with these parameters and the keys of its inputs."""
-    plain = _canonical(params)
-    versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
-    # Results to another accuracy are those of a changed study, as of another version.
-    kept = {name: value for name, value in plain.items() if name != "accuracy"}
-    unversioned = json.dumps([task.name, kept], separators=(",", ":"))
-    return Key(*(f"{task.name}-{digest(text.encode())}" for text in (versioned, unversioned)))
-
-
-def digest(data: bytes) -> str:
-    """Hash of some bytes, for keys."""
-    return hashlib.sha256(data).hexdigest()
-
-
-def _canonical(x: Any) -> Any:
-    if isinstance(x, float):
-        return x.hex()
-    if isinstance(x, Mapping):
-        return {k: _canonical(x[k]) for k in sorted(x)}
-    if isinstance(x, list | tuple):
-        return [_canonical(v) for v in x]
-    if isinstance(x, np.ndarray):
-        return [x.dtype.str, list(x.shape), digest(x.tobytes())]
-    return x

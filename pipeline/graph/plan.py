@@ -34,9 +34,16 @@ class Plan:
         self.study, self.store, self.retry, self.graph = study, store, retry, Graph(study)
         self.columns = [GAITS.index(gait) for gait in study.gaits]
         self._boxes: dict[str, dict[str, list[dict[str, Any]]]] = {}  # by the keys of charts
+        self._is_complete = False  # whether no node over chunks and lines is missing, as far as is known
 
     def nodes(self) -> Iterator[Node]:
         """Missing nodes over chunks and lines, inputs first; any leading part of them samples the study evenly."""
+        node = None
+        for node in () if self._is_complete else self._missing():
+            yield node
+        self._is_complete = node is None
+
+    def _missing(self) -> Iterator[Node]:
         graph, grid = self.graph, self.graph.grid
         if not graph.method.is_of_lines:
             for number in golden_ratio_order(self.study.batches):

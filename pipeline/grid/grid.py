@@ -10,7 +10,7 @@ import numpy as np
 
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, Box, box_shape
-from gaitsweep.pipeline.grid.choice import method_of
+from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.model import Study
 

@@ -1,4 +1,10 @@
-"""Self-contained HTML reports, made from archives alone."""
+"""Self-contained HTML pages, made from archives and the records of their runs.
+
+`pages` makes the pages: of one archive, as `source` reads it, the page of a study, and of all the index and the ledger
+of claims; `figures` draws, `html_tables` and `cells` write tables, `words` and `paper` hold the sentences; `entry` is
+what a page carries for `ledger` and index; `folder` puts pages in place. `templates` and `scripts` are HTML and
+JavaScript.
+"""
 
 import os
 import sys

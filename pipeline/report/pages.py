@@ -98,7 +98,7 @@ def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
         if source.only_claims:
             parts: Any = _environment().get_template("parts.html").module
             return str(parts.entry([vars(_entry(source, slug))])), {}
-        return _study(source, slug)
+        return _study_page(source, slug)
 
 
 def _in_processes(
@@ -164,7 +164,7 @@ def _deliver(source: Source, slug: str, sender: connection.Connection, receivers
         os._exit(0)
 
 
-def _study(source: Source, slug: str) -> tuple[str, dict[str, str]]:
+def _study_page(source: Source, slug: str) -> tuple[str, dict[str, str]]:
     """The page of one study, which depends on no other, and its data files."""
     drawings, undrawn = _drawings(source, slug)
     sections = html_tables.sections(source)

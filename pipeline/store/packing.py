@@ -26,7 +26,7 @@ class Packed(NamedTuple):
 
 
 def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
-    """Pack the values of a variable in a chunk: the one place where values become bytes of an archive.
+    """Pack the values of a variable in a chunk, as the archive holds them.
 
     Parameters
     ----------

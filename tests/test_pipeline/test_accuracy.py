@@ -10,7 +10,7 @@ import pytest
 import gaitsweep
 from gaitsweep.pipeline.cli.commands import main
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.grid.choice import method_of
+from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.parse import parse, read
 from gaitsweep.tasks.registry import ALWAYS, TASKS

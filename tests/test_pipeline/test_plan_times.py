@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT, STUDY
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.graph.graph import Graph
-from gaitsweep.pipeline.grid.choice import method_of, seconds_over_plane
+from gaitsweep.pipeline.grid.choose_method import method_of, seconds_over_plane
 from gaitsweep.pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'

@@ -19,7 +19,7 @@ from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
 from gaitsweep.pipeline.graph.plan import Plan, summary
-from gaitsweep.pipeline.grid.choice import seconds_over_plane
+from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.file import CorruptStoreError

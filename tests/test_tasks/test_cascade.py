@@ -45,7 +45,7 @@ def test_the_cascade_of_d():
     assert slopes[1] == pytest.approx(0.0176693748625, rel=1e-10)
     assert found["cascade/ratio"][-1] == pytest.approx(DELTA, abs=0.05)
     assert (found["cascade/error_bound"] < 1e-10).all()
-    assert columns.COLUMNS["cascade/error_bound"][1] == "largest relative error of the slope"
+    assert columns.table_columns()["cascade/error_bound"][1] == "largest relative error of the slope"
     assert found["cascade/walks"].all()
     assert found["accumulation/slope"] == pytest.approx(0.018293397965, abs=2e-10)
     assert found["accumulation/high"] - found["accumulation/low"] < 1e-9

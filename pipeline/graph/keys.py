@@ -1,22 +1,53 @@
-"""Digests of the lines of a study that are computed side by side: what decides the points of each, in sixteen bytes.
+"""Keys of results, of all that decides them: of a task, and of the lines of a chunk that are computed side by side.
 
-Nothing here is done line by line in Python, so that a plane of a million lines is planned in seconds. A line has its
-digest whatever chunk of whatever grid it is computed in.
+Digests of such lines, of sixteen bytes each, are not made line by line in Python, so that a plane of a million lines is
+planned in seconds. A line has its digest whatever chunk of whatever grid it is computed in.
 """
 
 import functools
 import hashlib
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.store.store import Key
 from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.registry import Task
 
 #: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+
+
+def task_key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Key:
+    """Key of a task with these parameters and the keys of its inputs."""
+    plain = _canonical(params)
+    versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
+    # Results to another accuracy are those of a changed study, as of another version.
+    kept = {name: value for name, value in plain.items() if name != "accuracy"}
+    unversioned = json.dumps([task.name, kept], separators=(",", ":"))
+    return Key(*(f"{task.name}-{digest(text.encode())}" for text in (versioned, unversioned)))
+
+
+def digest(data: bytes) -> str:
+    """Hash of some bytes, for keys."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def _canonical(x: Any) -> Any:
+    if isinstance(x, float):
+        return x.hex()
+    if isinstance(x, Mapping):
+        return {k: _canonical(x[k]) for k in sorted(x)}
+    if isinstance(x, list | tuple):
+        return [_canonical(v) for v in x]
+    if isinstance(x, np.ndarray):
+        return [x.dtype.str, list(x.shape), digest(x.tobytes())]
+    return x
 
 
 @dataclass(frozen=True)
@@ -70,7 +101,7 @@ class Digests:
             "keys": sorted(axis.name for axis in self.study.line_axes),
         }
         keys = [
-            layers.key(
+            task_key(
                 tasks[1],
                 {**shared, "walker": walker},
                 [f"{task.name} {task.version}" for task in (tasks[0], *tasks[2:])],

@@ -1,4 +1,4 @@
-"""Packed chunks of large variables, written to HDF5 unchanged."""
+"""Packed chunks of large variables, written unchanged by what HDF5 calls direct chunk write."""
 
 import ctypes
 import importlib
@@ -9,7 +9,7 @@ _READ_WRITE = 1  # H5F_ACC_RDWR
 _ID = ctypes.c_int64  # hid_t
 
 
-class Chunks:
+class DirectChunks:
     """A netCDF-4 file, closed elsewhere, to write packed chunks into.
 
     Raises
@@ -47,7 +47,7 @@ class Chunks:
             data,
         )
 
-    def __enter__(self) -> "Chunks":
+    def __enter__(self) -> "DirectChunks":
         return self
 
     def __exit__(self, *_: object) -> None:
