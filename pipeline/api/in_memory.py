@@ -207,7 +207,7 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
     graph, left = Graph(study, in_memory=True), []
     for k in range(graph.grid.chunks):
         chunk = graph.grid.chunk(k)
-        own = [lines[number] for number in by_number[chunk.lines].tolist()]
+        own = [lines[number] for number in by_number[chunk.numbers].tolist()]
         try:
             points = _result(graph, graph.chunk_node(chunk))
         except _RaisedError:  # as in a run, the lines of a chunk that fails are tried one by one
@@ -229,7 +229,7 @@ def _result(graph: Graph, node: Node) -> Any:
     key = _key(graph, node)
     if (result := _REMEMBERED.get(key)) is not None:
         return result
-    line = int(node.chunk.lines[0]) if node.chunk else node.line or 0
+    line = int(node.chunk.numbers[0]) if node.chunk else node.line or 0
     names = [name for name, own in graph.line_keys(line).items() if own.key in node.needs] if node.needs else []
     inputs = [_result(graph, graph.line_node(line, name)) for name in names]
     for made in graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves")) if node.chunk else ():

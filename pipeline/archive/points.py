@@ -68,9 +68,9 @@ class PointWriter:
             is_one = len(rows) == len(sentences) == 1  # as where nothing was computed
             only = ((sentence, chunk.points, 0) for sentence in sentences.values())
             for reason, points, first in only if is_one else self._failures(chunk, key):
-                line, k = divmod(first, chunk.points // len(chunk.lines))
+                line, k = divmod(first, chunk.points // len(chunk.numbers))
                 slope = float(self.study.slope[chunk.slopes][k])
-                example = f"{line_description(self.study, int(chunk.lines[line]))} slope={slope!r}"
+                example = f"{line_description(self.study, int(chunk.numbers[line]))} slope={slope!r}"
                 self.written.add_failure(reason, points, example)
 
     def _failures(self, chunk: Chunk, key: str) -> Iterator[tuple[str, int, int]]:
@@ -87,7 +87,7 @@ class PointWriter:
         """Record of a chunk; of one that is not stored, why it is not."""
         if key in self.plan.store:
             return self.plan.store.get(key)
-        atlas = None if len(chunk.lines) > 1 else self.plan.outcome_of_line(int(chunk.lines[0]))
+        atlas = None if len(chunk.numbers) > 1 else self.plan.outcome_of_line(int(chunk.numbers[0]))
         if atlas is None or atlas.status == "ok":
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))

@@ -157,7 +157,7 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     its own index.
     """
     study, lines = plan.study, plan.graph.grid
-    dims = [*lines.lines, "slope"]
+    dims = [*lines.line_dims, "slope"]
     known = {"walker": np.array(study.names), **{axis.name: axis.values for axis in study.axes}}
     sizes, orders = [len(known[d]) for d in dims], [np.argsort(known[d]) for d in dims]
     places = [order[np.searchsorted(known[d], columns[d], sorter=order)] for d, order in zip(dims, orders, strict=True)]

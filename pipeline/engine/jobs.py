@@ -181,7 +181,7 @@ class Jobs:
         if node.chunk:
             slopes = len(study.slope[node.chunk.slopes])
             shape = Shape.of_rows(node.lines, slopes) if node.copies else node.chunk.shape
-            packing = self._packing(shape, node.chunk.lines if node.lines and not node.copies else None)
+            packing = self._packing(shape, node.chunk.numbers if node.lines and not node.copies else None)
         if node.lines:
             alone = self.graph.layers["atlas"].task.function, layer.task.function
         function, params = self.graph.function(node), self.graph.params(node)
@@ -239,7 +239,7 @@ class Jobs:
         self._arrived(node.key.key, True)
         if not result:
             return
-        counts, line = count(Head(record[0]).rows(self.plan.columns), STATUS_NAMES), int(chunk.lines[0])
+        counts, line = count(Head(record[0]).rows(self.plan.columns), STATUS_NAMES), int(chunk.numbers[0])
         event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
         event["place"] = chunk.slopes.start
         if node.lines and self.graph.method is Method.PLANE:
@@ -250,7 +250,7 @@ class Jobs:
         self, node: Node, chunk: Chunk, copies: Copies, record: tuple[bytes, bytes] | None
     ) -> tuple[bytes, bytes]:
         """A chunk of lines side by side, some just computed and some in records of the store."""
-        slopes = chunk.points // len(chunk.lines)
+        slopes = chunk.points // len(chunk.numbers)
         parts, places = list[Points](), list[np.ndarray]()
         if record:
             assert node.todo is not None
@@ -262,7 +262,7 @@ class Jobs:
             parts.append(Points({name: some.values[name] for name in names}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
-        return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.lines))
+        return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.numbers))
 
     def copy(self, node: Node, data: bytes) -> None:
         """Store a result that another study has computed."""

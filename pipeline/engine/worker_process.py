@@ -245,7 +245,7 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list
         else:
             part = {"lines": [params["lines"][k] for k in piece.tolist()]}
             shape, own = Shape.of_rows(len(piece), each), places[piece]
-        smaller = replace(packing, shape=shape, lines=None)
+        smaller = replace(packing, shape=shape, digests=None)
         record, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), own)
         found.append(unpacked(*record))
         of_lines += of_part

@@ -66,14 +66,14 @@ class Node:
     def numbers(self) -> np.ndarray:
         """Numbers of these lines."""
         assert self.chunk is not None and self.todo is not None
-        return self.chunk.lines[self.todo]
+        return self.chunk.numbers[self.todo]
 
     @property
     def points(self) -> int:
         """Number of points that it computes."""
         if self.chunk is None:
             return 0
-        return self.chunk.points if self.todo is None else self.lines * (self.chunk.points // len(self.chunk.lines))
+        return self.chunk.points if self.todo is None else self.lines * (self.chunk.points // len(self.chunk.numbers))
 
 
 class Graph:
@@ -129,9 +129,9 @@ class Graph:
         """Key of a chunk."""
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
         if self.method.is_of_lines:
-            parts = [digest(self.digests(chunk.lines, is_versioned).tobytes()) for is_versioned in (True, False)]
+            parts = [digest(self.digests(chunk.numbers, is_versioned).tobytes()) for is_versioned in (True, False)]
         else:
-            parts = list(self.line_keys(int(chunk.lines[0]))["points"])
+            parts = list(self.line_keys(int(chunk.numbers[0]))["points"])
         return Key(*(f"points-{digest(f'{part} {slopes}'.encode())}" for part in parts))
 
     @functools.cached_property
@@ -177,7 +177,7 @@ class Graph:
         """
         if self.method is not Method.PLANE or not self.study.plane:
             return
-        number, axes = int(chunk.lines[0]), self.study.plane.axes
+        number, axes = int(chunk.numbers[0]), self.study.plane.axes
         spans = dict(zip(self.grid.sizes, chunk.box, strict=True))
         values = [axis.values[spans[axis.name]] for axis in axes]
         left = [self.line_node(number, "charts")]
@@ -199,9 +199,9 @@ class Graph:
     def chunk_node(self, chunk: Chunk) -> Node:
         """Node of a chunk."""
         key = self.chunk_key(chunk)
-        line = int(chunk.lines[0])
+        line = int(chunk.numbers[0])
         if self.method.is_of_lines:
-            return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.lines)))
+            return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.numbers)))
         return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk=chunk)
 
     def function(self, node: Node) -> str:

@@ -61,7 +61,7 @@ class Plan:
                 yield node
             if graph.line_tasks:
                 computed = set(node.numbers.tolist()) if node else set()
-                for line in chunk.lines.tolist():
+                for line in chunk.numbers.tolist():
                     yield from (n for n in self._of_line(line) if n.task != "atlas" or line not in computed)
 
     def _of_line(self, number: int) -> Iterator[Node]:
@@ -124,7 +124,7 @@ class Plan:
         if not self.graph.method.is_of_lines or not self._elsewhere[1].size:
             return replace(node, why="changed" if head else self._new_or_changed(node.key))
         keys, digests, rows = self._elsewhere
-        own = self.graph.digests(chunk.lines)[:, 0]
+        own = self.graph.digests(chunk.numbers)[:, 0]
         place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
         is_there: np.ndarray = np.equal(digests[place], own).astype(bool)
         node = replace(node, why="changed" if head else self._new_or_changed(node.key))
@@ -140,7 +140,7 @@ class Plan:
             return node
         with self.store.reading():
             status = unpacked(*self.store.get(node.key.key)).values["status"][:, self.columns]
-        is_kept = np.asarray(np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1))
+        is_kept = np.asarray(np.isin(status, ANSWERS).reshape(len(chunk.numbers), -1).all(axis=1))
         kept = np.flatnonzero(is_kept)
         copies = Copies(kept, (node.key.key,) * len(kept), kept)
         return replace(node, todo=np.flatnonzero(~is_kept), copies=copies) if len(kept) else node
@@ -156,10 +156,11 @@ class Plan:
         """
         keys, digests, rows = [], [], []
         for key in self.store.numbers:
-            if key.startswith("points-") and len(lines := (head := self.store.chunk(key)).lines) and self._holds(head):
-                keys += [key] * len(lines)
-                digests.append(lines[:, 0])
-                rows.append(np.arange(len(lines)))
+            head = self.store.chunk(key) if key.startswith("points-") else None
+            if head and len(head.digests) and self._holds(head):
+                keys += [key] * len(head.digests)
+                digests.append(head.digests[:, 0])
+                rows.append(np.arange(len(head.digests)))
         if not keys:
             return [], np.empty(0, np.uint64), np.empty(0, int)
         order = np.argsort(np.concatenate(digests), kind="stable")

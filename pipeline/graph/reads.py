@@ -51,7 +51,7 @@ class _Lines:
         for k in grid.chunks_of_line(number):
             chunk = grid.chunk(k)
             n = chunk.slopes.stop - chunk.slopes.start
-            place = int(np.flatnonzero(chunk.lines == number)[0])
+            place = int(np.flatnonzero(chunk.numbers == number)[0])
             rows = np.arange(n)[-chunk.slopes.start % self.step :: self.step] + place * n
             stored = self._chunk(k)
             parts.append({name: self._column(stored.get(name), name, rows) for name in self.names})

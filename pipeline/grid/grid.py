@@ -82,22 +82,22 @@ class Chunk:
     ----------
     box : tuple of slice
         Along each dimension of the grid.
-    lines : ndarray of int, shape (n,)
-        Numbers of its lines.
+    numbers : ndarray of int, shape (n,)
+        Those of its lines.
     slopes : slice
         Of the study's slopes.
     shape : Shape
     """
 
     box: Box
-    lines: np.ndarray
+    numbers: np.ndarray
     slopes: slice
     shape: Shape
 
     @property
     def points(self) -> int:
         """Number of its points."""
-        return len(self.lines) * (self.slopes.stop - self.slopes.start)
+        return len(self.numbers) * (self.slopes.stop - self.slopes.start)
 
 
 class Grid:
@@ -109,8 +109,8 @@ class Grid:
     ----------
     sizes : dict
         Size of each dimension.
-    lines : list of str
-        Dimensions of the lines: all but the slope.
+    line_dims : list of str
+        All dimensions but the slope.
     extent : tuple of int
         Shape of a chunk.
     """
@@ -120,7 +120,7 @@ class Grid:
         walkers = [("walker", len(study.walkers))] if study.walker_axis else []
         axes = [axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"]
         self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
-        self.lines = [name for name in self.sizes if name != "slope"]
+        self.line_dims = [name for name in self.sizes if name != "slope"]
         self.multipliers = max((check["multipliers"] for check in study.checks), default=3)
         extent = {} if self.method is Method.TASK else self._extent(in_memory)
         self.extent = tuple(extent[name] for name in self.sizes if extent)
@@ -155,9 +155,9 @@ class Grid:
         return range(start, start + self._counts[slope] * step, step)
 
     def _lines_in(self, spans: Mapping[str, slice]) -> np.ndarray:
-        if not self.lines:
+        if not self.line_dims:
             return np.zeros(1, int)
-        indices = np.ix_(*(np.arange(spans[name].start, spans[name].stop) for name in self.lines))
+        indices = np.ix_(*(np.arange(spans[name].start, spans[name].stop) for name in self.line_dims))
         shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
         numbers: np.ndarray = np.ravel_multi_index(indices, shape).ravel()
         return numbers
@@ -169,16 +169,16 @@ class Grid:
             fewest, most = (points // slopes for points in _PLANE_POINTS)
             lines = max(_LINES, fewest, self.study.lines // _PLANE_CHUNKS)
             tile = _tile(self.study.plane.axes, min(lines, most))
-            return {**dict.fromkeys(self.lines, 1), **tile, "slope": slopes}
+            return {**dict.fromkeys(self.line_dims, 1), **tile, "slope": slopes}
         if self.method.is_of_lines:
-            own = {name: self.sizes[name] for name in self.lines}
+            own = {name: self.sizes[name] for name in self.line_dims}
             return {**dict(zip(own, box_shape(own, _LINES), strict=True)), "slope": slopes}
         if in_memory:
-            return {**dict.fromkeys(self.lines, 1), "slope": slopes}
+            return {**dict.fromkeys(self.line_dims, 1), "slope": slopes}
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
         most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
         points = min(most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))
-        return {**dict.fromkeys(self.lines, 1), "slope": math.ceil(slopes / math.ceil(slopes / points))}
+        return {**dict.fromkeys(self.line_dims, 1), "slope": math.ceil(slopes / math.ceil(slopes / points))}
 
 
 def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:

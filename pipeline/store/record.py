@@ -139,14 +139,14 @@ class Packing:
         Most of any walker of the study.
     gaits : iterable of str
         Labels that were solved.
-    lines : ndarray of uint64, shape (m, 2), optional
-        Digests of its lines, if it holds several.
+    digests : ndarray of uint64, shape (m, 2), optional
+        Those of its lines, if it holds several.
     """
 
     shape: Shape
     multipliers: int
     gaits: Sequence[str]
-    lines: np.ndarray | None = None
+    digests: np.ndarray | None = None
 
 
 def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
@@ -168,7 +168,7 @@ def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
         "gaits": list(packing.gaits),
-        "lines": np.empty((0, 2), np.uint64) if packing.lines is None else packing.lines,
+        "lines": np.empty((0, 2), np.uint64) if packing.digests is None else packing.digests,
         "names": list(columns),
         "columns": np.array(list(columns.values())),
         "sizes": np.array([len(piece.data) for piece in pieces]),
@@ -198,8 +198,8 @@ class Head:
     ----------
     shape : Shape
     multipliers : int
-    lines : ndarray of uint64, shape (m, 2)
-        Digests of its lines; none if it is part of one line.
+    digests : ndarray of uint64, shape (m, 2)
+        Those of its lines; none if it is part of one line.
     columns : dict
         Number of gaits of each variable.
     """
@@ -209,7 +209,7 @@ class Head:
         if (head["columns"] < 0).any() or head["columns"].sum() != len(head["sizes"]):
             raise ValueError("not the head of a record")
         self.shape = Shape.of(*head["shape"])
-        self.multipliers, self.lines = head["multipliers"], head["lines"]
+        self.multipliers, self.digests = head["multipliers"], head["lines"]
         self.columns: dict[str, int] = dict(zip(head["names"], head["columns"].tolist(), strict=True))
         self._gaits = frozenset(head["gaits"])
         self._rows = head["rows"], head["of_row"]

@@ -77,7 +77,9 @@ def made(table: dict[str, Any]) -> Made:
         begin = time.process_time()
         for chunk in (graph.grid.chunk(k) for k in range(graph.grid.chunks)):
             for node in (
-                graph.charts_of(chunk, lambda node: boxes(arrays[node.key], "halves")) if chunk.lines[0] in own else ()
+                graph.charts_of(chunk, lambda node: boxes(arrays[node.key], "halves"))
+                if chunk.numbers[0] in own
+                else ()
             ):
                 if node.key not in arrays:
                     arrays[node.key] = solve_planes.charts(graph.params(node), [])

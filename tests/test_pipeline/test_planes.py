@@ -67,7 +67,7 @@ def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     assert study.planes == 4 and study.plane.lines == 288
     graph = Graph(study)
     chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
-    assert sorted(np.concatenate([chunk.lines for chunk in chunks])) == list(range(4 * 288))
+    assert sorted(np.concatenate([chunk.numbers for chunk in chunks])) == list(range(4 * 288))
     charts = {}
     for chunk in chunks:
         node = graph.chunk_node(chunk)
@@ -145,7 +145,7 @@ def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(m_h, R, 
         {"name": "plane", "walker": "A", "axes": {**axes, "R": np.linspace(0.1, 0.3, R).tolist()}}, "", Path()
     )
     grid = Graph(study).grid
-    each = [len(grid.chunk(k).lines) for k in range(grid.chunks)]
+    each = [len(grid.chunk(k).numbers) for k in range(grid.chunks)]
     assert sum(each) == m_h * R and max(each) == pytest.approx(lines, rel=0.07)
 
 

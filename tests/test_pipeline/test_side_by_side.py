@@ -186,4 +186,4 @@ def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
         (needed,) = plan.graph.charts_of(first.chunk, lambda _: [])
     # Of each value of g the lines over R are a plane.
     assert summary(plan).todo["charts"] == {"new": 10**7} and charts.task == "charts" and needed.key == charts.key
-    assert first.points == len(first.chunk.lines) == 4096 and plan.graph.grid.chunks == 4000
+    assert first.points == len(first.chunk.numbers) == 4096 and plan.graph.grid.chunks == 4000

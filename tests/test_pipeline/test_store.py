@@ -342,7 +342,7 @@ def test_a_record_gives_back_what_went_in(name):
         (0, 1): lines * slopes
     }
     assert list(contents.sentences([0]).values()) == ["It converged."] and len(contents.sentences()) == 2
-    np.testing.assert_array_equal(contents.lines, digests)
+    np.testing.assert_array_equal(contents.digests, digests)
     assert contents.holds(["branch"], ["long"]) and not contents.holds(["period"], ["long"])
     assert not contents.holds(["branch"], ["other1"])
     piece = contents.piece(memoryview(payload), "stance_angle", 1)
