@@ -17,14 +17,8 @@ _BEGINNINGS = {
     ".journal": b"",
 }
 _HEAD = 1024  # read of a file to recognise it [byte]
-_KINDS = {
-    stat.S_IFDIR: "a directory",
-    stat.S_IFLNK: "a link",
-    stat.S_IFIFO: "a named pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
+#: What is no regular file, by the letter with which `ls -l` shows it.
+_KINDS = {"d": "a directory", "l": "a link", "p": "a named pipe", "s": "a socket", "c": "a device", "b": "a device"}
 
 
 def sidecar_path(path: Path, suffix: str) -> Path:
@@ -69,7 +63,7 @@ def check_own(path: Path, beginning: bytes) -> None:
 
 def kind_of(mode: int) -> str:
     """What something is that is no regular file, by its mode; empty for one."""
-    return _KINDS.get(stat.S_IFMT(mode), "")
+    return _KINDS.get(stat.filemode(mode)[0], "")
 
 
 SECRET = secrets.token_hex(16)

@@ -116,19 +116,17 @@ def gaits(
             if isinstance(check, StudyError):
                 raise check
         slopes.check(float(slope[0]))
-    found: list[_Found] = []
+    solvable, unsolvable = list[_Line](), list[tuple[np.ndarray, str]]()
     wrong, which = np.unique(slope[~is_slope], return_inverse=True)
     for k, value in enumerate(wrong.tolist()):
-        at = np.flatnonzero(~is_slope)[which == k]
-        sentence = f"`slope` {slopes.BOUND}; got {value!r}."
-        found.append((at, Points.of_ending(len(at), "raised", sentence, wanted)))
-    solvable = []
+        unsolvable.append((np.flatnonzero(~is_slope)[which == k], f"`slope` {slopes.BOUND}; got {value!r}."))
     for (line, at), check in zip(lines, checks, strict=True):
         at = at[is_slope[at]]
         if isinstance(check, StudyError):
-            found.append((at, Points.of_ending(len(at), "raised", str(check), wanted)))
+            unsolvable.append((at, str(check)))
         elif len(at):
             solvable.append(_Line(base, line, at, slope, check))
+    found = [(at, Points.of_ending(len(at), "raised", why, wanted)) for at, why in unsolvable]
     found += _solve(base, solvable)
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
@@ -147,13 +145,12 @@ def _lines(
     """Every line of the grid, in the order of its first point, with its points."""
     n = len(flat["slope"])
     fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
-    if not varying or not n:
-        if n:
-            yield {"walker": walker, "set": fixed}, np.arange(n)
-        return
-    number = pd.DataFrame({name: flat[name] for name in varying}).groupby(varying, sort=False, dropna=False).ngroup()
-    order = np.argsort(number.to_numpy(), kind="stable")
-    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]):
+    number = np.zeros(n, int)
+    if varying:
+        groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(varying, sort=False, dropna=False)
+        number = groups.ngroup().to_numpy()
+    order = np.argsort(number, kind="stable")
+    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
         yield {"walker": walker, "set": {**fixed, **{name: flat[name][at[0]].item() for name in varying}}}, at
 
 
@@ -196,11 +193,9 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
         return lines
     values = {key: np.array([one.line["set"][key] for one in lines]) for key in lines[0].line["set"]}
     keys = {key: np.unique(each) for key, each in values.items()}
-    shape = tuple(map(len, keys.values()))
-    if len(lines) != np.prod(shape):
+    if len(lines) != np.prod([len(each) for each in keys.values()]):
         return lines
-    places = [np.searchsorted(keys[key], values[key]) for key in keys]
-    by_number = np.argsort(np.ravel_multi_index(places, shape))
+    by_number = np.lexsort([*values.values()][::-1])  # as the study numbers them: by the first key, then the next
     study = _over(base, lines[0].slopes, keys, lines[by_number[-1]].check)
     if method_of(study) is not Method.PLANE:
         return lines
@@ -287,7 +282,8 @@ def _dataset(
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
     steps, limits = base.steps, base.options.get("violation_limits")
-    variables = {}
+    variables: dict[str, Any] = {}
+    variables["reason_text"] = ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS)
     for name in (v for v in VARIABLES if v in points.values):
         values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])
         dims = (*grid.dims, *VARIABLES[name].dims)
@@ -299,11 +295,4 @@ def _dataset(
         coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), attributes.MULTIPLIER)
     about = {"Conventions": attributes.CONVENTIONS, "source": attributes.SOURCE, "references": PAPER}
     about |= attributes.of_steps(steps) | ({"accuracy": base.accuracy} if base.accuracy else {})
-    return xr.Dataset(
-        {
-            "reason_text": ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS),
-            **variables,
-        },
-        {**coords, **coordinates},
-        {**about, **constants},
-    )
+    return xr.Dataset(variables, {**coords, **coordinates}, {**about, **constants})

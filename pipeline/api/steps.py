@@ -158,10 +158,12 @@ def simulate(
         "simulate", {**params, "steps": steps, "motion": bool(motion), "pushes": pushed, "ground": heights}
     )
     taken, cause = answer.pop("steps_taken"), answer.pop("cause")
-    variables: dict[str, Any] = {
-        name: (("step", "phase", "sample")[: values.ndim], _padded(values, steps + 1), _attributes(name, is_si))
-        for name, values in answer.items()
-    }
+    variables: dict[str, Any] = {}
+    for name, values in answer.items():
+        kind, meaning = ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
+        missing = np.full((steps + 1 - len(values), *values.shape[1:]), np.nan)  # of steps that are not taken
+        dims, about = ("step", "phase", "sample")[: values.ndim], units.described(meaning, kind, is_si)
+        variables[name] = (dims, np.concatenate([values, missing]), about)
     reason = f"All {steps} steps end in a heelstrike." if taken == steps else f"Step {taken}: {cause}."
     for name, value, text in (
         ("outcome", cause, "how the simulation ended"),
@@ -200,14 +202,3 @@ def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
         if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < steps:
             raise StudyError(f"`{name}` must name steps from 0 to {steps - 1}; got {k!r}.")
     return {int(k): v for k, v in value.items()}
-
-
-def _padded(values: np.ndarray, n: int) -> np.ndarray:
-    """Values of every step, NaN for steps that are not taken."""
-    missing = np.full((n - len(values), *values.shape[1:]), np.nan)
-    return np.concatenate([values, missing])
-
-
-def _attributes(name: str, is_si: bool) -> dict[str, Any]:
-    kind, meaning = ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
-    return units.described(meaning, kind, is_si)

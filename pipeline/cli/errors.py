@@ -14,11 +14,6 @@ def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
     """Print an error on one line and append its exit code to `codes`."""
     try:
         yield
-    except GaitsweepError as error:
-        if debug:
-            traceback.print_exc()
-        terminal.say(f"gaitsweep: {error}")
-        codes.append(error.exit_code)
     except BrokenPipeError:
         terminal.silence(1)
         codes.append(1)
@@ -28,14 +23,12 @@ def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
     except Exception as error:
         if debug:
             traceback.print_exc()
+        known = error if isinstance(error, GaitsweepError) else None
         if is_disk_full(error):  # of standard output
             terminal.silence(1)
-            terminal.say("gaitsweep: The disk is full; not everything could be printed.")
-            codes.append(DiskFullError.exit_code)
-            return
-        if limit := reached_limit(error):
-            terminal.say(f"gaitsweep: {(known := unwritten(Path(), limit))}")
-            codes.append(known.exit_code)
-            return
-        terminal.say(f"gaitsweep: Internal error, {described(error)}; --debug shows where.")
-        codes.append(2)
+            known = DiskFullError("The disk is full; not everything could be printed.")
+        elif limit := reached_limit(error):
+            known = unwritten(Path(), limit)
+        internal = f"Internal error, {described(error)}; --debug shows where."
+        terminal.say(f"gaitsweep: {known or internal}")
+        codes.append(known.exit_code if known else 2)

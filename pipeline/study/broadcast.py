@@ -1,6 +1,6 @@
 """Requests from Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -45,8 +45,8 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else str(value) if isinstance(value, Path) else value
 
 
-def _check_key(name: str) -> None:
-    if name == "toward":
+def _check_keys(names: Iterable[str]) -> None:
+    if "toward" in names:
         raise StudyError("`toward` stands in the table of the walker, beside its `base` or its keys.")
 
 
@@ -71,11 +71,9 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     StudyError
         If one is not.
     """
-    for value in (keys[k] for k in keys if k == "knees"):
-        if not isinstance(value, bool | np.bool_):
-            raise Location("", "knees").wrong("must be true or false", value)
-    for key in keys:
-        _check_key(key)
+    if not isinstance(keys.get("knees", True), bool | np.bool_):
+        raise Location("", "knees").wrong("must be true or false", keys["knees"])
+    _check_keys(keys)
     return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
 
 
@@ -122,12 +120,12 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
 
 
 def _numbers(name: str, value: object) -> np.ndarray:
-    _check_key(name)
+    _check_keys([name])
     try:
         array = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
     except (ValueError, TypeError):  # rows of different lengths, objects of other packages
         array = np.empty(0, object)
-    if array.dtype.kind not in ("iufb" if name == "knees" else "iuf") or (name == "knees") != (array.dtype.kind == "b"):
+    if array.dtype.kind not in ("b" if name == "knees" else "iuf"):
         wanted = "true or false, or an array of them" if name == "knees" else "a number or an array of numbers"
         raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
     return array if name == "knees" else array.astype(float, copy=False)
@@ -149,8 +147,6 @@ def _kind(value: object) -> str:
     """What an unsuitable argument is, in a few words."""
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype}"
-    return (
-        clip(repr(value))
-        if isinstance(value, str | bytes | complex | bool | list | tuple | None)
-        else type(value).__name__
-    )
+    if isinstance(value, str | bytes | complex | bool | list | tuple | None):
+        return clip(repr(value))
+    return type(value).__name__

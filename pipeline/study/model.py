@@ -162,11 +162,6 @@ class Study:
         return plane if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES) else None
 
     @property
-    def planes(self) -> int:
-        """Number of planes of keys: one for each walker and for all values of other keys."""
-        return self.lines // self.plane.lines if self.plane else 0
-
-    @property
     def batches(self) -> int:
         """Number of jobs of a task over lines: one per line, or one for many designs."""
         if self.kind != "design":
@@ -184,16 +179,12 @@ class Study:
             return np.array([number])
         cell, part = divmod(number, self._batches_each)
         most = _MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS
-        places = np.arange(part * most, min((part + 1) * most, self._designs))
-        if not self.plane:
-            return cell * self._designs + places
-        names = [axis.name for axis in self.plane.axes]
-        inner = [axis for axis in self.line_axes if axis.name in names]
-        outer = [len(self.walkers), *(len(axis) for axis in self.line_axes if axis.name not in names)]
-        at = iter(np.unravel_index(cell, outer))
-        own = dict(zip((a.name for a in inner), np.unravel_index(places, [len(a) for a in inner]), strict=True))
-        indices = [next(at), *(own[axis.name] if axis.name in own else next(at) for axis in self.line_axes)]
-        return np.ravel_multi_index(np.broadcast_arrays(*indices), self.line_shape)
+        numbers = cell * self._designs + np.arange(part * most, min((part + 1) * most, self._designs))
+        # With the keys of the plane last, the designs of a cell follow each other.
+        inner = [axis.name for axis in self.plane.axes] if self.plane else []
+        order = [0, *sorted(range(1, len(self.line_shape)), key=lambda k: self.line_axes[k - 1].name in inner)]
+        at = np.unravel_index(numbers, [self.line_shape[k] for k in order])
+        return np.ravel_multi_index([at[k] for k in np.argsort(order)], self.line_shape)
 
     def batch_line(self, number: int) -> dict[str, Any]:
         """Walker and parameters of a job over lines: those of a line, or of designs an array for each."""
@@ -206,9 +197,7 @@ class Study:
     @property
     def _designs(self) -> int:
         """Designs of a cell, or of a walker where there are no cells."""
-        if self.plane:
-            return self.plane.lines
-        return self.lines // len(self.walkers)
+        return self.plane.lines if self.plane else self.lines // len(self.walkers)
 
     @property
     def _batches_each(self) -> int:

@@ -22,9 +22,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     """
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
-    known = OPTIONS.get(kind, {})
-    if options and not known:
-        raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
+    known = OPTIONS[kind]
     place.check_names(options, known, "key")
     for name, value in options.items():
         _check(value, known[name].holds, tuple(a for a in axes if a != "slope"), place.at(name))
@@ -32,7 +30,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     if "violation_limits" in options:
         options = {**options, "violation_limits": violation_limits(options["violation_limits"], place)}
     options = {name: value for name, value in options.items() if value != known[name].default}
-    whole = registry.options(kind, options) if known else {}
+    whole = registry.options(kind, options)
     if kind == "curve" and not whole["from"] < whole["to"]:
         raise place.at("from").wrong(f"must be less than `to` = {whole['to']!r}", whole["from"])
     if kind == "design" and whole["ground"] and whole["at_slope"] is None:
@@ -71,9 +69,8 @@ def listing() -> str:
     """The options that each kind of study may set, with their defaults."""
     lines = ["options of a study's kind ([options] in its file) and their defaults:"]
     for kind, known in OPTIONS.items():
-        lines += [
-            f"  {kind:<8} {name:<17}{json.dumps(option.default):<18} {option.meaning}" for name, option in known.items()
-        ]
+        for name, option in known.items():
+            lines.append(f"  {kind:<8} {name:<17}{json.dumps(option.default):<18} {option.meaning}")
     lines.append("limits of violations and their defaults (`violation_limits`):")
     lines += [f"  {v.name:<22}{v.limit:<8g}{v.unit}: {v.reason}" for v in VIOLATIONS.values()]
     return "\n".join(lines)
@@ -118,6 +115,8 @@ def _check(value: Any, what: str, keys: tuple[str, ...], place: Location) -> Non
 #: Whole numbers that options hold: the largest and the least.
 _COUNTS = {"count": (_MAX, 1), "count or 0": (_MAX, 0), "steps": (MAX_STEPS, 1)}
 _NUMBER = {"type": "number", "minimum": -LARGEST, "maximum": LARGEST}
+_SLOPE = {"type": "number", "minimum": SLOPES[0], "exclusiveMaximum": SLOPES[1]}
+_SHARE = {"type": "number", "minimum": 0, "maximum": 0.5}
 #: What else they hold: whether a value fits, what it must be, and the same as JSON Schema. That one is no number says
 #: its place.
 _HOLDS: dict[str, tuple[Callable[[Any, Location], Any], str, dict[str, Any]]] = {
@@ -128,16 +127,8 @@ _HOLDS: dict[str, tuple[Callable[[Any, Location], Any], str, dict[str, Any]]] = 
     ),
     "number": (lambda x, place: isinstance(place.number(x), float), "", _NUMBER),
     "positive": (lambda x, place: place.number(x) > 0, "must be above 0", {**_NUMBER, "exclusiveMinimum": 0}),
-    "slope": (
-        lambda x, place: slopes.is_slope(place.number(x)),
-        slopes.BOUND,
-        {"type": "number", "minimum": SLOPES[0], "exclusiveMaximum": SLOPES[1]},
-    ),
-    "share": (
-        lambda x, place: 0 <= place.number(x) <= 0.5,
-        "must lie in [0, 0.5]",
-        {"type": "number", "minimum": 0, "maximum": 0.5},
-    ),
+    "slope": (lambda x, place: slopes.is_slope(place.number(x)), slopes.BOUND, _SLOPE),
+    "share": (lambda x, place: 0 <= place.number(x) <= 0.5, "must lie in [0, 0.5]", _SHARE),
     "range": (
         lambda x, place: isinstance(x, list) and len(x) == 2 and place.number(x[0]) < place.number(x[1]),
         "must be two increasing numbers",

@@ -2,13 +2,14 @@
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from gaitsweep.pipeline.study import files
+from gaitsweep.pipeline.study import files, units
 from gaitsweep.pipeline.study.location import Location, clip
+from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.registry import GAITS, SI_UNITS, VARIABLES
 
 Columns = dict[str, np.ndarray]
@@ -18,23 +19,16 @@ _SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "kg m2": "k
 _DEGREES = ("deg", "°", "degree", "degrees")
 
 
-def read(
-    name: object, folder: Path, axes: Mapping[str, str], needed: Sequence[str], is_si: bool, location: Location
-) -> Columns:
+def read(name: object, study: Study, location: Location) -> Columns:
     """Read measurements from a CSV file.
 
     Parameters
     ----------
     name : object
-        The study's entry: a file, relative to `folder`. Its first row names each column and its unit, as `slope [rad]`,
-        `period [s]`, `period_error [s]`; `walker` and `gait` hold names. Degrees are converted to radians.
-    folder : Path
-    axes : mapping
-        CF units of the study's axes by name; `walker` has none.
-    needed : sequence of str
-        Axes with several values, which the file must have a column for.
-    is_si : bool
-        Whether the study's walkers are in SI units.
+        The study's entry: a file beside it. Its first row names each column and its unit, as `slope [rad]`,
+        `period [s]`, `period_error [s]`; `walker` and `gait` hold names. Degrees are converted to radians. Every axis
+        with several values needs a column.
+    study : Study
     location : Location
         Place of the entry in the study.
 
@@ -51,7 +45,7 @@ def read(
     if not isinstance(name, str) or not name or Path(name).is_absolute():
         raise location.wrong("must be a path relative to the study", name)
     shown = clip(name, 200)
-    text = location.blamed(files.read_text, folder / name, shown, _MAX_MIB)
+    text = location.blamed(files.read_text, study.path.parent / name, shown, _MAX_MIB)
     try:
         rows = list(csv.reader(text.splitlines(), strict=True))
     except csv.Error as error:
@@ -59,18 +53,20 @@ def read(
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows) > _MAX_ROWS:
         raise location.error(f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}")
-    columns = dict(_columns(rows, shown, axes, is_si, location))
-    for axis in needed:
+    columns = dict(_columns(rows, shown, study, location))
+    needed = [axis.name for axis in study.axes if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")]
+    for axis in [*needed, "walker"] if len(study.walkers) > 1 else needed:
         if axis not in columns:
             raise location.error(f"{shown} needs the column `{axis}`, an axis with several values")
     if not any(column in VARIABLES for column in columns):
         raise location.error(f"{shown} has no measured variable, such as `period` or `stance_angle`")
+    location.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
 
 
-def _columns(
-    rows: list[list[str]], shown: str, axes: Mapping[str, str], is_si: bool, location: Location
-) -> Iterator[tuple[str, np.ndarray]]:
+def _columns(rows: list[list[str]], shown: str, study: Study, location: Location) -> Iterator[tuple[str, np.ndarray]]:
+    is_si = units.is_si(study)
+    axes = {axis.name: units.axis_units(axis.name, is_si) for axis in study.axes}
     measured = [v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"]
     known = [*axes, "walker", "gait", *measured]
     seen = []

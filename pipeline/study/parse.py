@@ -17,7 +17,7 @@ import numpy as np
 
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
-from gaitsweep.pipeline.study import options, overlay, slopes, units
+from gaitsweep.pipeline.study import options, overlay, slopes
 from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.files import changed, other, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
@@ -33,12 +33,8 @@ _INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
 KEYS, WANTED, LIMITS, EXTRA_AXES = tomllib.loads(
     Path(__file__).with_name("keys.toml").read_text(encoding="utf-8")
 ).values()
-_UNITS = {
-    "": 1,
-    "B": 1,
-    **{f"{p}B": 1000**i for i, p in enumerate("kMGT", 1)},
-    **{f"{p}iB": 1024**i for i, p in enumerate("KMGT", 1)},
-}
+_UNITS = {"": 1, "B": 1, "kB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
+_UNITS |= {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
 #: What a name and an amount of memory look like.
 NAME, MEMORY = "[A-Za-z0-9][A-Za-z0-9._-]{0,99}", rf"([0-9]+(?:\.[0-9]+)?) ?({'|'.join(_UNITS)})"
 #: Tolerances of an adaptive slope axis, the longest time [s] and the memory [byte] that limits may name.
@@ -153,12 +149,10 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
 
 def _check_of_one_step(study: Study, top: Location) -> None:
     """Check that a study of gaits of several steps wants nothing known for one step only."""
-    wanted = {"variables": study.variables, "fits": study.fits, "figures": study.figures, "claims": study.claims}
-    for key, names in wanted.items():
-        for name in names:
+    for key in WANTED:
+        for name in getattr(study, key):
             if name in registry.OF_ONE_STEP or key == "claims":
-                sentence = f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
-                raise top.at("want", key).error(sentence)
+                raise top.at("want", key).error(f"`{name}` is of gaits of one step, and `steps` is {study.steps}")
     if "adaptive" in study.options:
         sentence = f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         raise top.at("axes", "slope").error(sentence)
@@ -170,13 +164,7 @@ def _measurements(value: object, study: Study, location: Location) -> dict[str, 
     if "overlay" not in table:
         return {}
     entry = _table(table["overlay"], ("file",), location.at("overlay"))
-    of_axes = {axis.name: units.axis_units(axis.name, units.is_si(study)) for axis in study.axes}
-    needed = [axis.name for axis in study.axes if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")]
-    needed += ["walker"] if len(study.walkers) > 1 else []
-    place = location.at("overlay", "file")
-    columns = overlay.read(entry.get("file"), study.path.parent, of_axes, needed, units.is_si(study), place)
-    place.check_names(columns.get("walker", ()), study.names, "walker")
-    return columns
+    return overlay.read(entry.get("file"), study, location.at("overlay", "file"))
 
 
 def _table(value: object, known: Collection[str], location: Location) -> dict[str, Any]:
@@ -344,12 +332,13 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
 
 def _want(value: object, kind: str, asked: float, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, WANTED, location)
-    wanted = variables(table.get("variables"), location.at("variables"), asked)
-    names: dict[str, tuple[str, ...]] = {}
+    wanted = {"variables": variables(table.get("variables"), location.at("variables"), asked)}
     for key, known in (("fits", registry.FITS), ("figures", FIGURES), ("claims", CLAIMS)):
-        place = location.at(key)
-        names[key] = _free_names(table.get(key, []), place)
-        for name in names[key]:
+        place, names = location.at(key), table.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(n, str) and re.fullmatch(r"\w{1,60}", n) for n in names):
+            raise place.wrong("must be a list of names", names)
+        wanted[key] = tuple(dict.fromkeys(names))
+        for name in wanted[key]:
             plot = place.blamed(extensions.find, key, name, Plot) if key == "figures" and name not in known else None
             if plot:
                 READS[name] = variables(list(plot.reads), place)
@@ -359,13 +348,7 @@ def _want(value: object, kind: str, asked: float, location: Location) -> dict[st
                 raise place.error(f"`{name}` needs a study of kind `{NEEDED_KINDS[name]}`; this one is `{kind}`")
             if kind == "design" and name in registry.OVER_LINES:
                 raise place.error(f"`{name}` needs a study of another kind than `design`")
-    return {"variables": wanted, **names}
-
-
-def _free_names(value: object, location: Location) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(v, str) and re.fullmatch(r"\w{1,60}", v) for v in value):
-        raise location.wrong("must be a list of names", value)
-    return tuple(dict.fromkeys(value))
+    return wanted
 
 
 def _limits(table: Mapping[str, Any], top: Location) -> Limits:

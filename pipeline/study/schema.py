@@ -100,33 +100,29 @@ def _of_kind(kind: str, keys: tuple[str, ...]) -> Schema:
 
 def _axis(name: str) -> Schema:
     """An axis: a list, or a range; of the slope also an adaptive one, of detuning one that names a walker."""
-    own, any_number = _key(name), options.schema("number", ())
-    ends = {"from": own, "to": any_number}
-    count = _between("integer", 1, parse.MAX_VALUES)
-    spaced = {**ends, "n": count, "spacing": {**options.one_of(["linear", "log"]), "default": "linear"}}
-    ranged = _table(spaced | ({"toward": _other()} if name == "detuning" else {}), ["from", "to", "n"])
+    own = _key(name)
+    spaced = {"from": own, "to": options.schema("number", ()), "n": _between("integer", 1, parse.MAX_VALUES)}
+    spaced |= {"spacing": {**options.one_of(["linear", "log"]), "default": "linear"}}
+    spaced |= {"toward": _other()} if name == "detuning" else {}
     # One value is the first.
-    ranged |= {"if": {"properties": {"n": {"minimum": 2}}}, "then": {"properties": {"to": own}}}
-    forms = [{**_list(own, 1), "uniqueItems": True}, ranged]
+    one_value = {"if": {"properties": {"n": {"minimum": 2}}}, "then": {"properties": {"to": own}}}
+    forms = [{**_list(own, 1), "uniqueItems": True}, _table(spaced, ["from", "to", "n"]) | one_value]
     if name == "slope":
-        forms.append(
-            _table({**ends, "to": own, "adaptive": _between("number", *parse.TOLERANCES)}, ["from", "to", "adaptive"])
-        )
+        adaptive = {"from": own, "to": own, "adaptive": _between("number", *parse.TOLERANCES)}
+        forms.append(_table(adaptive, ["from", "to", "adaptive"]))
     return {"description": own["description"], "anyOf": forms}
 
 
 def _key(name: str) -> Schema:
     """The number that a key of a walker, or an axis, holds."""
+    about = {"description": (_of_walkers("MEANINGS") | parse.EXTRA_AXES)[name]}
     if name == "slope":
-        return {"description": parse.EXTRA_AXES[name]} | options.schema("slope", ())
+        return about | options.schema("slope", ())
     if name == "foot_mass_ratio":
         low, high = dispatch.resolve("gaitsweep.tasks.walkers.resolve:FOOT_MASS_RATIOS")
-        return {"description": parse.EXTRA_AXES[name], "type": "number", "minimum": low, "exclusiveMaximum": high}
-    if name == "detuning":
-        most = _of_walkers("MAX_SIZE")
-        return {"description": parse.EXTRA_AXES[name]} | _between("number", -most, most)
-    low, high = _of_walkers("BOUNDS")[name]
-    return {"description": _of_walkers("MEANINGS")[name]} | _between("number", low, high)
+        return about | {"type": "number", "minimum": low, "exclusiveMaximum": high}
+    most = _of_walkers("MAX_SIZE")
+    return about | _between("number", *_of_walkers("BOUNDS").get(name, (-most, most)))
 
 
 def _walker(leads: bool = True) -> Schema:
@@ -166,9 +162,8 @@ def _other() -> Schema:
 def _name() -> Schema:
     """Name of a walker: of the catalogue, or a file."""
     catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
-    return {
-        "anyOf": [options.one_of([*catalogue, *extensions.names("walkers")]), {"type": "string", "pattern": r"\.toml$"}]
-    }
+    named = options.one_of([*catalogue, *extensions.names("walkers")])
+    return {"anyOf": [named, {"type": "string", "pattern": r"\.toml$"}]}
 
 
 def _of_walkers(name: str) -> Any:

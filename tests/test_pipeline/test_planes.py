@@ -64,7 +64,7 @@ def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     """Those of each value of a third key, and of each walker, have their own."""
     axes = AXES + "\ng = [1.0, 2.0]"
     study = read(written(tmp_path, STUDY.format(walker="B", axes=axes).replace('"B"', '["B", "E"]')))
-    assert study.planes == 4 and study.plane.lines == 288
+    assert study.plane.lines == 288 and study.lines == 4 * 288
     graph = Graph(study)
     chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
     assert sorted(np.concatenate([chunk.numbers for chunk in chunks])) == list(range(4 * 288))
