@@ -146,7 +146,9 @@ class Plan:
         return replace(node, todo=np.flatnonzero(~is_kept), copies=copies) if len(kept) else node
 
     def _holds(self, head: Head) -> bool:
-        return head.holds(self.graph.variables, self.study.gaits)
+        """Whether a record holds what this study asks for, as its archive does: with the multipliers of its walkers."""
+        is_alike = head.multipliers == self.graph.grid.multipliers
+        return is_alike and head.holds(self.graph.variables, self.study.gaits)
 
     @functools.cached_property
     def _elsewhere(self) -> tuple[list[str], np.ndarray, np.ndarray]:

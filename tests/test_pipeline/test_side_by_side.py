@@ -99,6 +99,22 @@ def test_a_denser_grid_reuses_the_lines_it_shares(toy, text):
     assert toy.bytes() == few and again < 30 * 8
 
 
+@pytest.mark.parametrize("environment", [{}, SIDE_BY_SIDE])
+def test_a_walker_with_knees_may_join_and_leave(toy, environment):
+    """It has four multipliers, and the others' are archived with as many; theirs of before were three."""
+    both = PLAIN.replace('"E"', '["E", "C"]')
+    archives = {}
+    for text in (PLAIN, both, PLAIN):
+        toy.write(text)
+        toy("run", "toy.toml", **environment)
+        archives.setdefault(text, toy.bytes())
+        assert toy.bytes() == archives[text]
+        assert toy("verify", "data/archive/toy.nc").stdout.count("intact") == 1
+    toy.write(both)
+    toy("run", "toy.toml", "--fresh", **environment)
+    assert toy.bytes() == archives[both]
+
+
 def test_more_slopes_and_other_variables_change_every_chunk(toy):
     toy.write(PLAIN)
     toy("run", "toy.toml", **SIDE_BY_SIDE)
