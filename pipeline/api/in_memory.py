@@ -226,7 +226,7 @@ def _result(graph: Graph, node: Node) -> Any:
         return result
     line = int(node.chunk.numbers[0]) if node.chunk else node.line or 0
     names = [name for name, own in graph.line_keys(line).items() if own.key in node.needs] if node.needs else []
-    inputs = [_result(graph, graph.line_node(line, name)) for name in names]
+    inputs = [_result(graph, graph.node(name, line)) for name in names]
     for made in graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves")) if node.chunk else ():
         try:
             inputs.append(_result(graph, made))

@@ -20,6 +20,7 @@ from gaitsweep.pipeline.terminal import counted
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
 #: Parts of an eigenvalue, which are compared with its magnitude.
 _PARTS = ("multiplier_real", "multiplier_imag")
+_Pair = tuple[xr.Dataset, xr.Dataset]
 
 
 @dataclass(frozen=True)
@@ -83,11 +84,7 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
 
 
 def _compare_groups(
-    groups: tuple[Any, Any],
-    paths: tuple[Path, Path],
-    grids: tuple[xr.Dataset, xr.Dataset],
-    tolerance: Tolerance,
-    prefix: str = "",
+    groups: tuple[Any, Any], paths: tuple[Path, Path], grids: _Pair, tolerance: Tolerance, prefix: str = ""
 ) -> list[str]:
     """Differences between two open groups, and the groups in them; `grids` are the main groups of the archives."""
     x, y = (_opened(group, grid) if prefix else grid for group, grid in zip(groups, grids, strict=True))
@@ -124,11 +121,7 @@ def _opened(group: Any, grid: xr.Dataset) -> xr.Dataset:
 
 
 def _compare(
-    name: str,
-    prefix: str,
-    groups: tuple[xr.Dataset, xr.Dataset],
-    rows: tuple[np.ndarray, np.ndarray],
-    tolerance: Tolerance,
+    name: str, prefix: str, groups: _Pair, rows: tuple[np.ndarray, np.ndarray], tolerance: Tolerance
 ) -> list[str]:
     """Differences between a variable of two groups, where both have it; of tables in some `rows`."""
     x, y = (group[name].load() for group in groups)
@@ -186,7 +179,7 @@ def _compare_values(
     return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, {', '.join(by)}"]
 
 
-def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: tuple[xr.Dataset, xr.Dataset]) -> tuple[np.ndarray, np.ndarray]:
+def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: _Pair) -> tuple[np.ndarray, np.ndarray]:
     """Rows of two tables on the lines that both archives have, in one order; by slope where both have the same ones."""
     # A column `slope` may be a result, as along a branch or at a fold.
     names = (set(grids[0].indexes) & set(grids[1].indexes)) - {"slope", "gait"}

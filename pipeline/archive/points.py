@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.archive import attributes, layout
-from gaitsweep.pipeline.archive.direct_chunks import DirectChunks
+from gaitsweep.pipeline.archive.direct_chunks import direct_chunks
 from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
@@ -124,7 +124,7 @@ class PointWriter:
 
     def fill(self, draft: Path) -> None:
         """Write the values chunk by chunk."""
-        with DirectChunks(draft) as out:
+        with direct_chunks(draft) as write:
             for chunk, key in self._chunks():
                 start = tuple(span.start for span in chunk.box)
                 data, payload = self._record(chunk, key)
@@ -138,7 +138,7 @@ class PointWriter:
                         else:
                             piece = head.piece(view, name, column) or self._same(name, chunk.shape.sizes)
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
-                    out.write(name, corner, piece.data)
+                    write(name, corner, piece.data)
                     self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:

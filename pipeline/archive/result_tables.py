@@ -179,23 +179,19 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
             shaped = array.reshape(*sizes, -1)
             _variable(netcdf_group, f"{name}_values", (*dims, dim), shaped, _attributes(plan, group, name))
     for name, values in columns.items():
-        if name in (*dims, "walker", *inner) or name in lines.sizes:
+        if name in (*dims, "walker", *inner):
             continue
+        described: dict[str, Any] = dict(_attributes(plan, group, name))
+        if values.dtype.kind == "U":
+            words, values = np.unique(values, return_inverse=True)
+            meanings = " ".join(str(word).replace(" ", "_") for word in words)
+            described |= {"flag_values": np.arange(len(words), dtype=np.int8), "flag_meanings": meanings}
+        is_whole = values.dtype.kind in "iu"
+        dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1) if is_whole else np.dtype(float)
         kept = [c for c in inner if c not in _CONSTANT.get(name, ())]
         shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
-        text, words = values.dtype.kind == "U", np.unique(values)
-        codes = np.searchsorted(words, values).astype(np.int8) if text else values
-        is_whole = codes.dtype.kind in "iu"
-        array = np.full(shape, -1 if is_whole else np.nan, np.int32 if is_whole else "f8")
-        array[(case, *(inner[c][0] for c in kept))] = codes
-        described: dict[str, Any] = dict(_attributes(plan, group, name))
-        if text:
-            described |= {
-                "flag_values": np.arange(len(words), dtype=np.int8),
-                "flag_meanings": " ".join(str(word).replace(" ", "_") for word in words),
-            }
-        if is_whole:
-            array = array.astype(np.int8 if text else np.min_scalar_type(-array.max() - 1))
+        array = np.full(shape, -1 if is_whole else np.nan, dtype)
+        array[(case, *(inner[c][0] for c in kept))] = values
         names = (*dims, *(_RENAMED.get(c, c) for c in kept))
         _variable(netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described)
 

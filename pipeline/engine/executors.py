@@ -34,10 +34,7 @@ class Engine:
             import joblib
 
             options = {"backend": "threading", "return_as": "generator_unordered", "batch_size": 1}
-            with (
-                warnings.catch_warnings(),
-                joblib.Parallel(self.jobs, pre_dispatch=self.jobs, **options) as parallel,
-            ):
+            with warnings.catch_warnings(), joblib.Parallel(self.jobs, pre_dispatch=self.jobs, **options) as parallel:
                 # A run that is stopped says so itself; joblib would report the tasks that end with it.
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
 
@@ -54,10 +51,8 @@ class Engine:
 
                 def elsewhere(_: Callable[[], bool], take: _Take) -> _Results:
                     self.jobs = cluster.workers(client)
-                    own = software()
-                    return cluster.results(client, _run_elsewhere, ((own, *job) for job in iter(take, None)))
+                    return cluster.results(client, _run_elsewhere, ((software(), *job) for job in iter(take, None)))
 
-                self.jobs = cluster.workers(client)
                 yield elsewhere
 
 

@@ -169,8 +169,7 @@ class Jobs:
         return lines + node.points * self.graph.seconds("points") + self._after["points"]
 
     def _request(self, node: Node) -> Request:
-        study, limits = self.study, self.study.limits
-        layer = self.graph.layers[node.task]
+        limits, layers = self.study.limits, self.graph.layers
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
         if node.line is None and node.chunk is None:
             inputs = list(study_inputs(self.plan, node.task))
@@ -179,11 +178,10 @@ class Jobs:
             inputs = [self.store.get(need)[1] for outcome, need in results if outcome and outcome.status == "ok"]
         packing, alone = None, ("", "")
         if node.chunk:
-            slopes = len(study.slope[node.chunk.slopes])
+            slopes = node.chunk.points // len(node.chunk.numbers)
             shape = Shape.of_rows(node.lines, slopes) if node.copies else node.chunk.shape
             packing = self._packing(shape, node.chunk.numbers if node.lines and not node.copies else None)
-        if node.lines:
-            alone = self.graph.layers["atlas"].task.function, layer.task.function
+            alone = layers["atlas"].task.function, layers["points"].task.function
         function, params = self.graph.function(node), self.graph.params(node)
         return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
 
@@ -258,8 +256,7 @@ class Jobs:
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])
             some = unpacked(*self.store.get(key)).take(rows_of(copies.rows[of_key], slopes))
-            names = ("status", *(name for name in self.graph.variables if name != "status"))
-            parts.append(Points({name: some.values[name] for name in names}, some.sentences))
+            parts.append(Points({name: some.values[name] for name in self.graph.variables}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
         return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.numbers))

@@ -38,10 +38,9 @@ def lock_archive(path: Path) -> Iterator[None]:
             else:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError) as error:
-            known = _holder(file)
             name = "its process is not known yet."
-            if {"pid", "host", "started"} <= known.keys():
-                name = f"process {known['pid']} on {known['host']}, started {known['started']}."
+            with contextlib.suppress(KeyError):
+                name = "process {pid} on {host}, started {started}.".format_map(_holder(file))
             raise BusyError(f"{path} is held by another run: {name}") from error
         except OSError as error:  # as on some network disks
             raise ArchiveError(f"{path} cannot be locked: its disk has no locks; choose another folder.") from error
@@ -60,14 +59,11 @@ def holder(path: Path) -> dict[str, Any] | None:
     lock = sidecar_path(path, ".journal-lock")
     if not lock.is_file():  # another one might be waited for
         return None
-    try:
-        with open(lock, encoding="utf-8") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except (BlockingIOError, PermissionError):
-                return _holder(file)
-    except OSError:
-        pass
+    with contextlib.suppress(OSError), open(lock, encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            return _holder(file)
     return None
 
 

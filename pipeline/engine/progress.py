@@ -5,7 +5,6 @@ Progress only listens; nothing waits for it.
 
 import contextlib
 import json
-import resource
 import sys
 import threading
 import time
@@ -34,26 +33,15 @@ _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines 
 class Progress:
     """Counts events of one study, writes them to `FILE.events.jsonl` and, unless `quiet`, shows some on stderr."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        todo: Summary,
-        log: Path,
-        quiet: bool = False,
-        verbose: bool = False,
-        engine: Engine | None = None,
-    ):
-        self.plan, self.log, self.quiet, self.verbose, self.engine = plan, log, quiet, verbose, engine or Engine()
+    def __init__(self, plan: Plan, todo: Summary, log: Path, engine: Engine, quiet: bool, verbose: bool = False):
+        self.plan, self.engine, self.quiet, self.verbose = plan, engine, quiet, verbose
         self.start = time.monotonic()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
-        self.expected: Counter[str] = Counter()  # how many count as measured at their planned costs
         self.costs = {name: plan.graph.seconds(name) for name, n in self.todo.items() if n}
         self.lines_alone: _LinesAlone | None = None
         if plan.graph.method is Method.PLANE and plan.study.plane:
-            half = plan.study.plane.lines // 2  # the first charts may be unlike the others
-            self.lines_alone, self.expected["charts"] = _LinesAlone(plan.study, half), half
+            self.lines_alone = _LinesAlone(plan.study, plan.study.plane.lines // 2)
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
-        self.cached_tasks = [name for name, n in todo.cached.items() if n]
         self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
@@ -92,8 +80,7 @@ class Progress:
                 self.lines_alone.add(details)
             if event == "chunk":
                 self.done["atlas"] += details.get("alone", details.get("lines", 0))
-            if event == "chunk" and n:
-                place = details.pop("place", 0)
+                place = details.pop("place")
                 self.measured[place] = self.measured.get(place, np.zeros(2)) + np.array([n, details["seconds"]])
             self.counts.update(details.get("counts", {}))
             if details.get("lost"):
@@ -112,9 +99,8 @@ class Progress:
     def state(self) -> dict[str, Any]:
         """State of the run: counts, rate [1/s], remaining time `eta` [s] or `overdue`, memory [byte] and workers."""
         elapsed, stages = time.monotonic() - self.start, self._stages()
-        memory = 0
-        with contextlib.suppress(OSError), open("/proc/self/statm") as file:
-            memory = int(file.read().split()[1]) * resource.getpagesize()
+        # On a cluster, those that answered in the last minute.
+        remote = [worker for when, worker in list(self.remote_workers.values()) if time.monotonic() - when < _SLOW]
         return {
             "elapsed": round(elapsed, 1),
             "points": self.total,
@@ -128,13 +114,9 @@ class Progress:
             "eta": round(sum(stage["eta"] for stage in stages.values()), 1),
             # Nothing is measured yet, and the plan's estimate has passed.
             "overdue": not any(self.done.values()) and elapsed > sum(stage["eta"] for stage in stages.values()) > 0,
-            "memory": memory,
-            "workers": worker_process.members() or self._recent_remote_workers(),
+            "memory": worker_process.resident("self"),
+            "workers": worker_process.members() or remote,
         }
-
-    def _recent_remote_workers(self) -> list[dict[str, Any]]:
-        """Workers of other processes that answered in the last minute."""
-        return [worker for when, worker in list(self.remote_workers.values()) if time.monotonic() - when < _SLOW]
 
     def _stages(self) -> dict[str, dict[str, float]]:
         """Progress of each task, and its remaining time on all workers [s]."""
@@ -148,7 +130,8 @@ class Progress:
             elif name == "points" and self.measured:
                 mean_seconds = self._seconds_of_a_point()
             else:
-                expected = self.expected[name] or int(not done)
+                # How many count as measured at their planned cost: the first charts may be unlike the others.
+                expected = self.lines_alone.half if self.lines_alone and name == "charts" else int(not done)
                 mean_seconds = (self.seconds[name] + expected * cost) / (done + expected)
             seconds_left = mean_seconds * max(0, todo - done)
             stages[name] = {"done": round(done), "todo": todo, "eta": round(seconds_left / self.engine.jobs, 1)}
@@ -251,24 +234,21 @@ class Display:
                 state = total([study.state() for study in self.studies])
                 if self.bar:
                     self.bar(state)
-                    continue
-                text = sentence(state)
-                if self.is_terminal:  # of a line that wraps, only the last part would be cleared
-                    terminal.say(f"{_CLEAR}{text[: terminal.columns() - 1]}", end="")
+                elif self.is_terminal:  # of a line that wraps, only the last part would be cleared
+                    terminal.say(f"{_CLEAR}{sentence(state)[: terminal.columns() - 1]}", end="")
                 else:
-                    terminal.say(text)
+                    terminal.say(sentence(state))
 
 
 def total(states: list[dict[str, Any]]) -> dict[str, Any]:
     """State of several studies together, as `sentence` reads it."""
-    result: dict[str, Any] = {key: sum(state[key] for state in states) for key in _SUMMED}
-    result["counts"] = dict(sum((Counter(state["counts"]) for state in states), Counter()))
+    summed = {key: sum(state[key] for state in states) for key in _SUMMED}
+    counts = sum((Counter(state["counts"]) for state in states), Counter())
     stages: dict[str, Counter[str]] = {}
     for state in states:
         for name, stage in state["stages"].items():
             stages.setdefault(name, Counter()).update(stage)
-    result["overdue"] = all(state["overdue"] for state in states)
-    return {**result, "stages": {name: dict(stage) for name, stage in stages.items()}}
+    return {**summed, "counts": counts, "stages": stages, "overdue": all(state["overdue"] for state in states)}
 
 
 def notebook_bar() -> Callable[[dict[str, Any]], None] | None:

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.engine.progress import Display, Progress, duration
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
-from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
@@ -182,9 +182,9 @@ class StudyRun:
             plan = Plan(self.study, self._store, self.options.retry_failed)
             todo = summary(plan)
             log = sidecar_path(self.path, ".events.jsonl")
-            self.progress = progress = Progress(plan, todo, log, self.options.quiet, self.options.verbose, engine)
+            self.progress = progress = Progress(plan, todo, log, engine, self.options.quiet, self.options.verbose)
             progress.begin()
-            _warn_of_changed_code(plan, progress)
+            _warn_of_changed_code(plan, todo, progress)
             listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
             return Jobs(plan, engine, listen, self.options.chunk)
         return None
@@ -273,12 +273,12 @@ class StudyRun:
         self._resources.close()
 
 
-def _warn_of_changed_code(plan: Plan, progress: Progress) -> None:
+def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None:
     """Warn if the code of `tasks` changed since results were stored and no version did."""
     stored_digest, digest = plan.store.note("code"), code_digest()
     versions = json.dumps({name: layer.task.version for name, layer in plan.graph.layers.items()}, sort_keys=True)
     has_changed = stored_digest not in (None, digest) and plan.store.note("versions") == versions
-    if has_changed and progress.cached_tasks:
+    if has_changed and any(todo.cached.values()):
         progress.say(
             "The code of `tasks` has changed since some of these results were stored, its versions have not; "
             "if numbers may change, increase the task's version or run with --fresh."

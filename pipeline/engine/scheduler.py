@@ -22,6 +22,7 @@ from gaitsweep.pipeline.graph.graph import Node
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
 _PATIENCE = 1.0  # longest time for which a thread waits until its result is recorded [s]
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
+_Finish = Callable[[Jobs], None]
 
 
 class Scheduler:
@@ -36,13 +37,7 @@ class Scheduler:
         Called with each study when no job of it is left, while the others go on.
     """
 
-    def __init__(
-        self,
-        studies: Sequence[Jobs],
-        engine: Engine,
-        signals: Signals,
-        finish: Callable[[Jobs], None] = lambda study: None,
-    ):
+    def __init__(self, studies: Sequence[Jobs], engine: Engine, signals: Signals, finish: _Finish = lambda study: None):
         self.studies, self.engine, self.signals, self.finish = list(studies), engine, signals, finish
         self.running: dict[int, tuple[Jobs, Node]] = {}
         self._numbers = itertools.count()

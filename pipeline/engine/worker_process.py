@@ -50,15 +50,10 @@ class WorkerProcess:
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         self._connection, end = Pipe()
         command = [sys.executable, "-P", "-m", _PROGRAM, str(os.getpid()), str(end.fileno())]
+        null = subprocess.DEVNULL
         try:  # in its own process group, so that Ctrl-C reaches only the parent
             self.process = subprocess.Popen(
-                command,
-                env=environment,
-                pass_fds=[end.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                process_group=0,
+                command, env=environment, pass_fds=[end.fileno()], stdin=null, stdout=null, stderr=null, process_group=0
             )
         finally:
             end.close()
@@ -108,17 +103,9 @@ class WorkerProcess:
             seconds, last_poll = seconds - min(_MAX_CHARGED, clock - last_poll), clock
             if seconds <= 0:
                 raise TimeoutError
-            if memory is not None and self.resident() > memory:
+            if memory is not None and resident(self.process.pid) > memory:
                 raise MemoryError
         return self._connection.recv()
-
-    def resident(self) -> int:
-        """Resident memory of the process [byte]; 0 after its end."""
-        try:
-            with open(f"/proc/{self.process.pid}/statm") as file:
-                return int(file.read().split()[1]) * resource.getpagesize()
-        except (OSError, IndexError):
-            return 0
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -126,6 +113,15 @@ class WorkerProcess:
         code = self.close()
         cause = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
         return f"The worker died {cause}."
+
+
+def resident(process: int | str) -> int:
+    """Resident memory of a process, by its number or "self" [byte]; 0 after its end."""
+    try:
+        with open(f"/proc/{process}/statm") as file:
+            return int(file.read().split()[1]) * resource.getpagesize()
+    except (OSError, IndexError):
+        return 0
 
 
 def _size(memory: int) -> str:
@@ -157,7 +153,7 @@ def members() -> list[dict[str, Any]]:
 
 
 def _member(worker: WorkerProcess) -> dict[str, Any]:
-    return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident()}
+    return {"host": platform.node(), "pid": worker.process.pid, "memory": resident(worker.process.pid)}
 
 
 def _ask(request: Request, *again: str) -> tuple[str, Any]:

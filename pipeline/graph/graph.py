@@ -6,13 +6,13 @@ Nodes are made when they are asked for: a grid of a million points needs no obje
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.pipeline.graph import layers
-from gaitsweep.pipeline.graph.keys import Digests, digest, task_key
+from gaitsweep.pipeline.graph.keys import digest, mixed, task_key, words
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid
 from gaitsweep.pipeline.grid.method import Method, variables
@@ -92,7 +92,6 @@ class Graph:
         self.study, self.grid, self.variables = study, Grid(study, in_memory), variables(study)
         self.method = self.grid.method
         self.layers = layers.layers(study, self.method)
-        self.digests = Digests(study, self.layers, self.method)
         #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
         #: latest lines are usually requested several times in a row.
         self.line_keys = functools.lru_cache(8)(self._line_keys)
@@ -125,6 +124,46 @@ class Graph:
                 keys[name] = task_key(layer.task, params, [keys[need].key for need in layer.needs])
         return keys
 
+    def digests(self, numbers: np.ndarray, versioned: bool = True) -> np.ndarray:
+        """Digests of lines that are computed side by side; unless `versioned`, those of all versions of the tasks.
+
+        Parameters
+        ----------
+        numbers : ndarray of int, shape (n,)
+        versioned : bool
+
+        Returns
+        -------
+        ndarray of uint64, shape (n, 2)
+        """
+        walkers, *indices = np.unravel_index(numbers, self.study.line_shape)
+        axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
+        values = [axis.values[index].astype(float) for axis, index in axes]
+        values += [np.full(len(numbers), mark).view(float) for mark in self._marks]
+        return mixed(self._walker_digests[walkers, 0 if versioned else 1], values)
+
+    @functools.cached_property
+    def _marks(self) -> list[np.ndarray]:
+        """Marks of what lines share: the charts of a plane, and the slopes, computed together and in their order."""
+        shared = [self.study.slope.astype(float)]
+        if self.method is Method.PLANE and self.study.plane:
+            region = self.study.plane.region
+            shared.insert(0, np.array([*region["low"], *region["high"], *region["log"], region["lines"]]))
+        return [words(values.tobytes(), 1) for values in shared]
+
+    @functools.cached_property
+    def _walker_digests(self) -> np.ndarray:
+        """Digests of each walker with all that its lines share, for this version of the tasks and for all."""
+        names = ("points", "atlas", *(("charts",) if self.method is Method.PLANE else ()))
+        points, *others = (self.layers[name].task for name in names)
+        shared = {
+            "options": layers.point_params(self.study, self.method),
+            "keys": sorted(axis.name for axis in self.study.line_axes),
+        }
+        versions = [f"{task.name} {task.version}" for task in others]
+        keys = [task_key(points, {**shared, "walker": walker}, versions) for walker in self.study.walkers]
+        return np.array([[words(text.encode(), 2) for text in key] for key in keys])
+
     def chunk_key(self, chunk: Chunk) -> Key:
         """Key of a chunk."""
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
@@ -149,11 +188,10 @@ class Graph:
             keys[name] = task_key(layer.task, layers.study_params(self.study, name), [*shared, *inputs])
         return keys
 
-    def line_node(self, number: int, name: str) -> Node:
-        """Node of a task over a line."""
-        keys = self.line_keys(number)
-        needs = tuple(keys[need].key for need in self.layers[name].needs)
-        return Node(name, keys[name], needs, number)
+    def node(self, name: str, line: int | None = None) -> Node:
+        """Node of a task over a line, or over the study."""
+        keys = self.study_keys if line is None else self.line_keys(line)
+        return Node(name, keys[name], tuple(keys[need].key for need in self.layers[name].needs if need in keys), line)
 
     def charted(self, charts: Node) -> int:
         """Number of lines that charts are for."""
@@ -180,7 +218,7 @@ class Graph:
         number, axes = int(chunk.numbers[0]), self.study.plane.axes
         spans = dict(zip(self.grid.sizes, chunk.box, strict=True))
         values = [axis.values[spans[axis.name]] for axis in axes]
-        left = [self.line_node(number, "charts")]
+        left = [self.node("charts", number)]
         for node in left:  # which grows
             yield node
             for half in halves(node):
@@ -191,18 +229,12 @@ class Graph:
                     key = task_key(self.layers["charts"].task, params)
                     left.append(Node("charts", key, line=number, box=box))
 
-    def study_node(self, name: str) -> Node:
-        """Node of a task over the study."""
-        keys = self.study_keys
-        return Node(name, keys[name], tuple(keys[need].key for need in self.layers[name].needs if need in keys))
-
     def chunk_node(self, chunk: Chunk) -> Node:
         """Node of a chunk."""
         key = self.chunk_key(chunk)
-        line = int(chunk.numbers[0])
         if self.method.is_of_lines:
             return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.numbers)))
-        return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk=chunk)
+        return replace(self.node("points", int(chunk.numbers[0])), key=key, chunk=chunk)
 
     def function(self, node: Node) -> str:
         """Function of the task of a node; of lines side by side, that of their atlases and points."""
@@ -221,12 +253,7 @@ class Graph:
         shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
         if node.line is not None:
             return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}
-        plane = {"plane": study.plane.region} if self.method is Method.PLANE and study.plane else {}
-        keeps_atlases = {"atlases": "atlas" in self.line_tasks}
-        return {
-            "lines": study.lines_at(node.numbers),
-            **plane,
-            **keeps_atlases,
-            **layers.point_params(study, self.method),
-            **shared,
-        }
+        own: dict[str, Any] = {"lines": study.lines_at(node.numbers), "atlases": "atlas" in self.line_tasks}
+        if self.method is Method.PLANE and study.plane:
+            own["plane"] = study.plane.region
+        return {**own, **layers.point_params(study, self.method), **shared}

@@ -70,7 +70,7 @@ class Plan:
         keys, atlas = graph.line_keys(number), self.outcome_of_line(number)
         if atlas and atlas.status != "ok" and not self.retry:
             return
-        rest = [self._why(graph.line_node(number, name)) for name in graph.line_tasks if name != "atlas"]
+        rest = [self._why(graph.node(name, number)) for name in graph.line_tasks if name != "atlas"]
         if not graph.method.is_of_lines and graph.grid.chunks:
             chunks = graph.grid.chunks_of_line(number)
             rest += [self._of_chunk(graph.grid.chunk(chunks[k])) for k in golden_ratio_order(len(chunks))]
@@ -78,7 +78,7 @@ class Plan:
         # Tasks over the study read the atlas too.
         readers = {*(node.task for node in missing), *graph.study_tasks}
         if "atlas" in keys and any("atlas" in graph.layers[name].needs for name in readers):
-            node = self._why(graph.line_node(number, "atlas"))
+            node = self._why(graph.node("atlas", number))
             if node:
                 yield node
         # The result of one may have come from another study since.
@@ -156,15 +156,13 @@ class Plan:
 
         They are in chunks of other grids, as a study has them after its axes were changed.
         """
-        keys, digests, rows = [], [], []
+        keys, digests, rows = list[str](), [np.empty(0, np.uint64)], [np.empty(0, int)]
         for key in self.store.numbers:
             head = self.store.chunk(key) if key.startswith("points-") else None
             if head and len(head.digests) and self._holds(head):
                 keys += [key] * len(head.digests)
                 digests.append(head.digests[:, 0])
                 rows.append(np.arange(len(head.digests)))
-        if not keys:
-            return [], np.empty(0, np.uint64), np.empty(0, int)
         order = np.argsort(np.concatenate(digests), kind="stable")
         return [keys[k] for k in order], np.concatenate(digests)[order], np.concatenate(rows)[order]
 
@@ -175,7 +173,7 @@ class Plan:
         """
         keys, numbers = self.graph.study_keys, self.store.numbers
         for name, key in keys.items():
-            node, needs = self.graph.study_node(name), self.graph.layers[name].needs
+            node, needs = self.graph.node(name), self.graph.layers[name].needs
             outcome = self.store.outcome(key.key)
             if outcome is None:
                 yield replace(node, why=self._new_or_changed(key))
@@ -225,20 +223,17 @@ def summary(plan: Plan) -> Summary:
         for name, total in totals.items():
             todo[name]["new"] = total
     else:
-        changes = False
         for node in plan.nodes():
-            changes = True
             todo[node.task][node.why] += plan.graph.size(node)
             if node.lines:
                 todo["atlas"][node.why] += node.lines
+        changes = any(todo.values())
         for node in plan.over_study():
             todo[node.task][node.why] += 1
         for name in plan.graph.study_tasks if changes else ():
             if not todo[name]:
                 todo[name]["its inputs change"] = 1
-    result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in layers})
     counts = {name: sum(why.values()) for name, why in todo.items()}
-    if any(counts.values()):
-        work = sum(n * plan.graph.seconds(name) for name, n in counts.items() if n)
-        result.seconds = work + costs.starting(study)
-    return result
+    work = sum(n * plan.graph.seconds(name) for name, n in counts.items() if n)
+    seconds = work + costs.starting(study) if any(counts.values()) else 0.0
+    return Summary(todo, {name: totals[name] - n for name, n in counts.items()}, seconds)

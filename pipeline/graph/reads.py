@@ -9,8 +9,8 @@ import numpy as np
 
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.graph.plan import Plan
-from gaitsweep.pipeline.statuses import ALL_STATUSES
-from gaitsweep.pipeline.store.record import Head, dtype_of, has_multipliers
+from gaitsweep.pipeline.statuses import NOT_ATTEMPTED
+from gaitsweep.pipeline.store.record import Head, Points, joined
 from gaitsweep.tasks.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
@@ -46,32 +46,25 @@ class _Lines:
 
     def line(self, number: int) -> dict[str, Any]:
         """Slopes and variables, shape (n, gait[, multiplier]), of one line."""
-        grid = self.graph.grid
-        parts = []
+        grid, parts = self.graph.grid, []
         for k in grid.chunks_of_line(number):
             chunk = grid.chunk(k)
             n = chunk.slopes.stop - chunk.slopes.start
             place = int(np.flatnonzero(chunk.numbers == number)[0])
             rows = np.arange(n)[-chunk.slopes.start % self.step :: self.step] + place * n
-            stored = self._chunk(k)
-            parts.append({name: self._column(stored.get(name), name, rows) for name in self.names})
-        values = {name: np.concatenate([part[name] for part in parts]) for name in self.names}
+            stored = self._chunk(k).values
+            parts.append(Points({name: stored[name][rows] for name in self.names}))
+        values = joined(parts, (len(GAITS), grid.multipliers)).values
+        for name in self.names:
+            values[name][:, self.others] = VARIABLES[name].absent
         return {"slope": self.plan.study.slope[:: self.step], **values}
 
-    def _read(self, number: int) -> dict[str, np.ndarray]:
-        key, store = self.graph.chunk_key(self.graph.grid.chunk(number)).key, self.plan.store
+    def _read(self, number: int) -> Points:
+        chunk, store = self.graph.grid.chunk(number), self.plan.store
+        key = self.graph.chunk_key(chunk).key
         if key not in store:
-            return {}
+            return Points.of_ending(chunk.points, "not_attempted", NOT_ATTEMPTED, self.names)
         head, payload = store.get(key)
         with store.reading():
             contents = Head(head)
-            return {name: contents.unpack(memoryview(payload), name) for name in self.names}
-
-    def _column(self, stored: np.ndarray | None, name: str, rows: np.ndarray) -> np.ndarray:
-        absent = ALL_STATUSES["not_attempted"] if name == "status" else VARIABLES[name].absent
-        shape = (len(rows), len(GAITS), *([self.graph.grid.multipliers] if has_multipliers(name) else []))
-        whole = np.full(shape, absent, dtype_of(name))
-        if stored is not None:
-            whole[:, : stored.shape[1]] = stored[rows]
-        whole[:, self.others] = VARIABLES[name].absent
-        return whole
+            return Points({name: contents.unpack(memoryview(payload), name) for name in self.names})

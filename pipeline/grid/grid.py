@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,15 +136,17 @@ class Grid:
 
     def chunk(self, number: int) -> Chunk:
         """The chunk of that number, in C order of the grid."""
-        corner = [int(k) * n for k, n in zip(np.unravel_index(number, self._counts), self.extent, strict=True)]
-        box = tuple(
-            slice(start, min(start + extent, n))
-            for start, extent, n in zip(corner, self.extent, self.sizes.values(), strict=True)
-        )
-        spans = dict(zip(self.sizes, box, strict=True))
-        sizes = tuple(span.stop - span.start for span in box)
+        places = np.unravel_index(number, self._counts)
+        spans = {
+            name: slice(int(k) * extent, min((int(k) + 1) * extent, n))
+            for (name, n), k, extent in zip(self.sizes.items(), places, self.extent, strict=True)
+        }
+        of_lines = (spans.get("walker", slice(0, 1)), *(spans[axis.name] for axis in self.study.line_axes))
+        indices = np.ix_(*(np.arange(span.start, span.stop) for span in of_lines))
+        numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
+        sizes = tuple(span.stop - span.start for span in spans.values())
         shape = Shape(sizes, self.extent, list(self.sizes).index("slope"))
-        return Chunk(box, self._lines_in(spans), spans["slope"], shape)
+        return Chunk(tuple(spans.values()), numbers, spans["slope"], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
@@ -153,14 +155,6 @@ class Grid:
         first = [0 if k == slope else int(next(indices)) // extent for k, extent in enumerate(self.extent)]
         start, step = int(np.ravel_multi_index(first, self._counts)), math.prod(self._counts[slope + 1 :])
         return range(start, start + self._counts[slope] * step, step)
-
-    def _lines_in(self, spans: Mapping[str, slice]) -> np.ndarray:
-        if not self.line_dims:
-            return np.zeros(1, int)
-        indices = np.ix_(*(np.arange(spans[name].start, spans[name].stop) for name in self.line_dims))
-        shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        numbers: np.ndarray = np.ravel_multi_index(indices, shape).ravel()
-        return numbers
 
     def _extent(self, in_memory: bool) -> dict[str, int]:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of one."""

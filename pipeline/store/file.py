@@ -21,8 +21,9 @@ _SCHEMA = (
     "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
 )
 #: SQLite errors that do not mean a damaged file; others but those of a full disk do.
-_HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
+_HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "AUTH")
 _NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
+_OF_SYSTEM = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
 _READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
 #: How a damaged file is read: a schema that cannot be parsed is no reason to read nothing.
 _OF_DAMAGED = ("trusted_schema=OFF", "writable_schema=ON")
@@ -59,18 +60,12 @@ def connect(path: Path | None, write: bool = True, new: bool = False) -> sqlite3
     else:
         db = sqlite3.connect(path or ":memory:", **options)
     try:
-        if new:
-            db.execute(f"PRAGMA page_size={_PAGE}")
-            db.execute(f"PRAGMA application_id={_APPLICATION_ID}")
-        if write:
-            db.execute("PRAGMA journal_mode=WAL")
-        for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
-            db.execute(f"PRAGMA {pragma}")
-        if new:
-            db.execute("BEGIN IMMEDIATE")
-            for statement in _SCHEMA:
-                db.execute(statement)
-            db.execute("COMMIT")
+        settings = [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"] if new else []
+        settings += ["journal_mode=WAL"] if write else []
+        for setting in (*settings, "trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
+            db.execute(f"PRAGMA {setting}")
+        for statement in ("BEGIN IMMEDIATE", *_SCHEMA, "COMMIT") if new else ():
+            db.execute(statement)
         if {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")} != set(_SCHEMA):
             raise sqlite3.DatabaseError("malformed")
         if write and db.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
@@ -180,17 +175,12 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
         raise error
     code = getattr(error, "sqlite_errorcode", 0)
     # SQLite also reports a full disk as an input or output error, as it does a folder in place of its log.
-    is_output_error = code & 0xFF == sqlite3.SQLITE_IOERR and code not in _READ_ERRORS
-    cannot_open = code & 0xFF == sqlite3.SQLITE_CANTOPEN
-    cause = (
-        shortage(error, path, path.with_name(path.name + "-wal"))
-        if is_output_error or cannot_open or isinstance(error, OSError)
-        else None
-    )
+    is_of_system = isinstance(error, OSError) or (code & 0xFF in _OF_SYSTEM and code not in _READ_ERRORS)
+    cause = shortage(error, path, path.with_name(path.name + "-wal")) if is_of_system else None
     if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
         raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
     if cause:
         raise unwritten(path, cause) from error
-    if is_output_error or code & 0xFF in _NOT_THE_FILE or isinstance(error, OSError):
+    if is_of_system or code & 0xFF in _NOT_THE_FILE:
         raise ArchiveError(f"{path} cannot be used: {error}.") from error
     raise CorruptStoreError(path) from error

@@ -85,15 +85,10 @@ class Points:
     @classmethod
     def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
-        shape, number = (points, len(GAITS)), sentence_number(reason)
-        values: dict[str, np.ndarray] = {
-            "status": np.full(shape, ENDINGS[ending], np.int8),
-            "reason": np.full(shape, number, _REASON),
-        }
-        for name in want:
-            if name not in values:
-                extent = (points, 0, 0) if has_multipliers(name) else (points, 0)
-                values[name] = np.empty(extent, VARIABLES[name].dtype)
+        number, shape = sentence_number(reason), (points, len(GAITS))
+        none = {name: (points, 0, 0) if has_multipliers(name) else (points, 0) for name in want}
+        values = {name: np.empty(extent, dtype_of(name)) for name, extent in none.items()}
+        values |= {"status": np.full(shape, ENDINGS[ending], np.int8), "reason": np.full(shape, number, _REASON)}
         return cls(values, {number: reason})
 
     def take(self, rows: np.ndarray) -> "Points":

@@ -69,7 +69,7 @@ def made(table: dict[str, Any]) -> Made:
     graph = Graph(parse(table, "", Path("plane.toml")), in_memory=True)
     if graph.method is not Method.PLANE:
         return Made()
-    first, arrays = graph.line_node(0, "charts"), {}
+    first, arrays = graph.node("charts", 0), {}
     params = graph.params(first)
     solve_planes.charts(params, [])  # loads code
     own = [k for k in range(graph.study.lines) if graph.line_keys(k)["charts"] == first.key]

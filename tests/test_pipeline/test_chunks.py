@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.pipeline.archive import layout
-from gaitsweep.pipeline.archive.direct_chunks import DirectChunks
+from gaitsweep.pipeline.archive.direct_chunks import direct_chunks
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from gaitsweep.pipeline.store import packing
 
@@ -46,11 +46,11 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
-    with DirectChunks(ours) as out:
+    with direct_chunks(ours) as write:
         for box in boxes(sizes, shape, MOST_POINTS):
             for corner, part in layout.split(values[box], box, extent):
                 packed = packing.pack_values(part, extent)
-                out.write("v", corner, packed.data)
+                write("v", corner, packed.data)
                 unpacked = packing.unpack(packed.data, values.dtype.str, extent)[tuple(map(slice, part.shape))]
                 np.testing.assert_array_equal(unpacked, part)
                 assert packed.checksum == zlib.crc32(part.tobytes())
@@ -63,8 +63,8 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     path = _file(tmp_path / "v.nc", SMOOTH, (1, 9000))
     data = bytearray(packing.pack(SMOOTH[:1], SMOOTH[:1].shape))
     data[len(data) // 2] ^= 1
-    with DirectChunks(path) as out:
-        out.write("v", (0, 0), bytes(data))
+    with direct_chunks(path) as write:
+        write("v", (0, 0), bytes(data))
     with netCDF4.Dataset(path) as file, pytest.raises(RuntimeError):
         file["v"][0]
 

@@ -50,9 +50,9 @@ def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
 def expand(study):
     """The graph in Dask's form: key -> task, parameters, keys of inputs."""
     graph = Graph(study)
-    nodes = [graph.line_node(i, name) for i in range(study.batches) for name in graph.line_tasks]
+    nodes = [graph.node(name, i) for i in range(study.batches) for name in graph.line_tasks]
     nodes += [graph.chunk_node(graph.grid.chunk(k)) for k in range(graph.grid.chunks)]
-    nodes += map(graph.study_node, graph.study_tasks)
+    nodes += map(graph.node, graph.study_tasks)
     return {node.key.key: (node.task, graph.params(node), list(node.needs)) for node in nodes}
 
 
@@ -93,9 +93,9 @@ def test_the_atlases_of_claims_are_those_that_they_compute_without_a_study(path)
 
 def test_claims_want_atlases_that_are_not_coarse_whatever_the_accuracy(make):
     long = make(slope=np.geomspace(0.01, 0.02, 300), accuracy=1e-6)
-    assert Graph(long).params(Graph(long).line_node(0, "atlas"))["coarse"]
+    assert Graph(long).params(Graph(long).node("atlas", 0))["coarse"]
     claimed = dataclasses.replace(long, claims=("E2",))
-    assert not Graph(claimed).params(Graph(claimed).line_node(0, "atlas"))["coarse"]
+    assert not Graph(claimed).params(Graph(claimed).node("atlas", 0))["coarse"]
 
 
 def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):

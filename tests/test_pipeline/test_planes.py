@@ -233,7 +233,7 @@ def test_charts_that_were_never_packed_are_damage(tmp_path):
     """Whatever their checksum: the run repairs its journal."""
     graph = Graph(read(written(tmp_path, HALVED)))
     with contextlib.closing(Store(tmp_path / "j")) as store:
-        charts = graph.line_node(0, "charts")
+        charts = graph.node("charts", 0)
         store.put_result(charts.key, Outcome("ok", ""), b"\xff" * 20)
         with pytest.raises(CorruptStoreError):
             Plan(graph.study, store).boxes(charts, "halves")

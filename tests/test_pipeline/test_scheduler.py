@@ -166,9 +166,8 @@ def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
     study.record(study.take()[0], result)
     assert study.is_over and not study.error
     lost = study.graph.line_keys(atlases[1].line)["branch"]
-    study.copy(
-        study.graph.line_node(atlases[1].line, "branch"), b""
-    )  # another study has it, but here it has nothing to stand on
+    # Another study has it, but here it has nothing to stand on.
+    study.copy(study.graph.node("branch", atlases[1].line), b"")
     assert lost.key not in study.store
 
 
@@ -323,7 +322,7 @@ def test_the_boxes_of_a_plane_are_made_once_for_all_chunks_that_meet_them(tmp_pa
             (tmp_path / f"{name}.toml").write_text(PLANE.format(name))
             store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
             plan = Plan(parse.read(tmp_path / f"{name}.toml"), store)
-            jobs.append(Jobs(plan, engine, progress.Progress(plan, summary(plan), tmp_path / "log", True)))
+            jobs.append(Jobs(plan, engine, progress.Progress(plan, summary(plan), tmp_path / "log", engine, True)))
         scheduler = Scheduler(jobs, engine, Signals())
         told = jobs[0].listen
         while taken := scheduler._next():
