@@ -5,7 +5,6 @@ import fcntl
 import os
 import re
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,9 @@ from gaitsweep.pipeline.report import entry, ledger, paper
 from gaitsweep.pipeline.report.entry import Entry
 from gaitsweep.pipeline.report.paper import PAPER
 from gaitsweep.pipeline.report.words import spaced, with_unit
+
+#: Text of a page, and its data files by their names.
+Page = tuple[str, dict[str, str]]
 
 #: How every page begins, whatever its title.
 _PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
@@ -30,7 +32,7 @@ _MAX_THUMBNAIL_BYTES = 200_000
 _CARD_BYTES = 150
 
 #: Places of a page for what depends on other pages.
-_PLACE = re.compile(r"<!--((?:pages|around|finding)(?::[\w-]+)?)-->.*?<!--/-->", re.S)
+_PLACE = re.compile(r"(<!--(pages|around|finding)(?::([\w-]+))?-->).*?<!--/-->", re.S)
 
 #: Pages that a page lists beside itself, and data of the ledger.
 _MAX_LISTED, _LEDGER = 40, "csv/ledger.csv"
@@ -54,11 +56,7 @@ def locked(out: Path) -> Iterator[None]:
 
 
 def combine(
-    environment: jinja2.Environment,
-    out: Path,
-    pages: dict[str, tuple[str, dict[str, str]]],
-    only: bool = False,
-    bundle: bool = False,
+    environment: jinja2.Environment, out: Path, pages: dict[str, Page], only: bool = False, bundle: bool = False
 ) -> None:
     """Write pages and their data, fill in what depends on others, and write the index and ledger of all pages there."""
     texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
@@ -113,14 +111,15 @@ class _Report:
         self.shown = [record for record in entries if not record.text]
         self.places = {record.slug: k for k, record in enumerate(self.shown)}
         self.claims = {str(row["id"]): row for record in entries for row in record.claims}
-        self.ledger, self.figures = ledger.families(entries), ledger.figures(entries)
+        self.figures = ledger.figures(entries)
+        self.ledger = ledger.families(entries, self.figures)
         self.parts: Any = environment.get_template("parts.html").module
 
     def page(self, name: str) -> str:
         """The index or the ledger."""
         lines = next((record.lines for record in self.shown if record.lines), [])
         text = self.environment.get_template(f"{name}.html").render(
-            sections=self.sections,
+            sections=self.sections(self.shown),
             ledger=self.ledger,
             tally=ledger.tally(self.ledger),
             signs=ledger.sign,
@@ -133,11 +132,10 @@ class _Report:
         )
         return self.filled(text, None)
 
-    @cached_property
-    def sections(self) -> dict[str, list[Entry]]:
-        """Pages by section of the index: those of the paper, then all others."""
+    def sections(self, shown: list[Entry]) -> dict[str, list[Entry]]:
+        """Some pages by section of the index: those of the paper, then all others."""
         titles = PAPER["sections"] | {"": "Other studies" if any(r.section for r in self.shown) else "Studies"}
-        groups = {title: [r for r in self.shown if r.section == name] for name, title in titles.items()}
+        groups = {title: [r for r in shown if r.section == name] for name, title in titles.items()}
         return {title: members for title, members in groups.items() if members}
 
     def _held(self, record: Entry) -> dict[str, int]:
@@ -149,12 +147,7 @@ class _Report:
 
     def filled(self, text: str, record: Entry | None) -> str:
         """A page with its places for what depends on other pages filled in."""
-
-        def fill(place: re.Match[str]) -> str:
-            kind, _, name = place[1].partition(":")
-            return f"<!--{place[1]}-->{self._part(kind, name, record)}<!--/-->"
-
-        return _PLACE.sub(fill, text)
+        return _PLACE.sub(lambda place: f"{place[1]}{self._part(place[2], place[3] or '', record)}<!--/-->", text)
 
     def _part(self, kind: str, name: str, record: Entry | None) -> str:
         if kind == "pages":
@@ -176,12 +169,10 @@ class _Report:
     def _near(self, record: Entry | None) -> dict[str, list[Entry]]:
         """Pages that a page lists beside itself: all, or of many those around it."""
         first = max(0, (self.places[record.slug] if record else 0) - _MAX_LISTED // 2)
-        near = {r.slug for r in self.shown[first : first + _MAX_LISTED]}
-        groups = {title: [r for r in members if r.slug in near] for title, members in self.sections.items()}
-        return {title: members for title, members in groups.items() if members}
+        return self.sections(self.shown[first : first + _MAX_LISTED])
 
 
-def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: set[str]) -> None:
+def _check_own(out: Path, pages: dict[str, Page], listed: set[str]) -> None:
     """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
     for name in (*pages, "index", "ledger", "bundle"):
         paths.check_own(out / f"{name}.html", _PAGE)

@@ -142,13 +142,9 @@ def residuals(source: Source) -> list[Table]:
 
 def results(source: Source) -> list[Table]:
     """Make every table of results in the archive that is not shown elsewhere on its page."""
-    captions, elsewhere = WORDS["tables"], WORDS["elsewhere"]["tables"]
-    order = [*captions, *sorted(source.tables.keys() - captions.keys())]
-    return [
-        _result(source, name, frame)
-        for name in order
-        if name not in elsewhere and (frame := source.table(name)) is not None
-    ]
+    order = [*WORDS["tables"], *sorted(source.tables.keys() - WORDS["tables"].keys())]
+    frames = {name: source.table(name) for name in order if name not in WORDS["elsewhere"]["tables"]}
+    return [_result(source, name, frame) for name, frame in frames.items() if frame is not None]
 
 
 def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
@@ -176,32 +172,21 @@ def _transposed(name: str, frame: pd.DataFrame) -> Table:
         met = column.endswith("_offset")
         values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
         rows.append([cell(_head(column)), *values])
-    meanings = frame["description"] if "description" in frame else [""] * len(frame)
-    return Table(
-        WORDS["tables"][name]["caption"],
-        ["", *map(str, frame["walker"])],
-        rows,
-        "",
-        ["", *meanings],
-        most=1 + len(meanings),
-    )
+    meanings = ["", *frame.get("description", [""] * len(frame))]
+    caption, heads = WORDS["tables"][name]["caption"], ["", *map(str, frame["walker"])]
+    return Table(caption, heads, rows, meanings=meanings, most=len(heads))
 
 
 def _printed_cells(name: str, frame: pd.DataFrame) -> Table:
     """The paper's figure 10: a row per walker, in each cell what is printed and computed, by range of slopes."""
-    columns = list(dict.fromkeys(frame["column"]))
-    rows = []
-    for walker, cells in frame.groupby("walker", sort=False):
-        row = [cell(str(walker))]
-        for column in columns:
-            lines = []
-            for entry in cells[cells["column"] == column].itertuples():
-                sign = WORDS["verdicts"].get(entry.verdict, {}).get("sign", "–")
-                where = f"γ {entry.slopes}: " if entry.slopes else ""
-                computed = re.sub(r"\^(\d+\.\d+)", r"ᵖ, p = \1", str(entry.computed))
-                lines.append(f"{sign} {where}{entry.printed}\n    computed {computed}")
-            row.append(Cell("\n".join(lines)))
-        rows.append(row)
+    columns, lines = list(dict.fromkeys(frame["column"])), dict[str, dict[str, list[str]]]()
+    for entry in frame.itertuples():
+        sign = WORDS["verdicts"].get(entry.verdict, {}).get("sign", "–")
+        where = f"γ {entry.slopes}: " if entry.slopes else ""
+        computed = re.sub(r"\^(\d+\.\d+)", r"ᵖ, p = \1", str(entry.computed))
+        own = lines.setdefault(str(entry.walker), {column: [] for column in columns})
+        own[entry.column].append(f"{sign} {where}{entry.printed}\n    computed {computed}")
+    rows = [[cell(walker), *(Cell("\n".join(texts)) for texts in own.values())] for walker, own in lines.items()]
     words = WORDS["tables"][name]
     return Table(words["caption"], ["walker", *columns], rows, words["note"])
 
@@ -210,19 +195,17 @@ def points(source: Source) -> pd.DataFrame:
     """List every grid point without a converged gait: coordinates, gait, status and the sentence that says why."""
     grid = source.outcomes
     if "status" not in grid:
-        return pd.DataFrame()
+        return pd.DataFrame(columns=["status", "reason"])
     status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
     at = np.nonzero(status.values)
     sentences, names = source.reasons, source.statuses
-    frame = pd.DataFrame(
-        {str(d): _decode(i, grid[d].values) for d, i in zip(status.dims, at, strict=True) if d in grid.coords}
-    )
+    columns = {str(d): _decode(i, grid[d].values) for d, i in zip(status.dims, at, strict=True) if d in grid.coords}
     values, codes = np.unique(status.values[at], return_inverse=True)
-    frame["status"] = _decode(codes, [names.get(int(s), str(s)) for s in values])
+    columns["status"] = _decode(codes, [names.get(int(s), str(s)) for s in values])
     index = np.atleast_1d(grid["reason"].values)[at] if "reason" in grid else np.full(len(at[0]), -1)
     values, codes = np.unique(index, return_inverse=True)
-    frame["reason"] = _decode(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
-    return frame
+    columns["reason"] = _decode(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
+    return pd.DataFrame(columns)
 
 
 def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
@@ -279,15 +262,13 @@ def _range(slopes: np.ndarray) -> list[Cell]:
 
 def listed(absent: pd.DataFrame) -> pd.DataFrame:
     """Points without a converged gait that the CSV file lists: failures first, which answers would push out."""
-    if absent.empty:
-        return absent
     order = np.argsort(absent["status"].isin(ANSWERS).to_numpy(), kind="stable")
     return absent.iloc[order[:MAX_LISTED]]
 
 
 def failures(absent: pd.DataFrame) -> Table | None:
     """Points that failed; that there is no gait at a point is an answer, not a failure."""
-    failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
+    failed = absent[~absent["status"].isin(ANSWERS)]
     if failed.empty:
         return None
     shown = failed.head(MAX_ROWS)

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,18 +35,14 @@ class Bar:
 Claim = dict[str, Any]
 
 
-def families(entries: Iterable[Entry]) -> dict[str, list[Claim]]:
-    """Every claim of some studies by subject, each with links to the figures that show it."""
-    entries = list(entries)
-    titles = {
-        (entry.slug, figure["name"]): f"{entry.short}: {figure['title']}" if len(entry.figures) > 1 else entry.short
-        for entry in entries
-        for figure in entry.figures
-    }
+def families(entries: list[Entry], places: Mapping[tuple[str, str], list[str]]) -> dict[str, list[Claim]]:
+    """Every claim of some studies by subject, each with links to the figures that show it, as `figures` gives them."""
     shown: dict[str, list[tuple[str, str]]] = {}
-    for (slug, name), ids in figures(entries).items():
-        for id in ids:
-            shown.setdefault(id, []).append((titles[slug, name], f"{slug}.html#{name}"))
+    for entry in entries:
+        for figure in entry.figures:
+            title = f"{entry.short}: {figure['title']}" if len(entry.figures) > 1 else entry.short
+            for id in places[entry.slug, figure["name"]]:
+                shown.setdefault(id, []).append((title, f"{entry.slug}.html#{figure['name']}"))
     rows = [_claim(row, shown.get(str(row["id"]), [])) for entry in entries for row in entry.claims]
     groups: dict[str, list[Claim]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
     for row in sorted(rows, key=lambda row: (row["id"][:1], len(row["id"]), row["id"])):
@@ -54,9 +50,8 @@ def families(entries: Iterable[Entry]) -> dict[str, list[Claim]]:
     return {subject: members for subject, members in groups.items() if members}
 
 
-def figures(entries: Iterable[Entry]) -> dict[tuple[str, str], list[str]]:
+def figures(entries: list[Entry]) -> dict[tuple[str, str], list[str]]:
     """Claims that each figure shows, by page and name: those that name it, and those that it names itself."""
-    entries = list(entries)
     rows = [
         (str(row["id"]), own if "/" in (own := str(row.get("figure", ""))) else f"{entry.study}/{own}")
         for entry in entries

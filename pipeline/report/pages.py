@@ -92,7 +92,7 @@ def write(
     return out / (f"{slugs[0]}.html" if is_shown else "index.html")
 
 
-def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
+def _make(source: Source, slug: str) -> folder.Page:
     """Text of the page of a study, and its data files by their names."""
     with blamed_if_damaged(source.path):
         if source.only_claims:
@@ -101,15 +101,13 @@ def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
         return _study_page(source, slug)
 
 
-def _in_processes(
-    sources: list[Source], slugs: list[str], tell: Callable[[int], object]
-) -> dict[str, tuple[str, dict[str, str]]]:
+def _in_processes(sources: list[Source], slugs: list[str], tell: Callable[[int], object]) -> dict[str, folder.Page]:
     """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some.
 
     Each is made in a process of its own that only writes to a pipe: what one does not deliver, for lack of memory or in
     error, is made here, where the error is raised.
     """
-    made: dict[str, tuple[str, dict[str, str]]] = {}
+    made: dict[str, folder.Page] = {}
     workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
     if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
         _environment()
@@ -124,7 +122,7 @@ def _in_processes(
     return {slug: made[slug] for slug in slugs}
 
 
-def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, tuple[str, dict[str, str]]]]:
+def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, folder.Page]]:
     """Yield pages, with their slugs, as processes make them, one each."""
     fork, waiting = multiprocessing.get_context("fork"), [*sources.items()][::-1]
     running: dict[Any, tuple[str, multiprocessing.process.BaseProcess]] = {}
@@ -164,7 +162,7 @@ def _deliver(source: Source, slug: str, sender: connection.Connection, receivers
         os._exit(0)
 
 
-def _study_page(source: Source, slug: str) -> tuple[str, dict[str, str]]:
+def _study_page(source: Source, slug: str) -> folder.Page:
     """The page of one study, which depends on no other, and its data files."""
     drawings, undrawn = _drawings(source, slug)
     sections = html_tables.sections(source)

@@ -74,27 +74,22 @@ class Line:
                 parts = rows.groupby((falls != falls.shift()).cumsum())
                 yield from (part.sort_values("slope") for _, part in parts)
             return
-        names = [
-            v
-            for v in dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
-            if v in data and data[v].dims == dims
-        ]
+        wanted = dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
+        names = [v for v in wanted if v in data and data[v].dims == dims]
         slopes, gaits = data["slope"].values, data["gait"].values.astype(str)
         shape = len(slopes), len(gaits)
         branch = data["branch"].values if "branch" in data else np.broadcast_to(np.arange(len(gaits)), shape)
         piece = data["piece"].values if "piece" in data else np.zeros(shape, int)
         for number, part in sorted(set(zip(branch[branch >= 0].tolist(), piece[branch >= 0].tolist(), strict=True))):
-            row, column = np.nonzero((branch == number) & (piece == part))
-            place = row - row[0]
-            frame = {"slope": slopes[row[0] : row[-1] + 1]}
-            for name in names:
-                frame[name] = np.full(len(frame["slope"]), np.nan)
-                frame[name][place] = data[name].values[row, column]
-            label = np.full(len(frame["slope"]), "", object)
-            label[place] = gaits[column]
-            radius = frame.get("spectral_radius", np.full(len(label), np.nan))
+            here = (branch == number) & (piece == part)
+            known = np.flatnonzero(here.any(axis=1))
+            row = np.arange(known[0], known[-1] + 1)
+            has, column = here.any(axis=1)[row], here.argmax(axis=1)[row]
+            frame = {name: np.where(has, data[name].values[row, column], np.nan) for name in names}
+            radius = frame.get("spectral_radius", np.full(len(row), np.nan))
             stable = np.where(np.isnan(radius), np.nan, (radius < 1).astype(float))
-            yield pd.DataFrame({**frame, "stable": stable, "gait": label, "branch": number, "piece": part})
+            about = {"stable": stable, "gait": np.where(has, gaits[column], ""), "branch": number, "piece": part}
+            yield pd.DataFrame({"slope": slopes[row], **frame, **about})
 
 
 @dataclass(frozen=True)
@@ -138,13 +133,14 @@ class Source:
         return " ".join(line.lstrip("# ").strip() for line in lines)
 
     @property
-    def walker_files(self) -> list[str]:
-        """Names of the study's walker files."""
+    def named_files(self) -> list[str]:
+        """Names of the files that the study names: those of its walkers, and that of its measurements."""
         walkers = self.study.get("walker")
         given = [*(walkers if isinstance(walkers, list) else [walkers]), self.toward]
         given += [each.get(key) for each in given if isinstance(each, dict) for key in ("base", "toward")]
-        names = (each for each in given if isinstance(each, str))
-        return list(dict.fromkeys(name for name in names if name.endswith(".toml")))
+        names = [each for each in given if isinstance(each, str) and each.endswith(".toml")]
+        overlay = self.given("figures", "overlay", "file")
+        return list(dict.fromkeys([*names, *([str(overlay)] if overlay else [])]))
 
     @property
     def toward(self) -> str | dict[str, Any]:
@@ -159,14 +155,9 @@ class Source:
         return ends(ways) if ways else ("the exactly tuned walker", "the physical one")
 
     @property
-    def overlay_file(self) -> str:
-        """Name of the file of measurements that the study names; empty if there is none."""
-        return str(self.given("figures", "overlay", "file") or "")
-
-    @property
     def file(self) -> str:
         """A name for the study's file that differs from those of its walkers."""
-        return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
+        return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.named_files else f"{self.slug}.toml"
 
     @property
     def run_options(self) -> str:
@@ -194,11 +185,6 @@ class Source:
         """Whether the study only feeds the ledger: it wants claims, and no figure but those."""
         return "claims" in self.tables and self.figures == ["claims"]
 
-    @property
-    def violation_limits(self) -> list[float]:
-        """Limits of violations in the order of their bits; an archive of an earlier version has none."""
-        return [float(limit) for _, limit in self.provenance.get("violation_limits", [])]
-
     @cached_property
     def walkers(self) -> dict[str, dict[str, Any]]:
         """Parameters of each walker before the axes change them, by the walker's name in the study."""
@@ -214,8 +200,7 @@ class Source:
     @property
     def varied(self) -> dict[str, tuple[str, ...]]:
         """Walker keys that the study varies, and the axes that change each."""
-        varied = dict(self.provenance.get("varied") or {})
-        return {str(key): tuple(map(str, axes)) for key, axes in varied.items()}
+        return {key: tuple(axes) for key, axes in self.provenance.get("varied", {}).items()}
 
     @property
     def walker(self) -> str:
@@ -229,21 +214,19 @@ class Source:
         for key, axes in self.varied.items():
             column = self.grid.get(key)
             if key not in axes and column is not None and all(a in at and a in column.coords for a in axes):
-                near = column.sel({axis: at[axis] for axis in axes}, method="nearest")
-                if "walker" in near.dims:
-                    near = near.isel(walker=list(self.walkers).index(walker))
+                near = self._of_walker(column, walker).sel({axis: at[axis] for axis in axes}, method="nearest")
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
     def moved(self, at: Mapping[str, Any], key: str, axes: Sequence[str]) -> np.ndarray:
         """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
-        column = self.grid[key]
-        if "walker" in column.dims:
-            column = column.isel(walker=list(self.walkers).index(at["walker"]))
+        column = self._of_walker(self.grid[key], at["walker"])
         fixed = {name: value for name, value in at.items() if name in column.dims and name not in axes}
-        column = column.sel(fixed).transpose(*axes)
-        order = [np.argsort(self.grid[axis].values) for axis in axes]
-        return np.asarray(column.values[np.ix_(*order)]).ravel()
+        return np.asarray(column.sel(fixed).sortby([*axes]).transpose(*axes).values).ravel()
+
+    def _of_walker(self, column: xr.DataArray, walker: str) -> xr.DataArray:
+        """A column of the grid for one of its walkers, where they differ."""
+        return column.isel(walker=list(self.walkers).index(walker)) if "walker" in column.dims else column
 
     @property
     def axes(self) -> list[str]:

@@ -99,7 +99,7 @@ def test_the_command_of_a_page_gives_its_gait(tmp_path, monkeypatch, capsys, wal
     stored = line.data.sel(slope=0.02, gait="long")
     assert gaits["long"]["stance_angle"] == pytest.approx(float(stored["stance_angle"]), rel=1e-12)
     assert gaits["long"]["period"] == pytest.approx(float(stored["period"]), rel=1e-12)
-    named = "parts/round.toml" in source.walker_files
+    named = "parts/round.toml" in source.named_files
     assert named == (toward == '"parts/round.toml"')
 
 

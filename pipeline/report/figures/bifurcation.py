@@ -82,19 +82,15 @@ def _widen(axes: Axes, printed: pd.DataFrame) -> None:
 
 def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the largest Lyapunov exponent of orbits against slope and, where they fall, how long they walk."""
-    if not np.isfinite(table["exponent"]).any():
+    table = table[table["index"] == 0] if "index" in table else table
+    frames = {"exponent": table, "lifetime": source.table("survival", "slope", "lifetime")}
+    shown = {name: each for name, each in frames.items() if each is not None and np.isfinite(each[name]).any()}
+    if "exponent" not in shown:
         return None
-    table, survival = (
-        table[table["index"] == 0] if "index" in table else table,
-        source.table("survival", "slope", "lifetime"),
-    )
-    shown = [(table, "exponent")]
-    if survival is not None and np.isfinite(survival["lifetime"]).any():
-        shown.append((survival, "lifetime"))
     sketch = Sketch("lyapunov", 330 if len(shown) > 1 else 230, len(shown), sharex=True)
     sketch.panels[0].axhline(0, color=MUTED, lw=0.9)
     lines = [line.label or source.walker for line in source.lines_of(table)]
-    for axes, (frame, column) in zip(sketch.panels, shown, strict=True):
+    for axes, (column, frame) in zip(sketch.panels, shown.items(), strict=True):
         for k, line in enumerate(source.lines_of(frame)):
             seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
             axes.plot(seen["slope"], seen[column], ".", color=colour(k), ms=2.5)

@@ -77,12 +77,11 @@ def _draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, 
     joints = np.array([hip, knee, bottom])
     axes.plot(joints.real, joints.imag, solid_joinstyle="round", **line)
     if body.radius:
-        toward = np.degrees(shank) - 90
-        ends = {"theta1": toward - 28, "theta2": toward + 28, "zorder": line.get("zorder", 2)}
-        how = {"color": line.get("color", INK), "lw": line.get("lw", 1)}
-        axes.add_patch(Arc((foot.real, foot.imag), 2 * body.radius, 2 * body.radius, **ends, **how))
+        toward, size = np.degrees(shank) - 90, 2 * body.radius
+        how: Any = {"theta1": toward - 28, "theta2": toward + 28, "zorder": 2, **line}
+        axes.add_patch(Arc((foot.real, foot.imag), size, size, **how))
     else:
-        axes.plot(foot.real, foot.imag, "o", color=line.get("color", INK), ms=2 + line.get("lw", 1))
+        axes.plot(foot.real, foot.imag, "o", color=line["color"], ms=2 + line["lw"])
 
 
 def draw_pose(
@@ -134,9 +133,8 @@ def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
 def _finish(sketch: Sketch, source: Source, bodies: Collection[str], data: pd.DataFrame, **values: Any) -> Sketch:
     """Say which walkers are drawn."""
     every, names = len(source.walkers), ", ".join(f"walker {name}" for name in bodies)
-    varied = ", ".join(source.varied)
-    known: dict[str, Any] = {"names": names, "varied": varied, "drawn": len(bodies), "every": every}
-    return sketch.finish(data, **(known | values))
+    drawn, varied = min(_MAX_WALKERS, every), ", ".join(source.varied)
+    return sketch.finish(data, names=names, varied=varied, drawn=drawn, every=every, **values)
 
 
 def walker(source: Source) -> Sketch | None:
@@ -149,9 +147,7 @@ def walker(source: Source) -> Sketch | None:
         _draw_walker(sketch, axes, name, body, table)
         rows += [{"walker": name, "parameter": key, "value": value} for key, value in table.items()]
     s, each = ("s", ", each to its own scale") if len(bodies) > 1 else ("", "")
-    return _finish(
-        sketch, source, bodies, pd.DataFrame(rows), s=s, each=each, drawn=min(_MAX_WALKERS, len(source.walkers))
-    )
+    return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
 
 def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> None:
@@ -165,20 +161,16 @@ def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mappi
     back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
     draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
     thigh, shank = _centres_of_mass(body, table, hip, -spread)
-    masses = {
-        "thigh": (thigh, _number(table, "m_t"), _number(table, "r_t")),
-        "shank": (shank, _number(table, "m_s"), _number(table, "r_s")),
-        "hip": (hip, _number(table, "m_h"), 0.0),
-    }
-    total = sum(m * (1 if part == "hip" else 2) for part, (_, m, _) in masses.items()) or 1.0
-    for part, (at, mass, gyration) in masses.items():
+    total = 2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h") or 1.0
+    for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip)):
+        letter = part[0]
+        mass, gyration = _number(table, f"m_{letter}"), _number(table, f"r_{letter}")  # the hip has no radius
         if not np.isfinite(mass) or mass <= 0:
             continue
         size = 0.11 * height * np.sqrt(mass / total)
         axes.add_patch(Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4))
         if gyration > 0:
             axes.add_patch(Circle((at.real, at.imag), gyration, fill=False, color=MUTED, lw=0.7, ls=(0, (2, 2))))
-        letter = part[0]
         values = {f"m_{letter}": mass} | ({f"r_{letter}": gyration} if part != "hip" else {})
         rows = pd.DataFrame([{**values, "x": at.real, "y": at.imag}])
         sketch.mark(axes, rows, f"{name} · {part}", tips={key: key for key in values}, x="x", y="y")

@@ -50,14 +50,10 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
             axes.set_title(letter + shorten(line.label, 60 // across), fontsize=9, pad=4, loc="left")
     for axes in panels[count:]:
         axes.axis("off")
-    for axes in panels:
-        axes.set_ylim(bottom=0)
-        axes.set_xlim(left=0)
-        if across > 1:
-            axes.locator_params(axis="x", nbins=3)
+    panels[0].set(xlim=(0, None), ylim=(0, None))  # which all panels share
+    if across > 1:
+        panels[0].locator_params(axis="x", nbins=3)
     numbered = _draw_points(panels[0], landmarks.point_numbers(source)) if count == 1 else False
-    printed = landmarks.rows(source)
-    has_printed = count == 1 and landmarks.draw_at_angles(panels[0], printed)
     sketch.figure.supxlabel("slope γ (rad)", fontsize=9.5)
     if count == 1:
         set_heading(panels[0], "stance angle θ* (rad)")
@@ -70,12 +66,11 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
     sketch.line_keys([line.label for line in chosen] if together else [])
     for kind in special["kind"].astype(str).unique() if "kind" in special else ():
         sketch.dot_key(spaced(kind), **_mark(kind))
-    if has_printed:
-        sketch.printed_key()
+    printed = landmarks.sentence(landmarks.draw_at_angles(sketch, panels[0], source)) if count == 1 else ""
     return sketch.finish(
         data,
         numbered=numbered,
-        printed=landmarks.sentence(printed) if has_printed else "",
+        printed=printed,
         drawn=len(chosen),
         every=len(every),
         count=count,
@@ -86,13 +81,8 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
 
 def _mark(kind: str) -> dict[str, Any]:
     """Properties of the mark of a kind of special point."""
-    is_end = kind.startswith("end_")
-    return {
-        "marker": WORDS["special_points"].get(kind, "*"),
-        "color": INK,
-        "mfc": INK if is_end else PAPER,
-        "ms": 6 if is_end else 5,
-    }
+    fill, size = (INK, 6) if kind.startswith("end_") else (PAPER, 5)
+    return {"marker": WORDS["special_points"].get(kind, "*"), "color": INK, "mfc": fill, "ms": size}
 
 
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:

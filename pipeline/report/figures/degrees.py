@@ -22,12 +22,11 @@ def add_degrees(figure: Figure) -> None:
     panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None and axes.axison]
     for axes in panels:
         place: Any = axes.get_subplotspec()
-        if place.is_first_row() and _is_in_radians(axes, panels, "x"):
-            _add(axes, "x")
         # Panels that do not share a scale each have their own.
         alone = len(axes.get_shared_y_axes().get_siblings(axes)) == 1
-        if (place.is_last_col() or alone) and _is_in_radians(axes, panels, "y"):
-            _add(axes, "y")
+        for which, edge, is_outer in ("x", "top", place.is_first_row()), ("y", "right", place.is_last_col() or alone):
+            if is_outer and getattr(axes, f"get_{which}scale")() != "log" and _is_in_radians(axes, panels, which):
+                _add(axes, which, edge)
 
 
 def _is_in_radians(axes: Axes, panels: list[Axes], which: str) -> bool:
@@ -40,14 +39,10 @@ def _is_in_radians(axes: Axes, panels: list[Axes], which: str) -> bool:
     return any(_UNIT in title for title in (*titles, getattr(figure, f"get_sup{which}label")()))
 
 
-def _add(axes: Axes, which: str) -> None:
-    if getattr(axes, f"get_{which}scale")() == "log":
-        return
+def _add(axes: Axes, which: str, edge: str) -> None:
     low, high = np.degrees(sorted(getattr(axes, f"get_{which}lim")()))
     ticks = [float(tick) for tick in MaxNLocator(_MAX_INTERVALS).tick_values(low, high) if low <= tick <= high]
-    second = getattr(axes, f"secondary_{which}axis")(
-        "top" if which == "x" else "right", functions=(np.degrees, np.radians)
-    )
+    second = getattr(axes, f"secondary_{which}axis")(edge, functions=(np.degrees, np.radians))
     getattr(second, f"set_{which}ticks")(ticks, [f"{plain(tick, 3)}°" for tick in ticks])
     second.tick_params(colors=MUTED, labelsize=8, length=2)
-    second.spines["top" if which == "x" else "right"].set(visible=True, color=RULE)
+    second.spines[edge].set(visible=True, color=RULE)

@@ -165,15 +165,12 @@ def _label_lines(sketch: Sketch, lines: Sequence[Line], names: Sequence[str], x:
 def _draw_laws(sketch: Sketch, axes: Axes, source: Source, lines: list[Line], names: list[str]) -> dict[str, Any]:
     """Draw fitted power laws and printed slopes; what is said of them."""
     fitted, crossings = _draw_power_laws(source, axes, lines), _draw_fitted_lines(source, axes, lines, names)
-    printed = landmarks.rows(source)
-    has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     if fitted:
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
     if crossings:
         sketch.key("fitted on either side of the transition", INK, lw=0.6)
-    if has_printed:
-        sketch.printed_key()
-    said = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
+    printed = landmarks.draw_at_angles(sketch, axes, source)
+    said = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])])
     return {"fitted": fitted, "crossings": crossings, "printed": said}
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import as_printed, plain
@@ -37,11 +38,12 @@ def point_numbers(source: Source) -> pd.DataFrame:
     return table[table["point"].astype(str) != ""]
 
 
-def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
-    """Mark printed slopes at the stance angles of the computed landmarks; whether there were any."""
+def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
+    """Mark printed slopes at the stance angles of the computed landmarks; all that are printed, if any is marked."""
+    printed = rows(source)
     low, high = sorted(axes.get_xlim())
     log = axes.get_xscale() == "log"
-    table = table[np.isfinite(table["stance_angle"]) & table["printed"].between(low, high)]
+    table = printed[np.isfinite(printed["stance_angle"]) & printed["printed"].between(low, high)]
     for row in table.itertuples():
         at_left = not log and row.printed == table["printed"].min()  # the others stand to the right of the curves
         axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=PRINTED, lw=5, alpha=0.3, zorder=3)
@@ -50,7 +52,9 @@ def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
         offset, how = (5, -10) if log else (-5 if at_left else 5, 0), {"ha": "right" if at_left else "left"}
         text = as_printed(row.printed, row.half_unit)
         write_at(axes, text, (at, row.stance_angle), offset, va="center", color=PRINTED, **how)
-    return bool(len(table))
+    if len(table):
+        sketch.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
+    return printed if len(table) else table
 
 
 def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:

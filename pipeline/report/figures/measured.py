@@ -1,5 +1,6 @@
 """The user's own measurements: drawn on the figures of their variables, and compared with the curves."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -52,37 +53,30 @@ def residuals(source: Source) -> pd.DataFrame:
         those coordinates), `residual`, its `error` and the residual `over_error`. Curves are interpolated linearly; of
         several gaits the nearest is taken, unless the measurement names one.
     """
-    frame, rows = table(source), []
+    frame, parts = table(source), []
+    units, places = frame.attrs.get("units", {}), dict.fromkeys(("walker", *source.axes, "slope", "gait"))
     lines = [(rows_at(frame, line.at, _SAME), list(line.curves(*variables(source)))) for line in source.lines]
     compared = [part.index for part, _ in lines]
     # Measurements between the values of an axis are on no line; they are listed without a computed value.
     lines.append((frame.drop(np.concatenate(compared)) if compared else frame, []))
-    for variable in variables(source):
-        unit = print_units(frame.attrs.get("units", {}).get(variable, ""))
-        for part, curves in lines:
-            for _, row in part.iterrows():
-                value = float(row[variable])
-                if np.isfinite(value):
-                    computed = _nearest(curves, variable, row, value)
-                    error = float(row.get(f"{variable}_error", np.nan))
-                    place = {c: row[c] for c in ("walker", *source.axes, "slope", "gait") if c in row}
-                    rows.append(
-                        {
-                            **place,
-                            "variable": with_unit(spaced(variable), unit),
-                            "measured": value,
-                            "computed": computed,
-                            "residual": value - computed,
-                            "error": error,
-                            "over_error": (value - computed) / error if error > 0 else np.nan,
-                        }
-                    )
-    answer = pd.DataFrame(rows)
-    answer.attrs["units"] = {c: u for c, u in frame.attrs.get("units", {}).items() if c in answer}
+    for variable, (rows, curves) in itertools.product(variables(source), lines):
+        rows = rows.dropna(subset=variable)
+        parts.append(
+            rows[[c for c in places if c in rows]].assign(
+                variable=with_unit(spaced(variable), print_units(units.get(variable, ""))),
+                measured=rows[variable],
+                computed=np.array([_nearest(curves, variable, row) for _, row in rows.iterrows()], float),
+                residual=lambda known: known["measured"] - known["computed"],
+                error=rows.get(f"{variable}_error", np.nan),
+                over_error=lambda known: (known["residual"] / known["error"]).where(known["error"] > 0),
+            )
+        )
+    answer = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+    answer.attrs = {"units": {c: u for c, u in units.items() if c in answer}}
     return answer
 
 
-def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: float) -> float:
+def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series) -> float:
     """The computed value nearest to a measured one among the gaits at its slope; NaN if there is none."""
     computed = []
     for curve in curves:
@@ -94,4 +88,4 @@ def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: f
         slope = float(row.get("slope", part["slope"].iloc[0] if len(part) else np.nan))
         if len(part) and part["slope"].iloc[0] <= slope <= part["slope"].iloc[-1]:
             computed.append(float(np.interp(slope, part["slope"], part[variable])))
-    return min(computed, key=lambda y: abs(y - value)) if computed else np.nan
+    return min(computed, key=lambda y: abs(y - row[variable])) if computed else np.nan

@@ -6,15 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
-from gaitsweep.pipeline.report.figures.style import (
-    DOTTED,
-    INK,
-    MARKERS,
-    MUTED,
-    PAPER,
-    colour,
-    write_at,
-)
+from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MARKERS, MUTED, PAPER, colour, write_at
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import plain, print_units, shorten, spaced, symbol, with_unit
 

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gaitsweep.pipeline.report.figures.style import COLOURS, INK, PRINTED, canvas, colour, dash, set_heading, set_log
+from gaitsweep.pipeline.report.figures.style import COLOURS, INK, canvas, colour, dash, set_heading, set_log
 from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten, yes_or_no
 
 #: What a gait's columns are called under the pointer.
@@ -104,10 +104,6 @@ class Sketch:
         """Add the colours of lines to the legend; if they are too many to tell, none."""
         for k, name in enumerate(names if 1 < len(names) <= len(COLOURS) else ()):
             self.key(shorten(name), colour(k), lw=2.2)
-
-    def printed_key(self) -> None:
-        """Add the marks of printed numbers to the legend."""
-        self.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
 
     def finish(self, data: pd.DataFrame | None = None, lines: Iterable[str] = (), **values: Any) -> "Sketch":
         """Keep the figure's data and the values of its words, and write the titles of its axes.

@@ -37,7 +37,8 @@ def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
     if not needed <= set(kept):
         return {}
-    return {**kept, "units": str(table.get("units", "1")), "violation_limits": source.violation_limits}
+    limits = [float(limit) for _, limit in source.provenance.get("violation_limits", [])]  # in the order of their bits
+    return {**kept, "units": str(table.get("units", "1")), "violation_limits": limits}
 
 
 def address(at: Mapping[str, Any], **start: float) -> str:
@@ -66,7 +67,8 @@ def lines(source: Source) -> list[dict[str, Any]]:
     through folds. Lines of tables of initial conditions have none: their figures hold the starts. Nor have lines of
     gaits of several steps, from which Newton's method would lead the script to those of one: these fly freely.
     """
-    by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
+    has_states = set(START[1:]) <= set(source.grid.data_vars)
+    by_line = {tuple(line.at.values()): (line, _joined(line)) for line in source.lines[:_MAX_LINES] if has_states}
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
         for line in [] if table is None else source.lines_of(table):
@@ -75,36 +77,28 @@ def lines(source: Source) -> list[dict[str, Any]]:
             by_line.setdefault(tuple(line.at.values()), (line, branches))
     chosen = [(line, [] if source.steps > 1 else own) for line, own in [*by_line.values()][:_MAX_LINES]]
     total = sum(len(branch) for _, branches in chosen for branch in branches)
-    records: list[dict[str, Any]] = []
-    for line, branches in chosen:
-        if keys := parameters(source, line.at):
-            records.append(
-                {
-                    "name": axis_values(line.at),
-                    "at": line.at,
-                    "keys": keys,
-                    "command": line.command,
-                    "first": _first(line.at, branches),
-                    "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
-                }
-            )
-    return records
+    return [
+        {
+            "name": axis_values(line.at),
+            "at": line.at,
+            "keys": keys,
+            "command": line.command,
+            "first": _first(line.at, branches),
+            "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
+        }
+        for line, branches in chosen
+        if (keys := parameters(source, line.at))
+    ]
 
 
-def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[Line, list[pd.DataFrame]]]:
-    """Lines of a grid with their branches: the pieces of each joined at its folds."""
-    by_line = {}
-    for line in source.lines[:_MAX_LINES]:
-        branches: dict[int, list[pd.DataFrame]] = {}
-        for piece in line.curves(*START[1:]):
-            piece = piece.dropna(subset=list(START[:4])).sort_values("slope")  # an axis may fall
-            # Pieces are counted from the branch's end at the lower slope: every other one is run through backwards.
-            branches.setdefault(int(piece["branch"].max()) if len(piece) else -1, []).append(
-                piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
-            )
-        joined = [pd.concat(pieces) for number, pieces in branches.items() if number >= 0]
-        by_line[tuple(line.at.values())] = (line, joined)
-    return by_line
+def _joined(line: Line) -> list[pd.DataFrame]:
+    """Branches of a line of a grid: the pieces of each joined at its folds."""
+    # Pieces are counted from the branch's end at the lower slope: every other one is run through backwards.
+    pieces = [
+        piece.dropna(subset=list(START[:4])).sort_values("slope", ascending=piece["piece"].iloc[0] % 2 == 0)
+        for piece in line.curves(*START[1:])
+    ]
+    return [branch for _, branch in pd.concat(pieces).groupby("branch")] if pieces else []
 
 
 def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | None]]:

@@ -23,19 +23,14 @@ from gaitsweep.pipeline.report.words import axis_values, plain, shorten, supersc
 WIDTH = 480
 
 #: Colours as drawn, those of walkers in their order. On the page each is a CSS variable, with a light and a dark value.
-INK, MUTED, RULE, PAPER = "#1b1d20", "#5d6268", "#dfe2e6", "#fefefd"
+_GROUND = {"ink": "#1b1d20", "muted": "#5d6268", "rule": "#dfe2e6", "paper": "#fefefd"}
 COLOURS = {
     "line0": "#1f6fb2", "line1": "#c04a08", "line2": "#2a7a54",
     "line3": "#8a6a00", "line4": "#a3246b", "line5": "#7a4fa3",
 }  # fmt: skip
+INK, MUTED, RULE, PAPER = _GROUND.values()
 LINE, SECOND, _, _, _, PRINTED = COLOURS.values()  # the last one: what the paper prints
-VARIABLES = {
-    INK: "ink",
-    MUTED: "muted",
-    RULE: "rule",
-    PAPER: "paper",
-    **{colour: name for name, colour in COLOURS.items()},
-}
+VARIABLES = {colour: name for name, colour in (_GROUND | COLOURS).items()}
 
 #: Colours in raster images, which cannot follow the page: legible on light and dark backgrounds.
 RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
