@@ -675,7 +675,7 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
     def stumble(*_):
         raise IndexError("out of bounds")
 
-    monkeypatch.setattr(pages, "_study", stumble)
+    monkeypatch.setattr(pages, "_study_page", stumble)
     # It is laid out for the pages only.
     with pytest.raises(ArchiveError, match=r"s\.nc is damaged: The attribute `title` is missing\."):
         pages.write([path], tmp_path / "out")
