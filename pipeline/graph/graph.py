@@ -165,13 +165,14 @@ class Graph:
         return np.array([[words(text.encode(), 2) for text in key] for key in keys])
 
     def chunk_key(self, chunk: Chunk) -> Key:
-        """Key of a chunk."""
+        """Key of a chunk: of its points, and of how they are packed."""
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
         if self.method.is_of_lines:
             parts = [digest(self.digests(chunk.numbers, is_versioned).tobytes()) for is_versioned in (True, False)]
         else:
             parts = list(self.line_keys(int(chunk.numbers[0]))["points"])
-        return Key(*(f"points-{digest(f'{part} {slopes}'.encode())}" for part in parts))
+        texts = f"{parts[0]} {slopes} {chunk.shape.order} {self.grid.multipliers}", f"{parts[1]} {slopes}"
+        return Key(*(f"points-{digest(text.encode())}" for text in texts))
 
     @functools.cached_property
     def study_keys(self) -> dict[str, Key]:

@@ -51,6 +51,12 @@ class Shape:
         """Shape of lines that are no chunk, one after the other."""
         return cls((lines, slopes), (lines, slopes), 1)
 
+    @property
+    def order(self) -> list[tuple[int, int, bool]]:
+        """What decides where values lie in a packed chunk; dimensions of one value, such as a walker's, do not."""
+        dims = zip(self.sizes, self.extent, strict=True)
+        return [(size, extent, k == self.slope) for k, (size, extent) in enumerate(dims) if extent > 1]
+
     def unfold(self, rows: np.ndarray) -> np.ndarray:
         """Arrange points in the order of the grid.
 

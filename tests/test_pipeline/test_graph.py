@@ -38,6 +38,21 @@ def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     assert "stance_angle" in variables(found) and "multiplier_real" not in variables(found)
 
 
+def test_a_chunk_that_is_packed_in_another_way_has_another_key(make):
+    """The last chunk of a line is as large as the others, padded; that of its slopes alone is smaller."""
+    slopes = np.linspace(0.001, 0.02, 40_001)
+    whole = Graph(make(slope=slopes))
+    last = whole.grid.chunk(whole.grid.chunks - 1)
+    assert last.shape.sizes < last.shape.extent
+    alone = Graph(make(slope=slopes[last.slopes]))
+    key, other = whole.chunk_key(last), alone.chunk_key(alone.grid.chunk(alone.grid.chunks - 1))
+    assert key.kin == other.kin and key.key != other.key
+    # A dimension more, of one value, moves none.
+    both = Graph(make(slope=slopes, walker=["E", "F"]))
+    of_e = both.grid.chunk(both.grid.chunks_of_line(1)[-1])
+    assert of_e.shape != last.shape and both.chunk_key(of_e) == key
+
+
 def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
     study = make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]})
     with contextlib.closing(Store(tmp_path / "j")) as store:

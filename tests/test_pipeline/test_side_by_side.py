@@ -99,12 +99,28 @@ def test_a_denser_grid_reuses_the_lines_it_shares(toy, text):
     assert toy.bytes() == few and again < 30 * 8
 
 
+@pytest.mark.parametrize("lines", [151, 8])
+def test_axes_may_be_named_in_another_order(toy, lines):
+    """Numbers of as many lines as slopes were transposed without a word."""
+    text = PLAIN.replace("n = 151", f"n = {lines}")
+    head, slope, rest = text.partition("slope = { from = 0.01, to = 0.2, n = 8 }\n")
+    toy.write(text)
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    toy.write(f"{head}{rest.replace('[want]', f'{slope}[want]')}")
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    turned = toy.bytes()
+    assert not chunks(toy)  # all lines are there
+    toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
+    assert toy.bytes() == turned and chunks(toy)
+
+
 @pytest.mark.parametrize("environment", [{}, SIDE_BY_SIDE])
 def test_a_walker_with_knees_may_join_and_leave(toy, environment):
     """It has four multipliers, and the others' are archived with as many; theirs of before were three."""
-    both = PLAIN.replace('"E"', '["E", "C"]')
+    few = PLAIN.replace("n = 151", "n = 21")
+    both = few.replace('"E"', '["E", "C"]')
     archives = {}
-    for text in (PLAIN, both, PLAIN):
+    for text in (few, both, few):
         toy.write(text)
         toy("run", "toy.toml", **environment)
         archives.setdefault(text, toy.bytes())
