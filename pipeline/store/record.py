@@ -32,7 +32,7 @@ def sentence_number(sentence: str) -> int:
     return int.from_bytes(hashlib.blake2b(sentence.encode(), digest_size=8).digest(), "little")
 
 
-def dtype_of(name: str) -> np.dtype:
+def _dtype_of(name: str) -> np.dtype:
     """Type of a variable in a record."""
     return _REASON if name == "reason" else np.dtype(VARIABLES[name].dtype)
 
@@ -87,7 +87,7 @@ class Points:
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         number, shape = sentence_number(reason), (points, len(GAITS))
         none = {name: (points, 0, 0) if has_multipliers(name) else (points, 0) for name in want}
-        values = {name: np.empty(extent, dtype_of(name)) for name, extent in none.items()}
+        values = {name: np.empty(extent, _dtype_of(name)) for name, extent in none.items()}
         values |= {"status": np.full(shape, ENDINGS[ending], np.int8), "reason": np.full(shape, number, _REASON)}
         return cls(values, {number: reason})
 
@@ -250,7 +250,7 @@ class Head:
         ndarray, shape (points, gaits) or (points, gaits, multipliers)
             Line by line.
         """
-        extent, dtype, columns = _extent(name, self.shape, self.multipliers), dtype_of(name), []
+        extent, dtype, columns = _extent(name, self.shape, self.multipliers), _dtype_of(name), []
         for g in range(self.columns[name]):
             piece = self.piece(payload, name, g)
             assert piece
