@@ -5,6 +5,7 @@ damaged records only.
 """
 
 import contextlib
+import functools
 import sqlite3
 import time
 from collections.abc import Iterator
@@ -60,16 +61,14 @@ class Store:
     def __init__(self, path: Path, write: bool = True):
         self.path, self._synced = path, 0.0
         self.numbers: dict[str, int] = {}
-        self._kin: set[str] = set()
         try:
             exists = file.is_ours(path)
             self._db = file.connect(path if exists or write else None, write, not exists)
         except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             file.raise_for(error, path)
         try:
-            for number, key, kin in self._execute("SELECT id, key, kin FROM records ORDER BY id"):
+            for number, key in self._execute("SELECT id, key FROM records ORDER BY id"):
                 self.numbers[str(key)] = number
-                self._kin.add(str(kin))
             self.last = max(self.numbers.values(), default=0)
         except BaseException:
             self.close()
@@ -88,8 +87,12 @@ class Store:
         return bool(self.numbers)
 
     def knows(self, kin: str) -> bool:
-        """Whether there is a record of any version of the task with these parameters."""
+        """Whether there was a record of any version of the task with these parameters when this was first asked."""
         return kin in self._kin
+
+    @functools.cached_property
+    def _kin(self) -> set[str]:
+        return {str(kin) for (kin,) in self._execute("SELECT kin FROM records")}
 
     def put(self, key: Key, head: bytes, payload: bytes) -> None:
         """Store a record, instead of an earlier one with its key.
@@ -107,7 +110,6 @@ class Store:
             self._execute("DELETE FROM records WHERE id = ?", earlier)
         self._synced = clock if is_synchronous else self._synced
         self.numbers[key.key] = number
-        self._kin.add(key.kin)
 
     def head(self, key: str) -> bytes:
         """Head of a record, without reading its payload."""
