@@ -4,7 +4,7 @@ import functools
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,10 @@ class PointWriter:
     Parameters
     ----------
     plan : Plan
-    check : callable
-        Called between chunks; it may raise.
     """
 
-    def __init__(self, plan: Plan, check: Callable[[], None]):
-        self.plan, self.study, self.grid, self.check = plan, plan.study, plan.graph.grid, check
+    def __init__(self, plan: Plan):
+        self.plan, self.study, self.grid = plan, plan.study, plan.graph.grid
         self.written = Written()
         self.sums: Counter[str] = Counter()
         self.dtypes: dict[str, np.dtype] = {}
@@ -54,7 +52,7 @@ class PointWriter:
 
     def _chunks(self) -> Iterator[tuple[Chunk, str]]:
         for number in range(self.grid.chunks):
-            self.check()
+            self.plan.check()
             yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk).key
 
     def _survey(self, chunk: Chunk, key: str) -> None:

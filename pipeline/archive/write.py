@@ -11,7 +11,6 @@ import json
 import os
 import zlib
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ from gaitsweep.pipeline.study import corners, units
 from gaitsweep.tasks.registry import VARIABLES
 
 
-def update(plan: Plan, path: Path, check: Callable[[], None]) -> Written:
+def update(plan: Plan, path: Path) -> Written:
     """Write the results in the store as `write` does, unless the archive at `path` was last written of the same ones.
 
     What it was written of is noted in the store, with the checksum of its bytes.
@@ -45,7 +44,7 @@ def update(plan: Plan, path: Path, check: Callable[[], None]) -> Written:
         if noted and noted == [results, _checksum(path)]:
             counts, failures, examples = contents
             return Written(Counter(counts), Counter(failures), examples)
-    written = write(plan, path, check)
+    written = write(plan, path)
     if (checksum := _checksum(path)) is not None:
         contents = [written.counts, written.failures, written.examples]
         plan.store.set_note("archive", json.dumps([results, checksum, contents]))
@@ -59,15 +58,13 @@ def _checksum(path: Path) -> int | None:
     return None
 
 
-def write(plan: Plan, path: Path, check: Callable[[], None] = lambda: None) -> Written:
+def write(plan: Plan, path: Path) -> Written:
     """Write the results in the store as the archive at `path`.
 
     Parameters
     ----------
     plan : Plan
     path : Path
-    check : callable, optional
-        Called between chunks; what it raises ends the writing.
 
     Returns
     -------
@@ -82,7 +79,7 @@ def write(plan: Plan, path: Path, check: Callable[[], None] = lambda: None) -> W
     draft = paths.of(target)
     try:
         read.check_replaceable(target)
-        written = _write(plan, draft, check)
+        written = _write(plan, draft)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
         os.replace(draft, target)
@@ -125,8 +122,8 @@ def _target(path: Path) -> Path:
     return path.resolve() if path.is_symlink() else path
 
 
-def _write(plan: Plan, draft: Path, check: Callable[[], None]) -> Written:
-    writer = PointWriter(plan, check) if plan.study.kind == "grid" else _LineWriter(plan)
+def _write(plan: Plan, draft: Path) -> Written:
+    writer = PointWriter(plan) if plan.study.kind == "grid" else _LineWriter(plan)
     with read.open_netcdf(draft, "w") as file:
         _write_header(file, plan, writer)
         writer.define(file)

@@ -102,7 +102,7 @@ def _attempt(studies: list["StudyRun"], options: Options, signals: Signals) -> N
     with contextlib.ExitStack() as stack:
         stack.callback(worker_process.close_all)
         for study in studies:
-            jobs = study.plan(engine)
+            jobs = study.plan(engine, signals)
             if jobs:
                 by_jobs[jobs] = study
                 stack.callback(study.pause)
@@ -175,11 +175,11 @@ class StudyRun:
             if self.options.fresh:
                 forget(sidecar_path(self.path, ".journal"))
 
-    def plan(self, engine: Engine) -> Jobs | None:
+    def plan(self, engine: Engine, signals: Signals) -> Jobs | None:
         """Compare the study with its journal, and lay out the jobs that are missing."""
         with self._guarded():
             self._store = Store(sidecar_path(self.path, ".journal"))
-            plan = Plan(self.study, self._store, self.options.retry_failed)
+            plan = Plan(self.study, self._store, self.options.retry_failed, signals.check)
             todo = summary(plan)
             log = sidecar_path(self.path, ".events.jsonl")
             self.progress = progress = Progress(plan, todo, log, engine, self.options.quiet, self.options.verbose)
@@ -196,7 +196,7 @@ class StudyRun:
             if jobs.error:
                 raise jobs.error
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = write.update(jobs.plan, self.path, signals.check)
+            written = write.update(jobs.plan, self.path)
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptStoreError(jobs.store.path)
             failures = result_tables.failed(jobs.plan)

@@ -2,7 +2,7 @@
 
 import functools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,10 +28,12 @@ class Plan:
     store : Store
     retry : bool
         Run failed tasks and points again.
+    check : callable
+        Called for each line or chunk, and by who writes an archive of the plan; what it raises ends that.
     """
 
-    def __init__(self, study: Study, store: Store, retry: bool = False):
-        self.study, self.store, self.retry, self.graph = study, store, retry, Graph(study)
+    def __init__(self, study: Study, store: Store, retry: bool = False, check: Callable[[], None] = lambda: None):
+        self.study, self.store, self.retry, self.check, self.graph = study, store, retry, check, Graph(study)
         self.columns = [GAITS.index(gait) for gait in study.gaits]
         self._boxes: dict[str, dict[str, list[dict[str, Any]]]] = {}  # by the keys of charts
         self._is_complete = False  # whether no node over chunks and lines is missing, as far as is known
@@ -66,6 +68,7 @@ class Plan:
 
     def _of_line(self, number: int) -> Iterator[Node]:
         """Missing nodes over a line, its atlas first."""
+        self.check()
         graph = self.graph
         keys, atlas = graph.line_keys(number), self.outcome_of_line(number)
         if atlas and atlas.status != "ok" and not self.retry:
@@ -117,6 +120,7 @@ class Plan:
 
     def _of_chunk(self, chunk: Chunk) -> Node | None:
         """Node of a chunk whose points are not all stored."""
+        self.check()
         node = self.graph.chunk_node(chunk)
         head = self.store.chunk(node.key.key) if node.key.key in self.store else None
         if head and self._holds(head):

@@ -3,12 +3,15 @@
 import contextlib
 import dataclasses
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.engine.jobs import _seconds_after
+from gaitsweep.pipeline.errors import StoppedError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.keys import task_key
 from gaitsweep.pipeline.graph.plan import Plan
@@ -36,6 +39,23 @@ def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     found = make(want={"variables": ["period"], "fits": ["transition"]})
     assert list(Graph(found).layers) == ["atlas", "points", "transition"]
     assert "stance_angle" in variables(found) and "multiplier_real" not in variables(found)
+
+
+@pytest.mark.parametrize("kind", ["grid", "branch"])
+def test_a_signal_ends_a_plan_between_chunks_and_lines_and_an_archive(make, tmp_path, kind):
+    """A million chunks take a minute."""
+    study = make(slope=np.linspace(0.001, 0.02, 40_001), kind=kind)
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(study, store, check=Mock())
+        nodes = [node for node in plan.nodes() if node.task != "atlas"]
+        assert plan.check.call_count >= len(nodes) >= 2
+        plan.check.side_effect = StoppedError(15, "Stopped.")
+        with pytest.raises(StoppedError):
+            next(plan.nodes())
+        if kind == "grid":
+            with pytest.raises(StoppedError):
+                write.write(plan, tmp_path / "s.nc")
+    assert [file.name for file in tmp_path.iterdir()] == ["j"]
 
 
 def test_a_chunk_that_is_packed_in_another_way_has_another_key(make):
