@@ -185,7 +185,7 @@ def test_a_column_that_other_lines_lack_is_missing_there(tmp_path, walkers):
 def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, monkeypatch, failure, full, error):
     """The netCDF library does not say why it cannot write."""
 
-    def fail(plan, draft, threads):
+    def fail(plan, draft):
         draft.write_bytes(b"begun")
         raise failure
 
