@@ -4,7 +4,6 @@ import importlib
 from typing import Any
 
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.tasks.registry import CALLS
 
 
 def resolve(name: str) -> Any:
@@ -15,7 +14,7 @@ def resolve(name: str) -> Any:
 
 def call(name: str, params: dict[str, Any]) -> Any:
     """Call a function of `tasks.registry.CALLS` in this process."""
-    return resolve(CALLS[name])(params)
+    return resolve(resolve("gaitsweep.tasks.registry:CALLS")[name])(params)
 
 
 def ask(name: str, params: dict[str, Any]) -> Any:

@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.tasks.registry import MAX_STEPS
-
 
 def count(text: str, most: int = 10**9) -> int:
     """A whole number from 1."""
@@ -32,6 +30,8 @@ def archive(text: str) -> Path:
 
 def steps(text: str) -> int:
     """Steps after which a gait repeats."""
+    from gaitsweep.tasks.registry import MAX_STEPS
+
     return count(text, MAX_STEPS)
 
 
