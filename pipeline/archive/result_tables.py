@@ -215,12 +215,10 @@ def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     """Kind of quantity and meaning of a column; one without a description is called by its name."""
-    keys = resolve("gaitsweep.tasks.walkers.walker:KEYS")
-    if name in registry.VARIABLES and f"{group}/{name}" not in table_columns():
+    keys, known = resolve("gaitsweep.tasks.walkers.walker:KEYS"), table_columns()
+    if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    kind, meaning = (
-        table_columns().get(f"{group}/{name}") or table_columns().get(name) or (keys.get(name, "number"), "")
-    )
+    kind, meaning = known.get(f"{group}/{name}") or known.get(name) or (keys.get(name, "number"), "")
     return kind, meaning or (f"walker's {name}" if name in keys else name.replace("_", " "))
 
 

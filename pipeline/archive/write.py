@@ -5,7 +5,6 @@ chunk by chunk, so memory does not limit its size.
 """
 
 import contextlib
-import functools
 import hashlib
 import json
 import os
@@ -54,7 +53,10 @@ def update(plan: Plan, path: Path) -> Written:
 def _checksum(path: Path) -> int | None:
     """Checksum of a file; None if it cannot be read."""
     with contextlib.suppress(OSError), open(path, "rb") as file:
-        return functools.reduce(lambda total, part: zlib.crc32(part, total), iter(lambda: file.read(1 << 20), b""), 0)
+        checksum = 0
+        while part := file.read(1 << 20):
+            checksum = zlib.crc32(part, checksum)
+        return checksum
     return None
 
 

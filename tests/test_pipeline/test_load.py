@@ -21,9 +21,8 @@ w_t = {{ from = 0.0, to = 1.0, n = {n} }}
 variables = ["stance_angle"]
 """
 WARM = 50_000  # of the log of events before memory and files are looked at [byte]
-#: Growth of the parent over a run [byte]: the libraries that write the archive, and what a job leaves behind, the key
-#: of its record.
-MEMORY, BYTES_A_JOB = 64 << 20, 300
+#: Growth of the parent over a run [byte]: the libraries that write the archive, and what a job may leave behind.
+MEMORY, BYTES_A_JOB = 64 << 20, 100
 
 
 def _held(pid):

@@ -71,8 +71,8 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
     worker_process.close_all()
     assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
     worker = sum(result["cpu"] for result in engine.results.values()) / study.points
-    # Other work slows some replays, and the first run computes.
-    journal, archive = (seconds / study.points for seconds in min(spent[1:], key=sum))
+    # The median of the replays: other work slows some, and the first run computes.
+    journal, archive = (seconds / study.points for seconds in sorted(spent[1:], key=sum)[1])
     tell(
         f"{name}: {1e6 * journal:.2f} µs a point for the journal,"
         f" {1e6 * archive:.2f} for the archive, {1e6 * worker:.0f} in a worker:"
