@@ -161,7 +161,7 @@ class Plan:
         They are in chunks of other grids, as a study has them after its axes were changed.
         """
         keys, digests, rows = list[str](), [np.empty(0, np.uint64)], [np.empty(0, int)]
-        for key in self.store.numbers:
+        for key in self.store:
             head = self.store.chunk(key) if key.startswith("points-") else None
             if head and len(head.digests) and self._holds(head):
                 keys += [key] * len(head.digests)
@@ -175,27 +175,27 @@ class Plan:
 
         Asked once all other nodes are stored; before, they run if any of these does.
         """
-        keys, numbers = self.graph.study_keys, self.store.numbers
+        keys = self.graph.study_keys
         for name, key in keys.items():
             node, needs = self.graph.node(name), self.graph.layers[name].needs
             outcome = self.store.outcome(key.key)
             if outcome is None:
                 yield replace(node, why=self._new_or_changed(key))
-            elif self._latest(needs, keys) > numbers[key.key]:
+            elif self._latest(needs, keys) > self.store.number(key.key):
                 yield replace(node, why="its inputs change")
             elif self.retry and outcome.status != "ok":
                 yield replace(node, why="retried")
 
     def _latest(self, needs: tuple[str, ...], over_study: dict[str, Key]) -> int:
         """Number of the latest record of some tasks of the study."""
-        graph, numbers, latest = self.graph, self.store.numbers, 0
+        graph, number, latest = self.graph, self.store.number, 0
         if "points" in needs:
             chunks = (graph.chunk_key(graph.grid.chunk(k)).key for k in range(graph.grid.chunks))
-            latest = max((numbers.get(key, 0) for key in chunks), default=0)
+            latest = max(map(number, chunks), default=0)
         for need in set(needs) & set(graph.line_tasks):
             lines = (graph.line_keys(i)[need].key for i in range(self.study.batches))
-            latest = max(latest, *(numbers.get(key, 0) for key in lines))
-        return max(latest, *(numbers.get(over_study[need].key, 0) for need in needs if need in over_study), 0)
+            latest = max(latest, *map(number, lines))
+        return max(latest, *(number(over_study[need].key) for need in needs if need in over_study), 0)
 
     def outcome_of_line(self, number: int) -> Outcome | None:
         """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""

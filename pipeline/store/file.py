@@ -62,7 +62,7 @@ def connect(path: Path | None, write: bool = True, new: bool = False) -> sqlite3
     try:
         settings = [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"] if new else []
         settings += ["journal_mode=WAL"] if write else []
-        for setting in (*settings, "trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
+        for setting in (*settings, "trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192", "temp_store=MEMORY"):
             db.execute(f"PRAGMA {setting}")
         for statement in ("BEGIN IMMEDIATE", *_SCHEMA, "COMMIT") if new else ():
             db.execute(statement)

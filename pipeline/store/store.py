@@ -6,6 +6,7 @@ damaged records only.
 
 import contextlib
 import functools
+import hashlib
 import sqlite3
 import time
 from collections.abc import Iterator
@@ -47,10 +48,8 @@ class Store:
 
     Attributes
     ----------
-    numbers : dict
-        Of each record, by its key; later ones are larger.
     last : int
-        The largest.
+        Number of the latest record.
 
     Raises
     ------
@@ -60,16 +59,17 @@ class Store:
 
     def __init__(self, path: Path, write: bool = True):
         self.path, self._synced = path, 0.0
-        self.numbers: dict[str, int] = {}
         try:
             exists = file.is_ours(path)
             self._db = file.connect(path if exists or write else None, write, not exists)
         except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             file.raise_for(error, path)
         try:
-            for number, key in self._execute("SELECT id, key FROM records ORDER BY id"):
-                self.numbers[str(key)] = number
-            self.last = max(self.numbers.values(), default=0)
+            # Of a million records, a dictionary by their keys would take a fifth of a gigabyte.
+            self._db.create_function("short", 1, _short, deterministic=True)
+            self._execute("CREATE TEMP TABLE numbers (short INTEGER PRIMARY KEY, id INTEGER)")
+            self._execute("INSERT OR REPLACE INTO numbers SELECT short(key), id FROM records ORDER BY id")
+            self.last: int = self._execute("SELECT ifnull(max(id), 0) FROM numbers")[0][0]
         except BaseException:
             self.close()
             raise
@@ -81,10 +81,19 @@ class Store:
         self._db.close()
 
     def __contains__(self, key: str) -> bool:
-        return key in self.numbers
+        return self.number(key) > 0
 
     def __bool__(self) -> bool:
-        return bool(self.numbers)
+        return self.last > 0
+
+    def number(self, key: str) -> int:
+        """Number of the latest record with that key, which later ones have larger; 0 if there is none."""
+        numbers = self._execute("SELECT id FROM numbers WHERE short = ?", _short(key))
+        return int(numbers[0][0]) if numbers else 0
+
+    def __iter__(self) -> Iterator[str]:
+        """Keys of all records, in the order of their numbers."""
+        return (str(key) for (key,) in self._execute("SELECT key FROM records ORDER BY id"))
 
     def knows(self, kin: str) -> bool:
         """Whether there was a record of any version of the task with these parameters when this was first asked."""
@@ -99,7 +108,7 @@ class Store:
 
         Durable at once if the run crashes, within `_SYNC_INTERVAL` if the power fails.
         """
-        clock, earlier = time.monotonic(), self.numbers.get(key.key)
+        clock, earlier = time.monotonic(), self.number(key.key)
         is_synchronous = clock - self._synced > _SYNC_INTERVAL
         self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
         number = self.last + 1
@@ -109,11 +118,11 @@ class Store:
         if earlier:  # if this is lost, the later one counts
             self._execute("DELETE FROM records WHERE id = ?", earlier)
         self._synced = clock if is_synchronous else self._synced
-        self.numbers[key.key] = number
+        self._execute("INSERT OR REPLACE INTO numbers VALUES (?, ?)", _short(key.key), number)
 
     def head(self, key: str) -> bytes:
         """Head of a record, without reading its payload."""
-        number = self.numbers[key]
+        number = self.number(key)
         for kin, own, head in self._execute("SELECT kin, sum, head FROM records WHERE id = ?", number):
             if isinstance(head, bytes) and file.sums(number, key, kin, head, b"")[0] == own:
                 return head
@@ -127,7 +136,7 @@ class Store:
         CorruptStoreError
             If it is not as it was written.
         """
-        for row in self._execute("SELECT * FROM records WHERE id = ?", self.numbers[key]):
+        for row in self._execute("SELECT * FROM records WHERE id = ?", self.number(key)):
             if row[1] == key and file.is_whole(row):
                 return row[-2:]
         raise CorruptStoreError(self.path)
@@ -143,7 +152,7 @@ class Store:
 
     def outcome(self, key: str) -> Outcome | None:
         """How the task of that key ended; None if it has no result."""
-        if key not in self.numbers:
+        if key not in self:
             return None
         with self.reading():
             outcome = Outcome(*serialize.load(self.head(key)))
@@ -183,3 +192,8 @@ class Store:
             return self._db.execute(sql, values).fetchall()
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             file.raise_for(error, self.path)
+
+
+def _short(key: str) -> int:
+    """Number that stands for a key, of the 64 bits that SQLite's integers have."""
+    return int.from_bytes(hashlib.blake2b(str(key).encode(), digest_size=8).digest(), "little", signed=True)

@@ -487,10 +487,10 @@ def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, ca
     monkeypatch.chdir(toy.folder)
     written, errors = write.write, iter([DiskFullError("The disk is full: toy.nc is unchanged.")])
 
-    def fail_once(plan, path, *check):
+    def fail_once(plan, path):
         for error in errors:
             raise error
-        return written(plan, path, *check)
+        return written(plan, path)
 
     monkeypatch.setattr("gaitsweep.pipeline.archive.write.write", fail_once)
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
@@ -638,10 +638,10 @@ def test_one_study_that_fails_on_the_way_does_not_end_the_others(toy, monkeypatc
         toy.write(f'name = "{name}"\nwalker = "D"\n[axes]\nslope = [0.01]\n', f"{name}.toml")
     written = write.write
 
-    def fail(plan, path, threads=1):
+    def fail(plan, path):
         if plan.study.name == "b":
             raise DiskFullError("The disk is full.")
-        return written(plan, path, threads)
+        return written(plan, path)
 
     monkeypatch.setattr("gaitsweep.pipeline.archive.write.write", fail)
     assert commands.main(["run", "a.toml", "b.toml", "c.toml", "--jobs", "1"]) == 4

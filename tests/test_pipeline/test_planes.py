@@ -91,7 +91,7 @@ def test_charts_are_made_once_and_kept(tmp_path):
     def run_and_count(text):
         run(tmp_path, text, jobs=1)
         with contextlib.closing(Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"), write=False)) as store:
-            made.append(sorted(store.numbers[key] for key in store.numbers if key.startswith("charts-")))
+            made.append(sorted(store.number(key) for key in store if key.startswith("charts-")))
 
     text = STUDY.format(walker="B", axes=AXES)
     run_and_count(text)
@@ -200,7 +200,7 @@ def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
             [node.key.key for node in graph.charts_of(graph.grid.chunk(k), partial(halves_in, store))]
             for k in range(graph.grid.chunks)
         ]
-        assert set().union(*needed) == {key for key in store.numbers if key.startswith("charts-")}
+        assert set().union(*needed) == {key for key in store if key.startswith("charts-")}
     assert min(map(len, needed)) < len(charted) and len({keys[0] for keys in needed}) == 1
     # In memory they are made one after the other.
     with xr.open_dataset(archive) as stored:
