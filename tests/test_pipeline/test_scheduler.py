@@ -208,7 +208,7 @@ def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
 
         engine.parallel = parallel
         Scheduler(studies, engine, Signals()).run()
-        found = [{key: study.store.outcome(key).status for key in study.store.numbers} for study in studies]
+        found = [{key: study.store.outcome(key).status for key in study.store} for study in studies]
     assert len(asked) == len(set(asked)) + 1 == 7
     assert sorted(map(len, found)) == [5, 6] and sum(list(f.values()).count("timed_out") for f in found) == 1
 
