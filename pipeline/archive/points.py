@@ -53,7 +53,7 @@ class PointWriter:
     def _chunks(self) -> Iterator[tuple[Chunk, str]]:
         for number in range(self.grid.chunks):
             self.plan.check()
-            yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk).key
+            yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk)
 
     def _survey(self, chunk: Chunk, key: str) -> None:
         """Count the points of a chunk, and note its sentences and the gaits that it has."""
@@ -127,17 +127,21 @@ class PointWriter:
                 start = tuple(span.start for span in chunk.box)
                 data, payload = self._record(chunk, key)
                 with self.plan.store.reading():
-                    head, view = Head(data), memoryview(payload)
-                    reasons = self.sentences.renumbered(head.unpack(view, "reason"))
-                for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
-                    with self.plan.store.reading():
-                        if name == "reason":
-                            piece = pack_values(chunk.shape.unfold(reasons[:, column]), self.chunk)
-                        else:
-                            piece = head.piece(view, name, column) or self._same(name, chunk.shape.sizes)
+                    pieces = self._pieces(chunk.shape, Head(data), memoryview(payload))
+                for (name, g), piece in pieces.items():
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
                     write(name, corner, piece.data)
                     self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
+
+    def _pieces(self, shape: Shape, head: Head, payload: memoryview) -> dict[tuple[str, int], Packed]:
+        """Pieces of a chunk, by variable and place of the gait; its sentences have the numbers of the archive."""
+        pieces, reasons = dict[tuple[str, int], Packed](), self.sentences.renumbered(head.unpack(payload, "reason"))
+        for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
+            if name == "reason":
+                pieces[name, g] = pack_values(shape.unfold(reasons[:, column]), self.chunk)
+            else:
+                pieces[name, g] = head.piece(payload, name, column) or self._same(name, shape.sizes)
+        return pieces
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""

@@ -164,22 +164,22 @@ class Graph:
         keys = [task_key(points, {**shared, "walker": walker}, versions) for walker in self.study.walkers]
         return np.array([[words(text.encode(), 2) for text in key] for key in keys])
 
-    def chunk_key(self, chunk: Chunk) -> Key:
-        """Key of a chunk: of its points, and of how they are packed."""
-        slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
+    def chunk_key(self, chunk: Chunk, versioned: bool = True) -> str:
+        """Key of a chunk: of its points, and of how they are packed; unless `versioned`, that of all versions."""
         if self.method.is_of_lines:
-            parts = [digest(self.digests(chunk.numbers, is_versioned).tobytes()) for is_versioned in (True, False)]
+            own = digest(self.digests(chunk.numbers, versioned).tobytes())
         else:
-            parts = list(self.line_keys(int(chunk.numbers[0]))["points"])
-        texts = f"{parts[0]} {slopes} {chunk.shape.order} {self.grid.multipliers}", f"{parts[1]} {slopes}"
-        return Key(*(f"points-{digest(text.encode())}" for text in texts))
+            own = self.line_keys(int(chunk.numbers[0]))["points"][0 if versioned else 1]
+        slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
+        packed = f" {chunk.shape.order} {self.grid.multipliers}" if versioned else ""
+        return f"points-{digest(f'{own} {slopes}{packed}'.encode())}"
 
     @functools.cached_property
     def study_keys(self) -> dict[str, Key]:
         """Key of every task over the study."""
         if not self.study_tasks:
             return {}
-        chunks = (self.chunk_key(self.grid.chunk(k)).key for k in range(self.grid.chunks))
+        chunks = (self.chunk_key(self.grid.chunk(k)) for k in range(self.grid.chunks))
         lines = (self.line_keys(i)[name].key for i in range(self.study.batches) for name in self.line_tasks)
         shared = [digest("".join(itertools.chain(chunks, lines)).encode()), *self.study.gaits]
         keys: dict[str, Key] = {}
@@ -232,7 +232,7 @@ class Graph:
 
     def chunk_node(self, chunk: Chunk) -> Node:
         """Node of a chunk."""
-        key = self.chunk_key(chunk)
+        key = Key(self.chunk_key(chunk), self.chunk_key(chunk, versioned=False))
         if self.method.is_of_lines:
             return Node("points", key, chunk=chunk, todo=np.arange(len(chunk.numbers)))
         return replace(self.node("points", int(chunk.numbers[0])), key=key, chunk=chunk)

@@ -94,10 +94,10 @@ class Plan:
     def boxes(self, charts: Node, which: str) -> Sequence[Mapping[str, Any]]:
         """Parts of the box of charts, as `graph.boxes` has them; those that failed leave all of it alone."""
         key, plane = charts.key.key, self.study.plane
-        outcome = self.store.outcome(key)
-        if outcome is None or outcome.status != "ok":
-            return [charts.box or plane.region] if outcome and plane and which == "alone" else []
         if key not in self._boxes:
+            outcome = self.store.outcome(key)
+            if outcome is None or outcome.status != "ok":
+                return [charts.box or plane.region] if outcome and plane and which == "alone" else []
             with self.store.reading():
                 arrays = serialize.load(self.store.get(key)[1])
             self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
@@ -190,7 +190,7 @@ class Plan:
         """Number of the latest record of some tasks of the study."""
         graph, number, latest = self.graph, self.store.number, 0
         if "points" in needs:
-            chunks = (graph.chunk_key(graph.grid.chunk(k)).key for k in range(graph.grid.chunks))
+            chunks = (graph.chunk_key(graph.grid.chunk(k)) for k in range(graph.grid.chunks))
             latest = max(map(number, chunks), default=0)
         for need in set(needs) & set(graph.line_tasks):
             lines = (graph.line_keys(i)[need].key for i in range(self.study.batches))

@@ -61,7 +61,7 @@ class _Lines:
 
     def _read(self, number: int) -> Points:
         chunk, store = self.graph.grid.chunk(number), self.plan.store
-        key = self.graph.chunk_key(chunk).key
+        key = self.graph.chunk_key(chunk)
         if key not in store:
             return Points.of_ending(chunk.points, "not_attempted", NOT_ATTEMPTED, self.names)
         head, payload = store.get(key)

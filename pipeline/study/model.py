@@ -142,12 +142,10 @@ class Study:
     def lines_at(self, numbers: np.ndarray) -> list[dict[str, Any]]:
         """Walker and parameters of each of some lines."""
         walkers, *indices = np.unravel_index(numbers, self.line_shape)
-        names = [axis.name for axis in self.line_axes]
-        columns = [axis.values[k].tolist() for axis, k in zip(self.line_axes, indices, strict=True)]
-        return [
-            {"walker": self.walkers[walker], "set": dict(zip(names, values, strict=True))}
-            for walker, *values in zip(walkers.tolist(), *columns, strict=True)
-        ]
+        axes = zip(self.line_axes, indices, strict=True)
+        columns = [[(axis.name, value) for value in axis.values[index].tolist()] for axis, index in axes]
+        lines = zip(walkers.tolist(), *columns, strict=True)
+        return [{"walker": self.walkers[walker], "set": dict(values)} for walker, *values in lines]
 
     @functools.cached_property
     def plane(self) -> Plane | None:
