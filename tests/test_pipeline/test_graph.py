@@ -65,12 +65,12 @@ def test_a_chunk_that_is_packed_in_another_way_has_another_key(make):
     last = whole.grid.chunk(whole.grid.chunks - 1)
     assert last.shape.sizes < last.shape.extent
     alone = Graph(make(slope=slopes[last.slopes]))
-    key, other = whole.chunk_key(last), alone.chunk_key(alone.grid.chunk(alone.grid.chunks - 1))
+    key, other = whole.chunk_node(last).key, alone.chunk_node(alone.grid.chunk(alone.grid.chunks - 1)).key
     assert key.kin == other.kin and key.key != other.key
     # A dimension more, of one value, moves none.
     both = Graph(make(slope=slopes, walker=["E", "F"]))
     of_e = both.grid.chunk(both.grid.chunks_of_line(1)[-1])
-    assert of_e.shape != last.shape and both.chunk_key(of_e) == key
+    assert of_e.shape != last.shape and both.chunk_node(of_e).key == key
 
 
 def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
