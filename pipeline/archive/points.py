@@ -66,7 +66,7 @@ class PointWriter:
             is_one = len(rows) == len(sentences) == 1  # as where nothing was computed
             only = ((sentence, chunk.points, 0) for sentence in sentences.values())
             for reason, points, first in only if is_one else self._failures(chunk, key):
-                line, k = divmod(first, chunk.points // len(chunk.numbers))
+                line, k = divmod(first, chunk.per_line)
                 slope = float(self.study.slope[chunk.slopes][k])
                 example = f"{line_description(self.study, int(chunk.numbers[line]))} slope={slope!r}"
                 self.written.add_failure(reason, points, example)

@@ -178,8 +178,7 @@ class Jobs:
             inputs = [self.store.get(need)[1] for outcome, need in results if outcome and outcome.status == "ok"]
         packing, alone = None, ("", "")
         if node.chunk:
-            slopes = node.chunk.points // len(node.chunk.numbers)
-            shape = Shape.of_rows(node.lines, slopes) if node.copies else node.chunk.shape
+            shape = Shape.of_rows(node.lines, node.chunk.per_line) if node.copies else node.chunk.shape
             packing = self._packing(shape, node.chunk.numbers if node.lines and not node.copies else None)
             alone = layers["atlas"].task.function, layers["points"].task.function
         function, params = self.graph.function(node), self.graph.params(node)
@@ -248,18 +247,17 @@ class Jobs:
         self, node: Node, chunk: Chunk, copies: Copies, record: tuple[bytes, bytes] | None
     ) -> tuple[bytes, bytes]:
         """A chunk of lines side by side, some just computed and some in records of the store."""
-        slopes = chunk.points // len(chunk.numbers)
         parts, places = list[Points](), list[np.ndarray]()
         if record:
             assert node.todo is not None
             parts, places = [unpacked(*record)], [node.todo]
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])
-            some = unpacked(*self.store.get(key)).take(rows_of(copies.rows[of_key], slopes))
+            some = unpacked(*self.store.get(key)).take(rows_of(copies.rows[of_key], chunk.per_line))
             parts.append(Points({name: some.values[name] for name in self.graph.variables}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
-        return pack(joined(parts).take(rows_of(order, slopes)), self._packing(chunk.shape, chunk.numbers))
+        return pack(joined(parts).take(rows_of(order, chunk.per_line)), self._packing(chunk.shape, chunk.numbers))
 
     def copy(self, node: Node, data: bytes) -> None:
         """Store a result that another study has computed."""

@@ -73,7 +73,7 @@ class Node:
         """Number of points that it computes."""
         if self.chunk is None:
             return 0
-        return self.chunk.points if self.todo is None else self.lines * (self.chunk.points // len(self.chunk.numbers))
+        return self.chunk.points if self.todo is None else self.lines * self.chunk.per_line
 
 
 class Graph:

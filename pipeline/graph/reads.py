@@ -49,9 +49,8 @@ class _Lines:
         grid, parts = self.graph.grid, []
         for k in grid.chunks_of_line(number):
             chunk = grid.chunk(k)
-            n = chunk.slopes.stop - chunk.slopes.start
-            place = int(np.flatnonzero(chunk.numbers == number)[0])
-            rows = np.arange(n)[-chunk.slopes.start % self.step :: self.step] + place * n
+            first = int(np.flatnonzero(chunk.numbers == number)[0]) * chunk.per_line
+            rows = first + np.arange(-chunk.slopes.start % self.step, chunk.per_line, self.step)
             stored = self._chunk(k).values
             parts.append(Points({name: stored[name][rows] for name in self.names}))
         values = joined(parts, (len(GAITS), grid.multipliers)).values

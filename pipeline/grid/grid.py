@@ -101,9 +101,14 @@ class Chunk:
     shape: Shape
 
     @property
+    def per_line(self) -> int:
+        """Number of its points on each line."""
+        return self.slopes.stop - self.slopes.start
+
+    @property
     def points(self) -> int:
         """Number of its points."""
-        return len(self.numbers) * (self.slopes.stop - self.slopes.start)
+        return len(self.numbers) * self.per_line
 
 
 class Grid:
