@@ -92,9 +92,9 @@ class Graph:
         self.study, self.grid, self.variables = study, Grid(study, in_memory), variables(study)
         self.method = self.grid.method
         self.layers = layers.layers(study, self.method)
-        #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
-        #: latest lines are usually requested several times in a row.
-        self.line_keys = functools.lru_cache(8)(self._line_keys)
+        #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. In
+        #: the order of the grid, chunks of a line may come after those of all others.
+        self.line_keys = functools.lru_cache(1024)(self._line_keys)
         # All lines are cut at the same slopes.
         self._slopes_digest = functools.cache(lambda *ends: digest(study.slope[slice(*ends)].tobytes()))
 

@@ -263,8 +263,8 @@ def _mend_checksums(file):
 def stored(folder, dice):
     """A journal with faults, in bytes or in rows with right checksums: planned, repaired and archived.
 
-    Of a row that somebody made, which means nothing, the command may say "Internal error", or that the archive cannot be
-    written: payloads are copied unopened.
+    Of a row that somebody made, which means nothing, the command may say "Internal error", or that the archive cannot
+    be written: payloads are copied unopened.
     """
     name, path = dice.choice([*RUNS]), folder / "stored.journal"
     for suffix in ("", "-wal", "-shm"):
