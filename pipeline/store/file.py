@@ -142,7 +142,7 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
     number, gap = 1, 0
     while gap < _MAX_GAP:
         gap += 1
-        with contextlib.suppress(sqlite3.DatabaseError, UnicodeDecodeError):
+        with contextlib.suppress(sqlite3.DatabaseError, ValueError):  # of text, or of the number of columns
             for row in db.execute("SELECT * FROM records WHERE id = ?", (number,)):
                 gap = 0
                 if is_whole(row):

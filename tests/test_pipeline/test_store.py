@@ -137,6 +137,19 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, column):
         assert whole(found, 3) == [0, 2]
 
 
+@pytest.mark.parametrize(("new", "left"), [(b"hexd BLOB, payload BLOB", [0, 1, 2]), (b"head BLOB  payload BLOB", [])])
+def test_a_store_with_other_columns_is_repaired(tmp_path, new, left):
+    """Damaged names change no record; with a column less none can be read."""
+    data = filled(tmp_path / "j", 3).read_bytes()
+    assert data.count(b"head BLOB, payload BLOB") == 1
+    (tmp_path / "j").write_bytes(data.replace(b"head BLOB, payload BLOB", new))
+    with pytest.raises(CorruptStoreError):
+        Store(tmp_path / "j")
+    repair(tmp_path / "j")
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert whole(found, 3) == left
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
     """At a random place, in the file or the log beside it."""
