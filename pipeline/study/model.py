@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,30 @@ class Axis:
         """Whether the middle one of its values is nearer to the geometric than to the arithmetic mean of the ends."""
         low, high = float(self.values.min()), float(self.values.max())
         return low > 0 and 2 * float(np.median(self.values)) < math.sqrt(low * high) + 0.5 * (low + high)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Walkers and parameters of some lines, each put together when it is asked for: a request holds them as arrays.
+
+    Attributes
+    ----------
+    walkers : list
+    values : dict of ndarray, shape (n,)
+        Of the axes but the slope.
+    """
+
+    walkers: list[Any]
+    values: dict[str, np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.walkers)
+
+    def __getitem__(self, place: int) -> dict[str, Any]:
+        return {"walker": self.walkers[place], "set": {name: own.item(place) for name, own in self.values.items()}}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return map(self.__getitem__, range(len(self)))
 
 
 @dataclass(frozen=True)
@@ -139,13 +163,11 @@ class Study:
         """Walker and parameters of a line, numbered in C order of `line_shape`."""
         return self.lines_at(np.array([number]))[0]
 
-    def lines_at(self, numbers: np.ndarray) -> list[dict[str, Any]]:
+    def lines_at(self, numbers: np.ndarray) -> Lines:
         """Walker and parameters of each of some lines."""
         walkers, *indices = np.unravel_index(numbers, self.line_shape)
         axes = zip(self.line_axes, indices, strict=True)
-        columns = [[(axis.name, value) for value in axis.values[index].tolist()] for axis, index in axes]
-        lines = zip(walkers.tolist(), *columns, strict=True)
-        return [{"walker": self.walkers[walker], "set": dict(values)} for walker, *values in lines]
+        return Lines([self.walkers[k] for k in walkers.tolist()], {axis.name: axis.values[at] for axis, at in axes})
 
     @functools.cached_property
     def plane(self) -> Plane | None:

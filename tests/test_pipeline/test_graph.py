@@ -18,6 +18,7 @@ from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study import parse
+from gaitsweep.pipeline.study.model import Lines
 from gaitsweep.tasks import registry
 
 ROOT = Path(__file__).parents[2]
@@ -149,7 +150,8 @@ def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make
 def test_the_graph_is_plain_data_and_whole(make):
     nodes = expand(make(want={"fits": ["scaling", "transition"]}))
     assert [key.split("-")[0] for key in nodes] == ["points", "scaling", "transition"]
-    serialize.dump([list(node) for node in nodes.values()])
+    for _, params, _ in nodes.values():
+        serialize.dump({name: vars(value) if isinstance(value, Lines) else value for name, value in params.items()})
     for _, _, inputs in nodes.values():
         assert set(inputs) <= set(nodes)
 

@@ -14,6 +14,7 @@ from gaitsweep.pipeline.engine.jobs import Jobs
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.store.file import forget
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import parse
 
@@ -58,24 +59,28 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
     (tmp_path / "s.toml").write_text(
         f'name = "s"\nwalker = "{walker}"\n[axes]\n{axes}\n[want]\nvariables = ["stance_angle", "period"]\n'
     )
-    study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), []
-    for run in range(4):
-        with contextlib.closing(Store(tmp_path / f"{run}")) as store:
-            jobs = Jobs(Plan(study, store), engine, lambda *_: None)
-            clock = time.process_time()
-            Scheduler([jobs], engine, Signals()).run()
-            recorded = time.process_time()
-            write.write(jobs.plan, tmp_path / f"{run}.nc")
-            spent.append((recorded - clock, time.process_time() - recorded))
-        bytes_a_point = (tmp_path / f"{run}").stat().st_size / study.points
-    worker_process.close_all()
-    assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
-    worker = sum(result["cpu"] for result in engine.results.values()) / study.points
-    # The median of the replays: other work slows some, and the first run computes.
-    journal, archive = (seconds / study.points for seconds in sorted(spent[1:], key=sum)[1])
+    study, served = parse.read(tmp_path / "s.toml"), []
+    for _ in range(3):
+        engine, spent = Recording(64), []
+        for run in range(4):
+            with contextlib.closing(Store(tmp_path / f"{run}")) as store:
+                jobs = Jobs(Plan(study, store), engine, lambda *_: None)
+                clock = time.process_time()
+                Scheduler([jobs], engine, Signals()).run()
+                recorded = time.process_time()
+                write.write(jobs.plan, tmp_path / f"{run}.nc")
+                spent.append((recorded - clock, time.process_time() - recorded))
+            bytes_a_point = (tmp_path / f"{run}").stat().st_size / study.points
+            forget(tmp_path / f"{run}")
+        worker_process.close_all()
+        assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
+        worker = sum(result["cpu"] for result in engine.results.values())
+        replay = sorted(spent[1:], key=sum)[1]  # the first run computes
+        served.append((worker / sum(replay), *(1e6 * seconds / study.points for seconds in (worker, *replay))))
+    # Processors change their speed: replays are compared with the workers just before them, and medians count.
+    workers, worker, journal, archive = sorted(served)[1]
     tell(
-        f"{name}: {1e6 * journal:.2f} µs a point for the journal,"
-        f" {1e6 * archive:.2f} for the archive, {1e6 * worker:.0f} in a worker:"
-        f" one parent feeds {worker / (journal + archive):.0f} workers; {bytes_a_point:.0f} byte a point in the journal"
+        f"{name}: {journal:.2f} µs a point for the journal, {archive:.2f} for the archive, {worker:.0f} in a worker:"
+        f" one parent feeds {workers:.0f} workers; {bytes_a_point:.0f} byte a point in the journal"
     )
-    assert worker / (journal + archive) > least
+    assert workers > least
