@@ -195,5 +195,5 @@ class Store:
 
 
 def _short(key: str) -> int:
-    """Number that stands for a key, of the 64 bits that SQLite's integers have."""
+    """Number that stands for a key, of 64 bits: that two of a million keys share one has a probability of 3e-8."""
     return int.from_bytes(hashlib.blake2b(str(key).encode(), digest_size=8).digest(), "little", signed=True)
