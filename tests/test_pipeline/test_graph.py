@@ -12,10 +12,12 @@ from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.engine.jobs import _seconds_after
 from gaitsweep.pipeline.errors import StoppedError
+from gaitsweep.pipeline.graph import reads
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.keys import task_key
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.method import variables
+from gaitsweep.pipeline.store.record import Points
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study import parse
 from gaitsweep.pipeline.study.model import Lines
@@ -72,6 +74,32 @@ def test_a_chunk_that_is_packed_in_another_way_has_another_key(make):
     both = Graph(make(slope=slopes, walker=["E", "F"]))
     of_e = both.grid.chunk(both.grid.chunks_of_line(1)[-1])
     assert of_e.shape != last.shape and both.chunk_node(of_e).key == key
+
+
+def test_lines_are_put_together_from_their_walker_and_values(make):
+    lines = make(walker=["E", "F"]).lines_at(np.array([3, 0]))
+    assert len(lines) == 2
+    assert list(lines) == [
+        {"walker": "F", "set": {"foot_mass_ratio": 0.05}},
+        {"walker": "E", "set": {"foot_mass_ratio": 0.1}},
+    ]
+
+
+def test_a_task_over_the_study_reads_evenly_spaced_slopes(make, tmp_path, monkeypatch):
+    monkeypatch.setattr(reads, "_MAX_SLOPES", 1000)
+    slopes = np.linspace(0.001, 0.02, 40_001)
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(make(slope=slopes), store)
+        lines, grid = reads._Lines(plan, ["stance_angle"]), plan.graph.grid
+        assert len(grid.chunks_of_line(1)) > 1 and slopes.size % lines.step
+        monkeypatch.setattr(
+            lines,
+            "_chunk",
+            lambda k: Points({name: np.tile(slopes[grid.chunk(k).slopes][:, None], 4) for name in lines.names}),
+        )
+        found = lines.line(1)
+    assert np.array_equal(found["slope"], slopes[:: lines.step])
+    assert np.array_equal(found["stance_angle"][:, plan.columns[0]], found["slope"])
 
 
 def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
@@ -172,6 +200,17 @@ def test_a_version_is_in_the_keys_of_its_dependents(make, monkeypatch):
     monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
     after = expand(make(want={"fits": ["scaling"]}))
     assert {key.split("-")[0] for key in set(before) - set(after)} == {"points", "scaling"}
+
+
+@pytest.mark.parametrize("n", [2, 40_001])
+def test_a_chunk_of_another_version_is_known_by_its_kin(make, monkeypatch, n):
+    """Of lines side by side, and of a long line."""
+    before = Graph(make(slope=np.linspace(0.001, 0.02, n)))
+    key = before.chunk_node(before.grid.chunk(0)).key
+    monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
+    after = Graph(make(slope=np.linspace(0.001, 0.02, n)))
+    other = after.chunk_node(after.grid.chunk(0)).key
+    assert other.kin == key.kin and other.key != key.key
 
 
 def test_keys_hold_the_exact_numbers():
