@@ -178,8 +178,9 @@ def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make
 def test_the_graph_is_plain_data_and_whole(make):
     nodes = expand(make(want={"fits": ["scaling", "transition"]}))
     assert [key.split("-")[0] for key in nodes] == ["points", "scaling", "transition"]
-    for _, params, _ in nodes.values():
-        serialize.dump({name: vars(value) if isinstance(value, Lines) else value for name, value in params.items()})
+    for task, params, needs in nodes.values():
+        plain = {name: vars(value) if isinstance(value, Lines) else value for name, value in params.items()}
+        serialize.dump([task, plain, needs])
     for _, _, inputs in nodes.values():
         assert set(inputs) <= set(nodes)
 
