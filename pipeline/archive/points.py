@@ -18,7 +18,7 @@ from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, OF_GAITS, STATUS_NAMES, of_atlas
 from gaitsweep.pipeline.store.packing import Packed, pack_values
-from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack, unpacked
+from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.registry import GAITS, VARIABLES, Variable
@@ -65,15 +65,15 @@ class PointWriter:
         if head.has_failed(self.columns):
             is_one = len(rows) == len(sentences) == 1  # as where nothing was computed
             only = ((sentence, chunk.points, 0) for sentence in sentences.values())
-            for reason, points, first in only if is_one else self._failures(chunk, key):
+            for reason, points, first in only if is_one else self._failures(key):
                 line, k = divmod(first, chunk.per_line)
                 slope = float(self.study.slope[chunk.slopes][k])
                 example = f"{line_description(self.study, int(chunk.numbers[line]))} slope={slope!r}"
                 self.written.add_failure(reason, points, example)
 
-    def _failures(self, chunk: Chunk, key: str) -> Iterator[tuple[str, int, int]]:
+    def _failures(self, key: str) -> Iterator[tuple[str, int, int]]:
         """Reasons for which points of a chunk failed, how many, and the first of them."""
-        points = unpacked(*self._record(chunk, key))
+        points = self.plan.store.points(key)
         failed = ~np.isin(points.values["status"][:, self.columns], ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
         reasons = points.values["reason"][:, self.columns][rows, failed[rows].argmax(axis=1)]
@@ -135,6 +135,7 @@ class PointWriter:
 
     def _pieces(self, shape: Shape, head: Head, payload: memoryview) -> dict[tuple[str, int], Packed]:
         """Pieces of a chunk, by variable and place of the gait; its sentences have the numbers of the archive."""
+        head.unpack(payload, "status")  # what it says of every point must be readable, whatever its checksum
         pieces, reasons = dict[tuple[str, int], Packed](), self.sentences.renumbered(head.unpack(payload, "reason"))
         for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
             if name == "reason":

@@ -74,21 +74,20 @@ def _not_numbers(parameters: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _coordinates(file: Any) -> Iterator[str]:
-    """Numbers that say where on a grid something stands: coordinates, and parameters of walkers."""
+    """Values that say where on a grid something stands: coordinates, and parameters of walkers."""
     yield from (
         f"The attribute {sentence}" for sentence in _not_numbers({n: file.getncattr(n) for n in file.ncattrs()})
     )
     tuned = json.loads(file.provenance).get("tuned", ())
     axes = {name for name in file.dimensions if name != "slope"}  # tables give the slope of what was not found, too
     for path, variable in layout.variables(file):
-        if np.dtype(variable.dtype).kind != "f":
-            continue
-        name, is_coordinate = variable.name, variable.dimensions == (variable.name,)
+        name, is_number = variable.name, np.dtype(variable.dtype).kind == "f"
+        is_coordinate = layout.dims(variable) == (name,)
         is_parameter = path == name and "gait" not in variable.dimensions
-        if not (is_coordinate or is_parameter or name in axes):
+        if not (is_coordinate or (is_number and (is_parameter or name in axes))):
             continue
         values = np.ma.getdata(variable[...])
-        if not np.isfinite(values).all() and name not in tuned:  # where no walker is tuned
+        if is_number and not np.isfinite(values).all() and name not in tuned:  # where no walker is tuned
             yield f"`{path}` holds values that are not finite."
         elif is_coordinate and len(np.unique(values)) < values.size:
             yield f"`{path}` holds a value twice."

@@ -253,7 +253,7 @@ class Jobs:
             parts, places = [unpacked(*record)], [node.todo]
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])
-            some = unpacked(*self.store.get(key)).take(rows_of(copies.rows[of_key], chunk.per_line))
+            some = self.store.points(key).take(rows_of(copies.rows[of_key], chunk.per_line))
             parts.append(Points({name: some.values[name] for name in self.graph.variables}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))

@@ -13,7 +13,7 @@ from gaitsweep.pipeline.graph.graph import Copies, Graph, Node, boxes
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
 from gaitsweep.pipeline.statuses import ANSWERS
-from gaitsweep.pipeline.store.record import Head, unpacked
+from gaitsweep.pipeline.store.record import Head
 from gaitsweep.pipeline.store.store import Key, Outcome, Store
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.registry import GAITS
@@ -142,8 +142,7 @@ class Plan:
         node = replace(node, why="retried")
         if not self.graph.method.is_of_lines:
             return node
-        with self.store.reading():
-            status = unpacked(*self.store.get(node.key.key)).values["status"][:, self.columns]
+        status = self.store.points(node.key.key).values["status"][:, self.columns]
         is_kept = np.asarray(np.isin(status, ANSWERS).reshape(len(chunk.numbers), -1).all(axis=1))
         kept = np.flatnonzero(is_kept)
         copies = Copies(kept, (node.key.key,) * len(kept), kept)

@@ -101,9 +101,17 @@ def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.
     Returns
     -------
     ndarray, shape `extent`
+
+    Raises
+    ------
+    ValueError
+        If it was not packed so.
     """
     size = np.dtype(dtype).itemsize
-    unpacked = np.frombuffer(zlib.decompress(data), np.uint8)
+    try:
+        unpacked = np.frombuffer(zlib.decompress(data), np.uint8)
+    except zlib.error as error:
+        raise ValueError(f"not a packed chunk: {error}") from error
     n = len(unpacked) // size
     values = np.ascontiguousarray(unpacked[: n * size].reshape(size, n).T).reshape(-1)
     values = np.concatenate([values, unpacked[n * size :]])[:-4]

@@ -17,7 +17,7 @@ from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.statuses import ENDINGS
 from gaitsweep.pipeline.store import file
 from gaitsweep.pipeline.store.file import CorruptStoreError
-from gaitsweep.pipeline.store.record import Head
+from gaitsweep.pipeline.store.record import Head, Points, unpacked
 
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
 #: Largest payload [byte]; SQLite has rows of at most 10^9 byte.
@@ -145,6 +145,12 @@ class Store:
         """Contents of the record of a chunk."""
         with self.reading():
             return Head(self.head(key))
+
+    def points(self, key: str) -> Points:
+        """Points in the record of a chunk."""
+        record = self.get(key)
+        with self.reading():
+            return unpacked(*record)
 
     def put_result(self, key: Key, outcome: Outcome, result: bytes) -> None:
         """Store the result of a task over a line or a study."""

@@ -32,10 +32,13 @@ from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.archive.written import write_strings
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
+from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.boxes import boxes
 from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.statuses import ALL_STATUSES as STATUS
+from gaitsweep.pipeline.store.file import CorruptStoreError
+from gaitsweep.pipeline.store.record import Head
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.accuracy import OF_INTEGRATION
@@ -222,6 +225,42 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
         monkeypatch.setattr(PointWriter, "fill", fill)
         write.write(Plan(study, journal), path)
     assert path.read_bytes() == before
+
+
+def never_packed(folder, name):
+    """A finished run, and the row of its only point with a piece of a variable that cannot be unpacked."""
+    (folder / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    command = ["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1"]
+    assert commands.main([*command, "--quiet"]) == 0
+    with contextlib.closing(Store(folder / "s.journal")) as journal:
+        graph = Graph(parse.read(folder / "s.toml"))
+        key = graph.chunk_node(graph.grid.chunk(0)).key
+        head, payload = journal.get(key.key)
+        piece = Head(head).piece(memoryview(payload), name, 0).data
+        journal.put(key, head, payload.replace(piece, b"\xff" * len(piece)))
+    return command
+
+
+@pytest.mark.parametrize("name", ["status", "reason"])
+def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
+    """Whatever its checksum: what no repair mends, the run leaves as it is, and names the way on."""
+    command, archive = never_packed(tmp_path, name), tmp_path / "s.nc"
+    before = archive.read_bytes()
+    with contextlib.closing(Store(tmp_path / "s.journal")) as journal, pytest.raises(CorruptStoreError):
+        write.write(Plan(parse.read(tmp_path / "s.toml"), journal), archive)
+    capsys.readouterr()
+    assert commands.main(command) == 2 and archive.read_bytes() == before
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == f"gaitsweep: {tmp_path}/s.journal cannot be repaired; run again with --fresh."
+    assert commands.main([*command, "--fresh", "--quiet"]) == 0 and archive.read_bytes() == before
+
+
+def test_an_angle_that_was_never_packed_is_found_by_verify(tmp_path):
+    """It is copied unopened."""
+    command = never_packed(tmp_path, "stance_angle")
+    assert commands.main([*command, "--quiet"]) == 0
+    with pytest.raises(ArchiveError, match=r"s\.nc is damaged: "):
+        verify.verify(tmp_path / "s.nc")
 
 
 def test_attributes_that_the_library_loses_at_once_are_missed():
@@ -627,7 +666,10 @@ def _put(name, value):
         (_put("slope", np.inf), "`slope` holds values that are not finite."),
         (_put("slope", 0.5), "`slope` must lie in [1e-18, 0.5) rad."),
         (_put("slope", 9e-19), "`slope` must lie in [1e-18, 0.5) rad."),
-        (lambda f: f["slope"].__setitem__(0, f["slope"][1]), "`slope` holds a value twice."),
+        *(
+            (lambda f, name=name: f[name].__setitem__(0, f[name][1]), f"`{name}` holds a value twice.")
+            for name in ("slope", "multiplier", "gait")
+        ),
         (_put("w_t", -np.inf), "`w_t` holds values that are not finite."),
         (_without_place, "`fits/scaling/w_t` holds values that are not finite."),
         (lambda f: f.setncattr("R", np.nan), "The attribute R is not a finite number."),
@@ -645,14 +687,14 @@ def _put(name, value):
         (_changed(varied=[]), "`varied` in `provenance` is no table."),
     ],
 )
-def test_impossible_contents_are_invalid_however_right_their_checksums(copy, tmp_path, change, said):
+def test_impossible_contents_are_invalid_however_right_their_checksums(made, copy, tmp_path, change, said):
     with netCDF4.Dataset(copy, "a") as file:
         change(file)
         file.set_auto_mask(False)
         names = [name for name, _ in layout.variables(file)]
         file.checksums = json.dumps({name: read._checksum(file[name]) for name in names}, sort_keys=True)
     assert said in verify.verify(copy)
-    for reader in (load, lambda path: pages.write([path], tmp_path / "reports")):
+    for reader in (load, lambda path: pages.write([path], tmp_path / "reports"), lambda path: diff.diff(made, path)):
         try:
             reader(copy)
         except ArchiveError as error:
