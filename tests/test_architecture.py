@@ -54,6 +54,16 @@ def test_tests_are_no_packages():
     assert not (ROOT / "tests" / "tasks").exists()
 
 
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="git lists the files")
+def test_mutants_are_tried_in_a_whole_copy_of_the_project(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "tests" / "mutants")
+    recording = importlib.import_module("recording")
+    monkeypatch.setattr(recording, "STATE", tmp_path)
+    tree = recording.copy_project("copy")
+    assert all((tree / "gaitsweep" / name).resolve() == tree / name for name in ("tasks", "pipeline", "data"))
+    assert len(list(tree.rglob("test_*.py"))) > 100
+
+
 def test_the_registry_imports_nothing_and_the_plan_no_solver():
     program = (
         "import sys; import gaitsweep.tasks.registry; before = set(sys.modules); import gaitsweep.pipeline.graph.plan;"

@@ -9,6 +9,7 @@ from gaitsweep import run
 from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.report.source import read
 
+pytestmark = pytest.mark.thorough
 PAPER = Path(__file__).parents[2] / "data" / "studies" / "paper"
 
 

@@ -44,7 +44,7 @@ def copy_project(name: str) -> Path:
     )
     for file in listed.stdout.splitlines():
         (tree / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / file, tree / file)
+        shutil.copy(ROOT / file, tree / file, follow_symlinks=False)  # parts of the package are links
     return tree
 
 

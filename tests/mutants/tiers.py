@@ -1,4 +1,4 @@
-"""Choose the tests of `make test`: those that reach most of the code, several times, in least processor time.
+"""Choose the tests of `make test`: those that the documentation names, and others that reach most in least time.
 
     python tests/mutants/tiers.py 400     # seconds of processor time they may take, as recorded
 
@@ -18,6 +18,9 @@ from recording import ROOT, STATE, Reach, record
 #: What it is worth to reach a line that no, one, two or three tests reach already: another may notice what they do not.
 WORTH = (1.0, 0.5, 0.25, 0.125)
 QUICK = 0.1  # tests that take less are kept [s]
+DEAR = 60.0  # tests that take more are left to `make check`, whatever names them [s]
+#: What the pages of capabilities and promises name: tests, and files of tests.
+NAMED = re.compile(r"tests/[\w/]+\.py(?:::\w+)?")
 
 Lines = set[tuple[str, int]]
 
@@ -38,9 +41,17 @@ def reached(reach: Reach) -> dict[str, Lines]:
     return found
 
 
+def named(took: dict[str, float]) -> set[str]:
+    """The cheapest case of each test that the documentation names for a capability or a promise."""
+    text = "".join((ROOT / "docs" / page).read_text() for page in ("capabilities.md", "trust.md"))
+    cases = ([t for t in took if t == name or t.startswith((f"{name}[", f"{name}::"))] for name in NAMED.findall(text))
+    cheapest = {min(of_name, key=lambda test: took[test]) for of_name in cases if of_name}
+    return {test for test in cheapest if took[test] < DEAR}
+
+
 def choose(lines: dict[str, Lines], took: dict[str, float], seconds: float) -> set[str]:
-    """Keep quick tests, then take others by what their lines are worth per second, while there is time for them."""
-    kept = {test for test, cost in took.items() if cost < QUICK}
+    """Keep quick and named tests, then others by what their lines are worth per second, while there is time."""
+    kept = {test for test, cost in took.items() if cost < QUICK} | named(took)
     seen = Counter(line for test in kept for line in lines[test])
     left = seconds - sum(took[test] for test in kept)
 
