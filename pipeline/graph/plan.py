@@ -125,13 +125,13 @@ class Plan:
         head = self.store.chunk(node.key.key) if node.key.key in self.store else None
         if head and self._holds(head):
             return self._retried(node, chunk) if self.retry and head.has_failed(self.columns) else None
+        node = replace(node, why="changed" if head else self._new_or_changed(node.key))
         if not self.graph.method.is_of_lines or not self._elsewhere[1].size:
-            return replace(node, why="changed" if head else self._new_or_changed(node.key))
+            return node
         keys, digests, rows = self._elsewhere
         own = self.graph.digests(chunk.numbers)[:, 0]
         place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
         is_there: np.ndarray = np.equal(digests[place], own).astype(bool)
-        node = replace(node, why="changed" if head else self._new_or_changed(node.key))
         if not is_there.any():
             return node
         copies = Copies(np.flatnonzero(is_there), tuple(keys[k] for k in place[is_there]), rows[place[is_there]])
