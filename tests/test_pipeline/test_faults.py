@@ -158,6 +158,7 @@ def trials(tmp_path_factory):
         yield Trials(faults)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("n", [8, pytest.param(None, marks=pytest.mark.soak)])
 def test_whatever_call_fails_the_same_command_again_gives_the_same_bytes(trials, tell, resumed, n):
     cases = trials.cases()
