@@ -270,13 +270,15 @@ class Paper:
         """
         key = _key(walker, settings)
 
-        def columns() -> Arrays:
-            known = {**self._made.get(key, {}), **self.tables.get(key, {})}
+        def columns(known: Arrays) -> Arrays:
             return {name.removeprefix(f"{group}/"): x for name, x in known.items() if name.startswith(f"{group}/")}
 
-        if not columns():
-            self._made.setdefault(key, {}).update(make())
-        return columns()
+        if given := columns(self.tables.get(key, {})):
+            return given
+        made = self._made.setdefault(key, {})
+        if not columns(made):
+            made.update(make())
+        return columns(made)
 
 
 def _key(walker: str, settings: Mapping[str, float]) -> _Key:

@@ -306,7 +306,7 @@ def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_
 
     def make():
         made.append(1)
-        return {"toy/x": np.arange(3)}
+        return {"toy/x": np.arange(3), "toy/y": np.arange(3)}
 
     of_study = [{"walker": "D", "set": {}}, {"walker": "D", "set": {"g": 2.0}}]
     paper = paper_of(of_study, [{"toy/x": np.zeros(1)}, {"toy/x": np.ones(1)}])
@@ -317,6 +317,8 @@ def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_
         paper = paper_of([], [])
         assert paper.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
     assert len(made) == 1
+    # A study's table stands for itself: columns that were made have rows of another length.
+    assert list(paper_of(of_study[:1], [{"toy/x": np.zeros(1)}]).table("toy", "D", make)) == ["x"]
 
 
 @pytest.mark.parametrize(("value", "verdict"), [(0.72386360373, "reproduced"), (0.76, "not reproduced")])
