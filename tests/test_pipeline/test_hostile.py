@@ -15,7 +15,6 @@ import struct
 import subprocess
 import sys
 import traceback
-import zlib
 from collections import Counter
 from pathlib import Path
 
@@ -291,7 +290,7 @@ def stored(folder, dice):
         except ArchiveError as error:  # the mark by which it is known, in bytes
             assert "move it away" in str(error)
             return
-        except (ArithmeticError, LookupError, SystemError, TypeError, ValueError, zlib.error):
+        except (ArithmeticError, LookupError, SystemError, TypeError, ValueError):
             if not is_made:
                 raise
         finally:
