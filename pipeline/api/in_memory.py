@@ -106,34 +106,31 @@ def gaits(
     base = Study("", "", "grid", (walker,), GAITS, (), wanted, options=options, accuracy=accuracy)
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
-    lines = list(_lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]))
-    checks = [_check(line) for line, _ in lines]
-    answers = [check for check in checks if not isinstance(check, StudyError)]
-    slope = flat["slope"]
-    is_slope = slopes.is_slope(slope)
-    if len(slope) and not (answers and is_slope.any()):
-        for check in checks:
-            if isinstance(check, StudyError):
-                raise check
+    slope, is_slope = flat["slope"], slopes.is_slope(flat["slope"])
+    lines, unsolvable = list[_Line](), list[tuple[np.ndarray, StudyError]]()
+    for line, at in _lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]):
+        at = at[is_slope[at]]
+        try:
+            lines.append(_Line(base, line, at, slope, dispatch.ask("check_walker", line)))
+        except StudyError as error:
+            unsolvable.append((at, error))
+    if len(slope) and not any(len(one.at) for one in lines):
+        if unsolvable:
+            raise unsolvable[0][1]
         slopes.check(float(slope[0]))
-    solvable, unsolvable = list[_Line](), list[tuple[np.ndarray, str]]()
     wrong, which = np.unique(slope[~is_slope], return_inverse=True)
     for k, value in enumerate(wrong.tolist()):
-        unsolvable.append((np.flatnonzero(~is_slope)[which == k], f"`slope` {slopes.BOUND}; got {value!r}."))
-    for (line, at), check in zip(lines, checks, strict=True):
-        at = at[is_slope[at]]
-        if isinstance(check, StudyError):
-            unsolvable.append((at, str(check)))
-        elif len(at):
-            solvable.append(_Line(base, line, at, slope, check))
-    found = [(at, Points.of_ending(len(at), "raised", why, wanted)) for at, why in unsolvable]
-    found += _solve(base, solvable)
+        why = StudyError(f"`slope` {slopes.BOUND}; got {value!r}.")
+        unsolvable.append((np.flatnonzero(~is_slope)[which == k], why))
+    answers = [one.check for one in lines]
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si, answers[:1])) for name, a in varying.items()}
-    first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
-    constants = _constants(first, answers, varying) if first else {}
+    constants = _constants(lines[0].line, answers, varying) if lines else {}
     multipliers = max((check["multipliers"] for check in answers), default=3)
+    found = [(at, Points.of_ending(len(at), "raised", str(error), wanted)) for at, error in unsolvable]
+    lines = [one for one in lines if len(one.at)]  # which become fewer while they are solved
+    found += _solve(base, lines)
     places, parts = zip(*found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))], strict=True)
     points = joined(parts, (len(GAITS), multipliers)).take(np.argsort(np.concatenate(places)))
     return _dataset(points, grid[0], coordinates, constants, is_si, base)
@@ -162,14 +159,6 @@ def _constants(
     moved = {key for check in checks for key, axes in check["varied"].items() if any(a in varying for a in axes)}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
     return {key: value for key, value in constants.items() if key not in {*moved, *varying}}
-
-
-def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
-    """What `tasks` reports of a line's walker, or why it is invalid."""
-    try:
-        return dispatch.ask("check_walker", line)
-    except StudyError as error:
-        return error
 
 
 def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive.attributes import of_axis, over_steps
 from gaitsweep.pipeline.archive.written import write_strings, write_variable
@@ -42,7 +41,7 @@ def write(file: Any, plan: Plan) -> None:
             result = plan.store.result(key)
             if result is None:
                 continue
-            tables = split(serialize.load(result))
+            tables = split(result)
             tables.pop("nothing", None)  # its reason is the line's
             for group, columns in tables.items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline import paths, serialize
+from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import attributes, layout, parameters, read, result_tables
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.points import PointWriter
@@ -244,7 +244,7 @@ class _LineWriter:
                 return outcome.status, of_atlas(outcome.reason) if name == "atlas" else outcome.reason
         result = self.plan.store.result(keys[self.study.kind].key)
         with self.plan.store.reading():
-            for reason in serialize.load(result).get("nothing/reason", ()) if result else ():
+            for reason in (result or {}).get("nothing/reason", ()):
                 return "no_gait", str(reason)
         return "converged", "The line was followed; its results are in the groups."
 

@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.pipeline.engine.account import Account
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.request import Request
-from gaitsweep.pipeline.graph.graph import Copies, Node
+from gaitsweep.pipeline.graph.graph import Node
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
@@ -231,7 +231,7 @@ class Jobs:
                 key = self.graph.line_keys(lines[place])["atlas"]
                 self.store.put_result(key, Outcome(status, reason), data)
                 self._arrived(key.key, status == "ok")
-        whole = self._joined(node, chunk, node.copies, record) if node.copies else record
+        whole = self._joined(node, chunk, record) if node.copies else record
         self.store.put(node.key, *whole)
         self._arrived(node.key.key, True)
         if not result:
@@ -243,34 +243,26 @@ class Jobs:
             event["alone"] = min(node.lines, self._alone(self.plan.charts_of(chunk), chunk))
         self.listen("chunk", {**_event(node, result), **event})
 
-    def _joined(
-        self, node: Node, chunk: Chunk, copies: Copies, record: tuple[bytes, bytes] | None
-    ) -> tuple[bytes, bytes]:
+    def _joined(self, node: Node, chunk: Chunk, record: tuple[bytes, bytes] | None) -> tuple[bytes, bytes]:
         """A chunk of lines side by side, some just computed and some in records of the store."""
         parts, places = list[Points](), list[np.ndarray]()
         if record:
             assert node.todo is not None
             parts, places = [unpacked(*record)], [node.todo]
-        for key in dict.fromkeys(copies.keys):
-            of_key = np.array([k == key for k in copies.keys])
-            some = self.store.points(key).take(rows_of(copies.rows[of_key], chunk.per_line))
-            parts.append(Points({name: some.values[name] for name in self.graph.variables}, some.sentences))
-            places.append(copies.places[of_key])
+        for key, (own, there) in node.copies.items():
+            parts.append(self.store.points(key, self.graph.variables).take(rows_of(there, chunk.per_line)))
+            places.append(own)
         order = np.argsort(np.concatenate(places))
         return pack(joined(parts).take(rows_of(order, chunk.per_line)), self._packing(chunk.shape, chunk.numbers))
 
     def copy(self, node: Node, data: bytes) -> None:
         """Store a result that another study has computed."""
-        key = node.key
-        if self.error or key.key in self.store or key.key in self._failed:
-            return
+        key = node.key.key
         try:
-            self.store.put_result(key, Outcome("ok", ""), data)
+            if not (self.error or key in self.store or key in self._failed):
+                self._record_task(node, {"seconds": 0.0, "outcome": "ok", "reason": "", "data": data})
         except Exception as error:
             self.fail(error)
-            return
-        self._arrived(key.key, True)
-        self.listen("task", {"task": node.task, "seconds": 0.0, "outcome": "ok", **self._charted(node)})
 
     def _arrived(self, key: str, is_ok: bool) -> int:
         """Make nodes ready that waited for a result; if it failed they are dropped, and their points counted."""

@@ -83,9 +83,9 @@ def run(
             stack.callback(study.close)
             study.open()
         try:
-            with signals.handle():
-                while waiting := [study for study in studies if study.is_open]:
-                    _attempt(waiting, options, signals)
+            signals.handle()
+            while waiting := [study for study in studies if study.is_open]:
+                _attempt(waiting, options, signals)
         except Exception as error:
             stopped = [study for study in studies if study.is_open]
             for study in stopped:

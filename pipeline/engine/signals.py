@@ -1,11 +1,9 @@
 """What a run does at a signal."""
 
-import contextlib
 import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -25,22 +23,17 @@ class Signals:
         self.received, self._when = 0, 0.0
         self._handlers: dict[int, Any] = {}
 
-    @contextlib.contextmanager
-    def handle(self) -> Iterator[None]:
-        """Handle signals inside, and after one until `restore`; only the main thread can."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        self._handlers = {
-            s: signal.signal(s, self._receive)
-            for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-            if signal.getsignal(s) not in (signal.SIG_IGN, None)
-        }
-        try:
-            yield
-        finally:
-            if not self.received:  # a repeat must not keep the run from reporting how it ended
-                self.restore()
+    def handle(self) -> None:
+        """Handle signals until `restore`, so that a repeat does not keep a run from reporting how it ended.
+
+        Only the main thread can.
+        """
+        if threading.current_thread() is threading.main_thread():
+            self._handlers = {
+                s: signal.signal(s, self._receive)
+                for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+                if signal.getsignal(s) not in (signal.SIG_IGN, None)
+            }
 
     def restore(self) -> None:
         """Leave signals to their earlier handlers."""

@@ -38,14 +38,14 @@ Atlas = tuple[int, str, str, bytes]
 Record = tuple[bytes, bytes]
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
-_closing = threading.Event()
+_is_closing = False  # an event has a lock, which a signal handler may find taken by its own thread
 
 
 class WorkerProcess:
     """A worker process and the connection to it."""
 
     def __init__(self) -> None:
-        if _closing.is_set():
+        if _is_closing:
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         self._connection, end = Pipe()
@@ -86,7 +86,7 @@ class WorkerProcess:
             self.close()
             return too_much
         except (EOFError, OSError, ValueError):  # ValueError: `close_all` closed it
-            if _closing.is_set():
+            if _is_closing:
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
         if outcome == "out_of_memory":
@@ -96,7 +96,7 @@ class WorkerProcess:
     def _answer(self, seconds: float, memory: int | None = None) -> Any:
         last_poll = time.monotonic()
         while not self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
-            if _closing.is_set():
+            if _is_closing:
                 raise WorkerError("The run is being stopped.")
             # A late check means that this process was suspended, and the worker with it.
             clock = time.monotonic()
@@ -133,7 +133,8 @@ def _size(memory: int) -> str:
 
 def stop() -> None:
     """Kill every worker process and end all waits; may be called from a signal handler."""
-    _closing.set()
+    global _is_closing
+    _is_closing = True
     for worker in list(_workers):
         with contextlib.suppress(OSError):
             worker.process.kill()
@@ -141,10 +142,11 @@ def stop() -> None:
 
 def close_all() -> None:
     """End every worker process and allow new ones."""
+    global _is_closing
     stop()
     for worker in list(_workers):
         worker.close()
-    _closing.clear()
+    _is_closing = False
 
 
 def members() -> list[dict[str, Any]]:

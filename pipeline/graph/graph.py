@@ -6,7 +6,7 @@ Nodes are made when they are asked for: a grid of a million points needs no obje
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,6 @@ from gaitsweep.pipeline.grid.grid import Chunk, Grid
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.store.store import Key
 from gaitsweep.pipeline.study.model import Study
-
-
-@dataclass(frozen=True)
-class Copies:
-    """Lines of a chunk that are in the store: for each its place in the chunk, the key of a record and place there."""
-
-    places: np.ndarray
-    keys: tuple[str, ...]
-    rows: np.ndarray
 
 
 def boxes(charts: Mapping[str, np.ndarray], which: str) -> list[dict[str, Any]]:
@@ -44,7 +35,7 @@ class Node:
     Charts are those of the plane of a line, or of a `box` that is part of it. `needs` are keys of results that it
     reads, `why` it would run. A chunk over a plane learns from `Graph.charts_of` which it needs, and can do without
     those that failed. Of a chunk of lines side by side, `todo` are the places of those to compute, and `copies` the
-    others, if there are any.
+    others, if there are any: by the key of the record that holds them, their places in the chunk and there.
     """
 
     task: str
@@ -55,7 +46,7 @@ class Node:
     chunk: Chunk | None = None
     why: str = ""
     todo: np.ndarray | None = None
-    copies: Copies | None = None
+    copies: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @property
     def lines(self) -> int:

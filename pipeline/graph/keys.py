@@ -20,12 +20,11 @@ _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58
 
 def task_key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Key:
     """Key of a task with these parameters and the keys of its inputs."""
-    plain = _canonical(params)
-    versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
     # Results to another accuracy are those of a changed study, as of another version.
-    kept = {name: value for name, value in plain.items() if name != "accuracy"}
-    unversioned = json.dumps([task.name, kept], separators=(",", ":"))
-    return Key(*(f"{task.name}-{digest(text.encode())}" for text in (versioned, unversioned)))
+    kept = {name: value for name, value in params.items() if name != "accuracy"}
+    parts = [task.name, task.version, params, list(inputs)], [task.name, kept]
+    texts = (json.dumps(part, default=_of_array, sort_keys=True) for part in parts)
+    return Key(*(f"{task.name}-{digest(text.encode())}" for text in texts))
 
 
 def digest(data: bytes) -> str:
@@ -33,16 +32,9 @@ def digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _canonical(x: Any) -> Any:
-    if isinstance(x, float):
-        return x.hex()
-    if isinstance(x, Mapping):
-        return {k: _canonical(x[k]) for k in sorted(x)}
-    if isinstance(x, list | tuple):
-        return [_canonical(v) for v in x]
-    if isinstance(x, np.ndarray):
-        return [x.dtype.str, list(x.shape), digest(x.tobytes())]
-    return x
+def _of_array(x: np.ndarray) -> list[Any]:
+    """What stands for an array in the text of a key; anything else that JSON lacks fails here."""
+    return [x.dtype.str, list(x.shape), digest(x.tobytes())]
 
 
 def words(data: bytes, n: int) -> np.ndarray:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline import serialize
-from gaitsweep.pipeline.graph.graph import Copies, Graph, Node, boxes
+from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
 from gaitsweep.pipeline.statuses import ANSWERS
@@ -98,8 +97,7 @@ class Plan:
             outcome = self.store.outcome(key)
             if outcome is None or outcome.status != "ok":
                 return [charts.box or plane.region] if outcome and plane and which == "alone" else []
-            with self.store.reading():
-                arrays = serialize.load(self.store.get(key)[1])
+            arrays = self.store.result(key)
             self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
         return self._boxes[key][which]
 
@@ -128,13 +126,15 @@ class Plan:
         node = replace(node, why="changed" if head else self._new_or_changed(node.key))
         if not self.graph.method.is_of_lines or not self._elsewhere[1].size:
             return node
-        keys, digests, rows = self._elsewhere
+        records, digests, rows = self._elsewhere
         own = self.graph.digests(chunk.numbers)[:, 0]
         place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
         is_there: np.ndarray = np.equal(digests[place], own).astype(bool)
         if not is_there.any():
             return node
-        copies = Copies(np.flatnonzero(is_there), tuple(keys[k] for k in place[is_there]), rows[place[is_there]])
+        own, there = np.flatnonzero(is_there), place[is_there]
+        of_each = {key: records[there] == key for key in dict.fromkeys(records[there])}
+        copies = {key: (own[is_of_it], rows[there[is_of_it]]) for key, is_of_it in of_each.items()}
         return replace(node, todo=np.flatnonzero(~is_there), copies=copies)
 
     def _retried(self, node: Node, chunk: Chunk) -> Node:
@@ -145,8 +145,7 @@ class Plan:
         status = self.store.points(node.key.key).values["status"][:, self.columns]
         is_kept = np.asarray(np.isin(status, ANSWERS).reshape(len(chunk.numbers), -1).all(axis=1))
         kept = np.flatnonzero(is_kept)
-        copies = Copies(kept, (node.key.key,) * len(kept), kept)
-        return replace(node, todo=np.flatnonzero(~is_kept), copies=copies) if len(kept) else node
+        return replace(node, todo=np.flatnonzero(~is_kept), copies={node.key.key: (kept, kept)}) if len(kept) else node
 
     def _holds(self, head: Head) -> bool:
         """Whether a record holds what this study asks for, as its archive does: with the multipliers of its walkers."""
@@ -154,7 +153,7 @@ class Plan:
         return is_alike and head.holds(self.graph.variables, self.study.gaits)
 
     @functools.cached_property
-    def _elsewhere(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+    def _elsewhere(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Lines side by side in the store, by their sorted digests: keys of records, digests and places in them.
 
         They are in chunks of other grids, as a study has them after its axes were changed.
@@ -167,34 +166,25 @@ class Plan:
                 digests.append(head.digests[:, 0])
                 rows.append(np.arange(len(head.digests)))
         order = np.argsort(np.concatenate(digests), kind="stable")
-        return [keys[k] for k in order], np.concatenate(digests)[order], np.concatenate(rows)[order]
+        return np.array(keys, object)[order], np.concatenate(digests)[order], np.concatenate(rows)[order]
 
     def over_study(self) -> Iterator[Node]:
         """Nodes over the study that are missing, or older than what they read, inputs first.
 
         Asked once all other nodes are stored; before, they run if any of these does.
         """
-        keys = self.graph.study_keys
-        for name, key in keys.items():
-            node, needs = self.graph.node(name), self.graph.layers[name].needs
-            outcome = self.store.outcome(key.key)
+        nodes, number = [self.graph.node(name) for name in self.graph.study_tasks], self.store.number
+        # Their keys name all that is below them: what was stored since with other keys was retried, or lost before.
+        own, stored = {node.key.key for node in nodes}, reversed([*self.store] if nodes else [])
+        latest = next((number(key) for key in stored if key not in own), 0)
+        for node in nodes:
+            outcome = self.store.outcome(node.key.key)
             if outcome is None:
-                yield replace(node, why=self._new_or_changed(key))
-            elif self._latest(needs, keys) > self.store.number(key.key):
+                yield replace(node, why=self._new_or_changed(node.key))
+            elif max(latest, *map(number, node.needs), 0) > number(node.key.key):
                 yield replace(node, why="its inputs change")
             elif self.retry and outcome.status != "ok":
                 yield replace(node, why="retried")
-
-    def _latest(self, needs: tuple[str, ...], over_study: dict[str, Key]) -> int:
-        """Number of the latest record of some tasks of the study."""
-        graph, number, latest = self.graph, self.store.number, 0
-        if "points" in needs:
-            chunks = (graph.chunk_key(graph.grid.chunk(k)) for k in range(graph.grid.chunks))
-            latest = max(map(number, chunks), default=0)
-        for need in set(needs) & set(graph.line_tasks):
-            lines = (graph.line_keys(i)[need].key for i in range(self.study.batches))
-            latest = max(latest, *map(number, lines))
-        return max(latest, *(number(over_study[need].key) for need in needs if need in over_study), 0)
 
     def outcome_of_line(self, number: int) -> Outcome | None:
         """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""

@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import NOT_ATTEMPTED
-from gaitsweep.pipeline.store.record import Head, Points, joined
+from gaitsweep.pipeline.store.record import Points, joined
 from gaitsweep.tasks.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
@@ -27,12 +27,11 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     for number in range(plan.study.batches):
         columns = lines.line(number) if "points" in needs else {}
         for need in per_line:
-            result = store.result(graph.line_keys(number)[need].key)
-            columns |= serialize.load(result) if result else {}
+            columns |= store.result(graph.line_keys(number)[need].key) or {}
         yield serialize.dump(columns)
     for need in needs:
         if not graph.layers[need].per_line:
-            yield store.result(graph.study_keys[need].key) or serialize.dump({})
+            yield serialize.dump(store.result(graph.study_keys[need].key) or {})
 
 
 class _Lines:
@@ -63,7 +62,4 @@ class _Lines:
         key = self.graph.chunk_key(chunk)
         if key not in store:
             return Points.of_ending(chunk.points, "not_attempted", NOT_ATTEMPTED, self.names)
-        head, payload = store.get(key)
-        with store.reading():
-            contents = Head(head)
-            return Points({name: contents.unpack(memoryview(payload), name) for name in self.names})
+        return store.points(key, self.names)

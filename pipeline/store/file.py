@@ -147,6 +147,11 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
                 gap = 0
                 if is_whole(row):
                     yield row
+        if gap == _MAX_GAP:  # as records leave that were stored anew
+            with contextlib.suppress(sqlite3.DatabaseError):
+                for (found,) in db.execute("SELECT id FROM records WHERE id > ? ORDER BY id LIMIT 1", (number,)):
+                    if found > number:
+                        number, gap = found - 1, 0
         number += 1
 
 

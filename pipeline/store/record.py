@@ -259,7 +259,7 @@ class Head:
         return np.stack(columns, axis=1) if columns else np.empty(shape, dtype)
 
 
-def unpacked(head: bytes, payload: bytes) -> Points:
-    """Points of a record."""
+def unpacked(head: bytes, payload: bytes, names: Iterable[str] | None = None) -> Points:
+    """Points of a record, with all variables that it holds or some of them."""
     contents, view = Head(head), memoryview(payload)
-    return Points({name: contents.unpack(view, name) for name in contents.columns}, contents.sentences())
+    return Points({name: contents.unpack(view, name) for name in names or contents.columns}, contents.sentences())

@@ -9,7 +9,7 @@ import functools
 import hashlib
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -146,11 +146,10 @@ class Store:
         with self.reading():
             return Head(self.head(key))
 
-    def points(self, key: str) -> Points:
-        """Points in the record of a chunk."""
-        record = self.get(key)
+    def points(self, key: str, names: Iterable[str] | None = None) -> Points:
+        """Points in the record of a chunk, with all its variables or some."""
         with self.reading():
-            return unpacked(*record)
+            return unpacked(*self.get(key), names)
 
     def put_result(self, key: Key, outcome: Outcome, result: bytes) -> None:
         """Store the result of a task over a line or a study."""
@@ -166,15 +165,13 @@ class Store:
                 raise ValueError(outcome.status)
             return outcome
 
-    def result(self, key: str) -> bytes | None:
-        """Packed result of a task; None if it has none, or failed."""
+    def result(self, key: str) -> Any:
+        """Result of a task; None if it has none, or failed."""
         outcome = self.outcome(key)
         if outcome is None or outcome.status != "ok":
             return None
-        data = self.get(key)[1]
         with self.reading():
-            serialize.load(data)
-        return data
+            return serialize.load(self.get(key)[1])
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:

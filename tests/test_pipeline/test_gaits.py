@@ -176,6 +176,12 @@ def test_wrong_input_is_one_sentence(arguments, words):
     assert "\n" not in str(caught.value)
 
 
+def test_points_whose_walker_or_slope_is_wrong_are_all_refused_if_none_is_left():
+    slope, m_h = xr.DataArray([0.01, 0.9], dims="p"), xr.DataArray([-1.0, 0.5], dims="p")
+    with pytest.raises(StudyError, match=r"^`m_h` must .*-1"):
+        gaitsweep.gaits("C", slope, m_h=m_h, variables=["period"])
+
+
 def forget(monkeypatch, bound=1 << 30):
     monkeypatch.setattr(in_memory, "_REMEMBERED", memory := Memory(bound))
     return memory

@@ -18,7 +18,7 @@ from gaitsweep.pipeline.graph.keys import task_key
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.record import Points
-from gaitsweep.pipeline.store.store import Outcome, Store
+from gaitsweep.pipeline.store.store import Key, Outcome, Store
 from gaitsweep.pipeline.study import parse
 from gaitsweep.pipeline.study.model import Lines
 from gaitsweep.tasks import registry
@@ -138,8 +138,14 @@ def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
             store.put_result(key, Outcome("ok", ""), b"")
         assert list(plan.over_study()) == []
         store.put_result(graph.line_keys(0)["atlas"], Outcome("ok", ""), b"")
-        todo = {node.task: node.why for node in plan.over_study()}
-    assert todo == dict.fromkeys(["landmarks", "claims"], "its inputs change")
+        stale = dict.fromkeys(["landmarks", "claims"], "its inputs change")
+        assert {node.task: node.why for node in plan.over_study()} == stale
+        for name in stale:
+            store.put_result(keys[name], Outcome("ok", ""), b"")
+        assert list(plan.over_study()) == []
+        # The plan says so before, whatever is computed.
+        store.put_result(Key("another", "another"), Outcome("ok", ""), b"")
+        assert {node.task: node.why for node in plan.over_study()} == stale
 
 
 PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml")) if "claims" in path.read_text()]

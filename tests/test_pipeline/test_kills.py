@@ -89,9 +89,9 @@ def test_a_second_interrupt_is_hard_unless_it_is_the_first_once_more(pause, code
     program = (
         "import os, signal, time; from gaitsweep.pipeline.engine.runner import Signals; signals = Signals()\n"
         "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
-        "with signals.handle():\n"
-        f"    interrupt(); print('first', flush=True); time.sleep({pause}); interrupt(); print('soft', flush=True)\n"
-        "    signals.check()\n"
+        "signals.handle()\n"
+        f"interrupt(); print('first', flush=True); time.sleep({pause}); interrupt(); print('soft', flush=True)\n"
+        "signals.check()\n"
     )
     done = interpret(program)
     assert (done.returncode, done.stdout) == (code, said)

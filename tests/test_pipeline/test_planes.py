@@ -15,6 +15,8 @@ import xarray as xr
 import gaitsweep
 from gaitsweep.pipeline import paths, serialize
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.jobs import Jobs
 from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
@@ -239,8 +241,17 @@ def test_charts_that_were_never_packed_are_damage(tmp_path):
             Plan(graph.study, store).boxes(charts, "halves")
 
 
+def test_damage_that_comes_from_another_study_ends_one_study_alone(tmp_path):
+    """It is met when the charts are read, not packed; the run plans that study again, from its repaired journal."""
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        jobs = Jobs(Plan(read(written(tmp_path, HALVED)), store), Engine(1), lambda *_: None)
+        charts, _ = jobs.take()
+        jobs.copy(charts, b"\xff" * 20)
+        assert charts.task == "charts" and isinstance(jobs.error, CorruptStoreError)
+
+
 def halves_in(store, node):
-    return boxes(serialize.load(store.result(node.key.key)), "halves")
+    return boxes(store.result(node.key.key), "halves")
 
 
 def test_gaits_of_several_steps_have_no_charts(tmp_path):
