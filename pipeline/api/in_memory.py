@@ -22,7 +22,7 @@ from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.record import Points, has_multipliers, joined
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
-from gaitsweep.pipeline.study.model import Axis, Study
+from gaitsweep.pipeline.study.model import Axis, Definition, Study
 from gaitsweep.tasks.accuracy import always
 from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
@@ -67,7 +67,7 @@ def _over(base: Study, slope: np.ndarray, keys: Mapping[str, np.ndarray], check:
 
 
 def gaits(
-    walker: str | dict[str, Any],
+    walker: Definition,
     wanted: tuple[str, ...],
     arguments: Mapping[str, Any],
     steps: int,
@@ -136,9 +136,7 @@ def gaits(
     return _dataset(points, grid[0], coordinates, constants, is_si, base)
 
 
-def _lines(
-    walker: str | dict[str, Any], flat: Arrays, varying: list[str]
-) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
+def _lines(walker: Definition, flat: Arrays, varying: list[str]) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     """Every line of the grid, in the order of its first point, with its points."""
     n = len(flat["slope"])
     fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}

@@ -73,11 +73,7 @@ def over_steps(long_name: str, steps: int) -> str:
 
 
 def of_variable(
-    variable: Variable,
-    is_si: bool,
-    is_mixed: bool = False,
-    steps: int = 1,
-    limits: Mapping[str, float] | None = None,
+    variable: Variable, is_si: bool, is_mixed: bool = False, steps: int = 1, limits: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
     """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`).
 

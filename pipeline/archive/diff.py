@@ -1,6 +1,6 @@
 """Differences between two archives."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,27 @@ class Tolerance:
     rtol: float
     own: Mapping[str, float]
 
-    def of(self, name: str) -> float | None:
-        """Relative tolerance of a variable; None if `rtol` applies to its absolute difference."""
-        if name in self.own:
-            return self.own[name]
-        return None if name.rpartition("/")[2] in _ROUNDING else self.rtol
+    def compare(self, name: str, x: np.ndarray, y: np.ndarray, scale: np.ndarray | None = None) -> list[str]:
+        """Differences between the values of a variable, if any, in a sentence."""
+        if x.shape != y.shape:
+            return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
+        if x.dtype.kind != "f" or y.dtype.kind != "f":
+            unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
+            return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
+        rtol, unit = self.own.get(name, self.rtol), " of their size"
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
+            if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
+                size, unit = np.ones(x.shape), ""
+            gap = np.abs(x - y)
+            unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
+            worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
+        if not unequal.any():
+            return []
+        absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
+        by = [f"by up to {worst:.2g}{unit}"] if absent < np.count_nonzero(unequal) else []
+        by += [f"{absent:,} absent in one"] if absent else []
+        return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, {', '.join(by)}"]
 
 
 def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
@@ -65,15 +81,14 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         differences = [f"the kind differs: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
         constants, others = _parameters(left), _parameters(right)
         for name in sorted(constants.keys() & others.keys()):
-            differences += _compare_values(name, constants[name], others[name], tolerance)
+            differences += tolerance.compare(name, constants[name], others[name])
         x, y = (dataset(file, mask_and_scale=False, decode_times=False) for file in (left, right))
         for name in sorted((set(x.indexes) | set(y.indexes)) - (set(x.sizes) & set(y.sizes))):
             differences.append(f"the dimension `{name}` is only in {a if name in x.sizes else b}")
         differences += _compare_groups((left, right), (a, b), (x, y), tolerance)
         names = {name for file in (left, right) for name, _ in layout.variables(file)}
-        for name in tolerance.own:
-            if name not in names:
-                raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
+        for name in sorted(tolerance.own.keys() - names):
+            raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
         return differences
 
 
@@ -85,29 +100,27 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
 
 def _compare_groups(
     groups: tuple[Any, Any], paths: tuple[Path, Path], grids: _Pair, tolerance: Tolerance, prefix: str = ""
-) -> list[str]:
+) -> Iterator[str]:
     """Differences between two open groups, and the groups in them; `grids` are the main groups of the archives."""
     x, y = (_opened(group, grid) if prefix else grid for group, grid in zip(groups, grids, strict=True))
-    differences = []
     for name in sorted(set(x.indexes) & set(y.indexes)):
         if prefix and name != "slope":
             continue  # said of the main groups
         for one, other, path in ((x, y, paths[0]), (y, x, paths[1])):
             if n := len(one.indexes[name].difference(other.indexes[name])):
-                differences.append(f"{n:,} of {one.sizes[name]:,} values of `{prefix}{name}` are only in {path}")
+                yield f"{n:,} of {one.sizes[name]:,} values of `{prefix}{name}` are only in {path}"
     rows = _matching_rows(x, y, grids)
     for name in sorted(map(str, {*x.variables, *y.variables} - {*x.indexes, *y.indexes, "reason_text"})):
         if name not in x or name not in y:
-            differences.append(f"`{prefix}{name}` is only in {paths[0] if name in x else paths[1]}")
+            yield f"`{prefix}{name}` is only in {paths[0] if name in x else paths[1]}"
         elif prefix or set(x[name].dims) <= set(y.sizes):
-            differences += _compare(name, prefix, (x, y), rows, tolerance)
+            yield from _compare(name, prefix, (x, y), rows, tolerance)
     for name in sorted(set(groups[0].groups) | set(groups[1].groups)):
         inner = [group.groups.get(name) for group in groups]
         if None in inner:
-            differences.append(f"the group /{prefix}{name} is only in {paths[inner.index(None) - 1]}")
+            yield f"the group /{prefix}{name} is only in {paths[inner.index(None) - 1]}"
         else:
-            differences += _compare_groups((inner[0], inner[1]), paths, grids, tolerance, f"{prefix}{name}/")
-    return differences
+            yield from _compare_groups((inner[0], inner[1]), paths, grids, tolerance, f"{prefix}{name}/")
 
 
 def _opened(group: Any, grid: xr.Dataset) -> xr.Dataset:
@@ -131,20 +144,19 @@ def _compare(
     if units[0] != units[1]:
         return [f"`{prefix}{name}` is in {units[0]} and in {units[1]}"]
     if x.dims == ("row",):
-        return _compare_values(f"{prefix}{name}", x.values[rows[0]], y.values[rows[1]], tolerance)
+        return tolerance.compare(f"{prefix}{name}", x.values[rows[0]], y.values[rows[1]])
     parts = [x, y]
-    if name in _PARTS and set(_PARTS) <= set(groups[0]):
-        real, imag = (groups[0][part] for part in _PARTS)
-        parts.append((real**2 + imag**2) ** 0.5)
+    if name in _PARTS and all(set(_PARTS) <= set(group) for group in groups):
+        parts += [sum(group[part] ** 2 for part in _PARTS) ** 0.5 for group in groups]
     parts = list(xr.align(*parts, join="inner", exclude=set(x.dims) - set(x.indexes)))
-    one, other, *scale = (np.atleast_1d(part.transpose(*x.dims).values) for part in parts)  # scalars of a single line
+    one, other, *sizes = (np.atleast_1d(part.transpose(*x.dims).values) for part in parts)  # scalars of a single line
     if name == "status":
         return _compare_status(one, other)
     if name == "reason":
         one, other = (
             group["reason_text"].values.astype(str)[each] for group, each in zip(groups, (one, other), strict=True)
         )
-    return _compare_values(f"{prefix}{name}", one, other, tolerance, *scale)
+    return tolerance.compare(f"{prefix}{name}", one, other, np.maximum(*sizes) if sizes else None)
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -153,30 +165,6 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
         f"`status`: {n:,} were {STATUS_NAMES.get(int(p), p)} and are {STATUS_NAMES.get(int(q), q)}"
         for (p, q), n in zip(pairs.T, counts, strict=True)
     ]
-
-
-def _compare_values(
-    name: str, x: np.ndarray, y: np.ndarray, tolerance: Tolerance, scale: np.ndarray | None = None
-) -> list[str]:
-    if x.shape != y.shape:
-        return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
-    if x.dtype.kind != "f" or y.dtype.kind != "f":
-        unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
-        return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
-    rtol, unit = tolerance.of(name), " of their size"
-    with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
-        if rtol is None:
-            rtol, size, unit = tolerance.rtol, np.ones(x.shape), ""
-        gap = np.abs(x - y)
-        unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
-        worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
-    if not unequal.any():
-        return []
-    absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
-    by = [f"by up to {worst:.2g}{unit}"] if absent < np.count_nonzero(unequal) else []
-    by += [f"{absent:,} absent in one"] if absent else []
-    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, {', '.join(by)}"]
 
 
 def _matching_rows(x: xr.Dataset, y: xr.Dataset, grids: _Pair) -> tuple[np.ndarray, np.ndarray]:

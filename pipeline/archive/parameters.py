@@ -9,7 +9,7 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.archive.attributes import put
 from gaitsweep.pipeline.archive.written import write_variable
 from gaitsweep.pipeline.study import units
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Definition, Study
 
 
 def write(file: Any, study: Study) -> None:
@@ -48,7 +48,7 @@ def write(file: Any, study: Study) -> None:
         write_variable(file, key, dims, values.reshape(shape), about)
 
 
-def _values(walker: str | dict[str, Any], key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:
+def _values(walker: Definition, key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:
     """A walker's parameter at every point of a grid of axes, flattened; NaN where it cannot be tuned."""
     grid = [values.ravel() for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")]
     walkers = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")(

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -35,27 +35,22 @@ def write(file: Any, plan: Plan) -> None:
     for name, layer in plan.graph.layers.items():
         if name in registry.INTERNAL or (name in registry.OPTIONS and name != plan.study.kind):
             continue
-        parts: dict[str, list[Columns]] = {}
-        places: dict[str, list[np.ndarray]] = {}
+        parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
         for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
-            result = plan.store.result(key)
-            if result is None:
-                continue
-            tables = split(result)
+            tables = split(plan.store.result(key) or {})
             tables.pop("nothing", None)  # its reason is the line's
             for group, columns in tables.items():
-                parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
-                places.setdefault(group, []).append(numbers)
+                parts.setdefault(group, []).append((numbers, {**_repeat(coordinates, columns), **columns}))
         for group in sorted(parts):
-            columns = _stack(parts[group])
+            places, tables_of_jobs = zip(*parts[group], strict=True)
+            columns = _stack(tables_of_jobs)
             if plan.study.kind == name == "design":
                 # Jobs go through the grid cell by cell, rows line by line.
-                order = np.argsort(np.concatenate(places[group]), kind="stable")
+                order = np.argsort(np.concatenate(places), kind="stable")
                 columns = {name: values[order] for name, values in columns.items()}
             _group(file, plan, group, columns)
     if failures := list(failed(plan)):
-        names, outcomes, reasons = zip(*failures, strict=True)
-        columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
+        columns = dict(zip(("task", "outcome", "reason"), np.array(failures).T, strict=True))
         _group(file, plan, "failed_tasks", columns)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
@@ -124,7 +119,7 @@ def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
     return {name: np.full(n, value) for name, value in coordinates.items() if name not in columns}
 
 
-def _stack(parts: list[Columns]) -> Columns:
+def _stack(parts: Sequence[Columns]) -> Columns:
     """The rows of all parts; a column that some lack, such as a rate of other walkers, is NaN or empty there."""
     absent = {name: "" if values.dtype.kind == "U" else np.nan for part in parts for name, values in part.items()}
     lengths = [len(next(iter(part.values()))) for part in parts]

@@ -31,7 +31,7 @@ _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, Typ
 
 def misfits(file: Any) -> Iterator[str]:
     """Departures of an open archive from gaitsweep's layout, one sentence each."""
-    for check in (_attributes, _origins, _dimensions, _coordinates, _types, _states, _groups):
+    for check in (_attributes, _origins, _dimensions, _coordinates, _types, _states, _descriptions):
         try:
             yield from check(file)
         except _UNEXPECTED as error:
@@ -117,7 +117,6 @@ def _types(file: Any) -> Iterator[str]:
     """Dimensions and types of variables, and their units, long names and flags."""
     grid = file.variables["status"].dimensions
     for name, variable in file.variables.items():
-        yield from _described(variable, name)
         about = VARIABLES.get(name)
         if not about:
             continue
@@ -132,10 +131,11 @@ def _types(file: Any) -> Iterator[str]:
         yield "`reason_text` is no table of sentences."
 
 
-def _described(variable: Any, name: str) -> Iterator[str]:
-    for attribute in ("long_name", "units"):
-        if not isinstance(getattr(variable, attribute, None), str):
-            yield f"`{name}` has no {attribute}."
+def _descriptions(file: Any) -> Iterator[str]:
+    for path, variable in layout.variables(file):
+        for attribute in ("long_name", "units"):
+            if not isinstance(getattr(variable, attribute, None), str):
+                yield f"`{path}` has no {attribute}."
 
 
 def _states(file: Any) -> Iterator[str]:
@@ -160,9 +160,3 @@ def _parts(variable: Any) -> Iterator[np.ndarray]:
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
     for box in boxes(sizes, box_shape(sizes, MOST_POINTS), MOST_POINTS):
         yield np.asarray(variable[box])
-
-
-def _groups(file: Any) -> Iterator[str]:
-    for path, variable in layout.variables(file):
-        if "/" in path and any(_described(variable, path)):
-            yield f"`/{path}` has no units or long_name."

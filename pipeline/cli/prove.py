@@ -103,27 +103,18 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         places = np.argwhere(np.isin(status, FOUND))
         if sample is not None and sample < len(places):
             places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
-        coordinates = {d: file[d][...] for d in dims}
-        if not np.isfinite(np.ma.filled(coordinates["slope"], np.nan)).all():
+        coordinates = {d: file[d][...].tolist() for d in dims}
+        if not np.isfinite(np.array(coordinates["slope"], float)).all():
             raise ArchiveError(f"{path} has a slope that is no number.")
         for index in map(tuple, places.tolist()):
-            at = {d: _item(coordinates[d][i]) for d, i in zip(dims, index, strict=True)}
             place = dict(zip(dims, index, strict=True))
-            yield {
-                "at": at,
-                "walker": walkers[place.get("walker", 0)],
-                # What an axis such as `detuning` moves is stored key by key.
-                "set": {
-                    key: float(values[tuple(place[d] for d in values.dimensions)]) for key, values in varied.items()
-                },
-                "slope": at["slope"],
-                "gait": at["gait"],
-                "values": {n: float(np.ma.filled(file[n][index], np.nan)) for n in names},
-            }
-
-
-def _item(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
+            at = {d: coordinates[d][i] for d, i in place.items()}
+            # What an axis such as `detuning` moves is stored key by key.
+            moved = {k: float(values[tuple(place[d] for d in values.dimensions)]) for k, values in varied.items()}
+            numbers = {n: float(np.ma.filled(file[n][index], np.nan)) for n in names}
+            walker = walkers[place.get("walker", 0)]
+            given = {"walker": walker, "set": moved, "slope": at["slope"], "gait": at["gait"]}
+            yield {"at": at, **given, "values": numbers}
 
 
 def _shown(proof: Mapping[str, Any]) -> str:

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import json
 import shlex
 import time
 from collections import Counter
@@ -14,7 +13,6 @@ from gaitsweep.pipeline.cli import studies
 from gaitsweep.pipeline.cli.errors import report_errors
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.progress import duration
-from gaitsweep.pipeline.paths import sidecar_path
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -33,23 +31,18 @@ def run(options: argparse.Namespace) -> int:
             raise error
 
     ends = runner.run(targets, run_options, report)
-    codes += ends
+    codes += [end.code for end in ends]
     if not options.quiet:
-        finished = {study.path: path for (study, path), end in zip(targets, ends, strict=True) if end in (0, 1)}
+        finished = {end.study.path: end for end in ends if end.code in (0, 1)}
         others = [str(path) for path in options.studies if path not in finished]
         for line in _after(list(finished.values()), others, time.monotonic() - start):
             terminal.say(line)
     return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
 
 
-def _after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterator[str]:
+def _after(ends: list[runner.StudyRun], unfinished: list[str], seconds: float) -> Iterator[str]:
     """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see the results."""
-    counts: Counter[str] = Counter()
-    for path in archives:
-        try:
-            counts.update(json.loads(sidecar_path(path, ".run.json").read_text(encoding="utf-8"))["counts"])
-        except (OSError, ValueError, KeyError):
-            continue
+    archives, counts = [end.path for end in ends], sum((end.counts for end in ends), Counter[str]())
     if len(archives) + len(unfinished) > 1:
         count = f"{len(archives)} of {len(archives) + len(unfinished)}" if unfinished else f"{len(archives)}"
         parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []

@@ -9,6 +9,7 @@ import xarray as xr
 
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
+from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.single_point import led, state_of
 
@@ -25,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
     walker, keys = led(options.walker, options.set)
+    ask("check_walker", {"walker": walker, "set": keys})  # as a keyword, a wrong one might be another argument
     state = options.state or state_of(walker, options.slope, keys, options.gait or "long")
     found = simulate(walker, options.slope, state, options.steps, pushes=pushes, **keys)
     kinds.show(options, {name: _plain(values) for name, values in found.variables.items()}, _lines(found))

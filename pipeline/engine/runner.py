@@ -5,6 +5,7 @@ import json
 import platform
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +53,7 @@ class Options:
 
 def run(
     targets: Sequence[tuple[Study, Path]], options: Options, report: Callable[[Exception], None] | None = None
-) -> list[int]:
+) -> list["StudyRun"]:
     """Run studies into archives, all as one graph; one that fails does not end the others.
 
     Parameters
@@ -65,8 +66,8 @@ def run(
 
     Returns
     -------
-    list of int
-        Exit code of each study.
+    list of StudyRun
+        Each study's, with its exit code and the outcomes of its points.
 
     Raises
     ------
@@ -92,7 +93,7 @@ def run(
                 study.end(error, quietly=study is not stopped[0])
     if errors:
         raise errors[0]
-    return [study.code for study in studies]
+    return studies
 
 
 def _attempt(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
@@ -140,11 +141,13 @@ class StudyRun:
         Whether it is locked and not finished.
     code : int
         Exit code.
+    counts : Counter
+        Points, or lines, by outcome, once it is finished.
     """
 
     def __init__(self, study: Study, path: Path, options: Options, report: Callable[[Exception], None]):
         self.study, self.path, self.options, self.report = study, path, options, report
-        self.is_open, self.code = False, 1
+        self.is_open, self.code, self.counts = False, 1, Counter[str]()
         self.progress: Progress | None = None
         self._store: Store | None = None
         self._resources = contextlib.ExitStack()
@@ -197,6 +200,7 @@ class StudyRun:
                 raise jobs.error
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = write.update(jobs.plan, self.path)
+            self.counts = written.counts
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptStoreError(jobs.store.path)
             failures = result_tables.failed(jobs.plan)

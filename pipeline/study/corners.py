@@ -6,7 +6,7 @@ from typing import Any
 
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Definition, Study
 from gaitsweep.tasks import registry
 
 #: Most corners of a grid at which a walker is checked.
@@ -36,7 +36,7 @@ def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str,
     return tuple(checks.values())
 
 
-def _corners(study: Study) -> Iterator[tuple[int, str | dict[str, Any], dict[str, float]]]:
+def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]:
     """Number of each walker, the walker, and values of the axes at the corners of the grid."""
     ends = [sorted({float(axis.values[0]), float(axis.values[-1])}) for axis in study.line_axes]
     names = [axis.name for axis in study.line_axes]
@@ -63,7 +63,7 @@ def _not_led(study: Study) -> list[str]:
     ]
 
 
-def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueError, top: Location) -> Location:
+def _fault(walker: Definition, values: dict[str, float], error: ValueError, top: Location) -> Location:
     """Place of what is wrong with a walker at values of the axes: the walker, the one axis at fault, or the axes."""
     key = getattr(error, "key", "walker")
     if key in values:
@@ -75,7 +75,7 @@ def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueE
     return top.at("axes", *at_fault) if len(at_fault) == 1 else top.at("axes")
 
 
-def _can_be(walker: str | dict[str, Any], values: dict[str, float]) -> bool:
+def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     try:
         dispatch.call("check_walker", {"walker": walker, "set": values})
     except ValueError:
@@ -83,7 +83,7 @@ def _can_be(walker: str | dict[str, Any], values: dict[str, float]) -> bool:
     return True
 
 
-def _check_curve(study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location) -> None:
+def _check_curve(study: Study, walker: Definition, values: dict[str, float], location: Location) -> None:
     """Check a walker at both ends of the range over which curves are continued."""
     options = registry.options("curve", study.options)
     for end in ("from", "to"):

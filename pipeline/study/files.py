@@ -5,13 +5,16 @@ import os
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.location import Location, clip
+from gaitsweep.pipeline.study.model import Definition
 
+#: Reads the decimals of a file.
+Reader: TypeAlias = Callable[[str], Any]
 _MAX_BASES = 8
 #: What the package brings: studies in folders, and walkers.
 _STUDIES, _WALKERS = (Path(__file__).parents[2] / "data" / name for name in ("studies", "walkers"))
@@ -76,7 +79,7 @@ def unreadable(shown: str, error: Exception) -> StudyError:
     return StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.")
 
 
-def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> tuple[str, dict[str, Any]]:
+def read_toml(path: Path, shown: str, number: Reader = float) -> tuple[str, dict[str, Any]]:
     """Read a TOML file and return its text and table, with decimals read by `number`; errors call it `shown`.
 
     Raises
@@ -94,12 +97,8 @@ def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> t
 
 
 def walker(
-    value: str | dict[str, Any],
-    folder: Path,
-    location: Location | None = None,
-    number: Callable[[str], Any] = float,
-    is_end: bool = False,
-) -> str | dict[str, Any]:
+    value: Definition, folder: Path, location: Location | None = None, number: Reader = float, is_end: bool = False
+) -> Definition:
     """Name of a catalogue walker, or the table of a walker.
 
     Parameters
@@ -154,9 +153,7 @@ def more_walkers() -> list[tuple[str, str]]:
     return [*brought, *((name, "of another package") for name in extensions.names("walkers"))]
 
 
-def other(
-    value: object, folder: Path, location: Location, number: Callable[[str], Any] = float
-) -> str | dict[str, Any]:
+def other(value: object, folder: Path, location: Location, number: Reader = float) -> Definition:
     """The walker `toward` which `detuning` leads: a name, a file, a table, or the text of a table.
 
     Raises
@@ -174,9 +171,7 @@ def other(
     return walker(value, folder, location, number, is_end=True)
 
 
-def changed(
-    value: str | dict[str, Any], toward: str | dict[str, Any] | None = None, tuned: str | Sequence[str] = ()
-) -> str | dict[str, Any]:
+def changed(value: Definition, toward: Definition | None = None, tuned: str | Sequence[str] = ()) -> Definition:
     """A walker with the one, if any, toward which `detuning` leads it, and with keys that are `tuned`.
 
     These are changed by least so that it meets the static conditions.
@@ -187,9 +182,7 @@ def changed(
     return {**({"base": value} if isinstance(value, str) else value), **keys} if keys else value
 
 
-def _walker_file(
-    name: str, folder: Path, location: Location, number: Callable[[str], Any]
-) -> tuple[dict[str, Any], Path]:
+def _walker_file(name: str, folder: Path, location: Location, number: Reader) -> tuple[dict[str, Any], Path]:
     """The [walker] table of a file, and the folder to which its own `base` is relative."""
     path = folder / name
     if not os.path.lexists(path) and name in (file.name for file in _WALKERS.glob("*.toml")):

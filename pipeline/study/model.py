@@ -5,10 +5,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
+#: A walker as studies define it: its name, or the table of its keys.
+Definition: TypeAlias = str | dict[str, Any]
 #: Fewest lines over one or two keys whose gaits charts predict, fewest values of the second of these, about as many as
 #: charts have nodes along it, and fewest designs.
 _MIN_LINES, _MIN_ACROSS, _MIN_DESIGNS = 12, 10, 400
@@ -113,7 +115,7 @@ class Study:
     name: str
     text: str
     kind: str
-    walkers: tuple[str | dict[str, Any], ...]
+    walkers: tuple[Definition, ...]
     gaits: tuple[str, ...]
     axes: tuple[Axis, ...]
     variables: tuple[str, ...]

@@ -15,7 +15,7 @@ from gaitsweep.tasks.registry import GAITS, SI_UNITS, VARIABLES
 Columns = dict[str, np.ndarray]
 _MAX_MIB, _MAX_ROWS = 4, 20_000
 #: Other spellings of units, and factors of units that are converted.
-_SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "kg m2": "kg m2", "N*m": "N m"}
+_SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "N*m": "N m"}
 _DEGREES = ("deg", "°", "degree", "degrees")
 
 

@@ -21,7 +21,7 @@ from gaitsweep.pipeline.study import options, overlay, slopes
 from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.files import changed, other, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.model import Axis, Limits, Study
+from gaitsweep.pipeline.study.model import Axis, Definition, Limits, Study
 from gaitsweep.pipeline.study.plot import Plot
 from gaitsweep.tasks import accuracy as accuracies
 from gaitsweep.tasks import registry
@@ -181,7 +181,7 @@ def _names(value: object, known: Collection[str], location: Location) -> tuple[s
     return tuple(dict.fromkeys(value))
 
 
-def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[str, Any], ...]:
+def _walkers(value: object, path: Path, location: Location) -> tuple[Definition, ...]:
     if isinstance(value, list):
         if not value or not all(isinstance(v, str) for v in value) or len(set(value)) < len(value):
             raise location.wrong("must be a list of different names", value)
@@ -193,7 +193,7 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[
     raise location.wrong("must be a name, a file, a table, or a list of names", value)
 
 
-def _toward(axes: object, path: Path, location: Location) -> tuple[object, str | dict[str, Any] | None]:
+def _toward(axes: object, path: Path, location: Location) -> tuple[object, Definition | None]:
     """Axes without the walker toward which `detuning` leads, and that walker, if one is named."""
     way = axes.get("detuning") if isinstance(axes, dict) else None
     if not isinstance(axes, dict) or not isinstance(way, dict) or "toward" not in way:

@@ -1,20 +1,22 @@
 """The gaits of a walker at one slope, without a study."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import NoGaitError
 from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study.files import Reader
 from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.pipeline.study.options import violation_limits
 from gaitsweep.pipeline.study.parse import accuracy
 from gaitsweep.tasks.registry import GAITS, MAX_STEPS
 
 
 def solve(
-    definition: str | dict[str, Any],
+    definition: Definition,
     slope: float,
     keys: Mapping[str, Any],
     every: bool,
@@ -67,7 +69,7 @@ def solve(
     return ask("solve", params)
 
 
-def state_of(walker: str | dict[str, Any], slope: float, keys: Mapping[str, Any], label: str) -> list[float]:
+def state_of(walker: Definition, slope: float, keys: Mapping[str, Any], label: str) -> list[float]:
     """State of a gait just after heelstrike, (stance_angle, stance_rate, thigh_rate), in the walker's units.
 
     Raises
@@ -86,9 +88,7 @@ def state_of(walker: str | dict[str, Any], slope: float, keys: Mapping[str, Any]
     raise NoGaitError(why[0] if why else f"There is no {label} gait at this slope.")
 
 
-def led(
-    definition: str | dict[str, Any], keys: Mapping[str, Any], number: Callable[[str], Any] = float
-) -> tuple[str | dict[str, Any], dict[str, Any]]:
+def led(definition: Definition, keys: Mapping[str, Any], number: Reader = float) -> tuple[Definition, dict[str, Any]]:
     """A walker with the other one that `toward` among its keys names, and the other keys.
 
     Raises

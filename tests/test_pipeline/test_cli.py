@@ -18,7 +18,9 @@ import threading
 import time
 import tomllib
 import tracemalloc
+from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import netCDF4
@@ -622,7 +624,10 @@ def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, end
         for end in ends:
             if isinstance(end, Exception):
                 report(end)
-        return [end if isinstance(end, int) else getattr(end, "exit_code", 2) for end in ends]
+        codes = [end if isinstance(end, int) else getattr(end, "exit_code", 2) for end in ends]
+        return [
+            SimpleNamespace(study=s, path=p, code=c, counts=Counter()) for (s, p), c in zip(targets, codes, strict=True)
+        ]
 
     monkeypatch.setattr("gaitsweep.pipeline.engine.runner.run", run)
     assert commands.main(["run", *(f"{name}.toml" for name in names)]) == code
@@ -804,6 +809,10 @@ def test_simulate_tells_steps_and_their_end_in_words_and_to_machines(capsys):
         (["--push", "1", "0", "0", "--push", "1", "1", "0"], "`--push` is given twice for step 1."),
         (["--slope", "2"], "`slope` must lie in [1e-18, 0.5) rad; got 2.0: degrees? 2 degrees are 0.0349066 rad."),
         (["--set", "R=-1"], "`R` must be >= 0; got -1.0."),
+        (
+            ["--state", "0.2", "-.2", "-.1", "--set", "steps=3"],
+            "`steps` is not a walker key (did you mean `eps_T`?); got 3.0.",
+        ),
     ],
 )
 def test_wrong_steps_are_refused_in_a_sentence(capsys, words, said):

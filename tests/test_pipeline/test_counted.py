@@ -68,14 +68,14 @@ def test_a_cached_rerun_starts_no_worker_and_so_integrates_nothing(tmp_path, mon
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     (tmp_path / "one.toml").write_text(STUDY)
     study, archive = read(tmp_path / "one.toml"), tmp_path / "one.nc"
-    assert run([(study, archive)], Options(jobs=1, quiet=True)) == [0]
+    assert [end.code for end in run([(study, archive)], Options(jobs=1, quiet=True))] == [0]
     before = archive.read_bytes()
 
     def refuse(*_):
         raise AssertionError("a worker was started")
 
     monkeypatch.setattr(worker_process.WorkerProcess, "__init__", refuse)
-    assert run([(study, archive)], Options(jobs=1, quiet=True)) == [0]
+    assert [end.code for end in run([(study, archive)], Options(jobs=1, quiet=True))] == [0]
     assert archive.read_bytes() == before
     # One more slope wants a worker again: the guard above does guard.
     (tmp_path / "one.toml").write_text(STUDY.replace("n = 4", "n = 5"))

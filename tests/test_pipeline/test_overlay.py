@@ -1,5 +1,6 @@
 """The user's own measurements: read, refused in one line, archived, and compared with the curves."""
 
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,6 +106,16 @@ def test_measurements_are_archived_with_units(archive):
         assert overlay["stance_angle"].values[0] == pytest.approx(np.radians(10.5))
         assert list(overlay["gait"].values) == ["long", "", ""] and np.isnan(overlay["stance_angle"].values[2])
     assert commands.main(["verify", str(archive)]) == 0
+
+
+def test_measurements_that_change_are_archived_though_nothing_is_solved(archive, tmp_path):
+    for name in ("own.toml", "measured.csv", "own.nc", "own.journal"):
+        shutil.copy(archive.with_name(name), tmp_path)
+    (tmp_path / "measured.csv").write_text(HEAD + "0.03,0.8\n")
+    path = str(tmp_path / "own.nc")
+    assert commands.main(["run", f"{tmp_path}/own.toml", "--archive", path, "--jobs", "1", "--quiet"]) == 0
+    with xr.open_dataset(path, group="overlay") as overlay:
+        assert overlay["period"].values.tolist() == [0.8]
 
 
 def test_residuals_are_those_from_the_nearest_gait_or_the_one_named(archive):
