@@ -66,34 +66,15 @@ def _head(column: str) -> str:
     return str(WORDS["columns"].get(column, spaced(column)))
 
 
-def from_frame(
-    caption: str, frame: pd.DataFrame, note: str = "", name: str = "", whole: pd.DataFrame | None = None
-) -> Table:
-    """Make a table of a frame.
-
-    Errors and bounds have two digits, comparable numbers of a column the same number of decimals.
-    Columns that tell little stand last. `whole` is the frame with all rows, for the CSV file called after `name`.
-    """
-    whole = frame if whole is None else whole
-    frame = frame[
-        sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1))
-    ]
-    counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
-    units = frame.attrs.get("units", {})
-    shown = {str(c): column_cells(str(c), frame) for c in frame.columns}
-    names = ["steps" if c == "period" and c in counts else _head(str(c)) for c in frame]
-    heads = [with_unit(name, print_units(units.get(c, ""))) for c, name in zip(frame, names, strict=True)]
-    rows = [list(row) for row in zip(*shown.values(), strict=True)] if len(frame) else []
-    return Table(caption, heads, rows, note, [frame.attrs.get("meanings", {}).get(c, "") for c in frame], name, whole)
-
-
 def named(
     name: str, frame: pd.DataFrame, is_open: bool = False, where: str = "archive", note: str = "",
     whole: pd.DataFrame | None = None,
 ) -> Table:  # fmt: skip
     """Make a table of the first rows of a frame, with the words of its name and the number of rows left out.
 
-    One that `is_open` has up to twice as many rows, and they are never folded.
+    Errors and bounds have two digits, comparable numbers of a column the same number of decimals. Columns that tell
+    little stand last. `whole` is the frame with all rows and columns, for the CSV file called after `name`. One that
+    `is_open` has up to twice as many rows, and they are never folded.
     """
     words, most = WORDS["tables"].get(name, {}), MAX_ROWS * (1 + is_open)
     most = most if len(frame) <= most else _EXCERPT
@@ -101,8 +82,16 @@ def named(
     notes = [words.get("note", ""), note, f"{grouped(left)} more rows are in the {where}." if left > 0 else ""]
     caption, whole = words.get("caption", spaced(name).replace("/", ": ")), frame if whole is None else whole
     file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
-    table = from_frame(caption, frame.head(most), " ".join(filter(None, notes)), file, whole)
-    return replace(table, is_open=is_open)
+    frame = frame.head(most)
+    frame = frame[
+        sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1))
+    ]
+    units, meanings = (frame.attrs.get(key, {}) for key in ("units", "meanings"))
+    names = ["steps" if c == "period" and frame[c].dtype.kind in "iu" else _head(str(c)) for c in frame]
+    heads = [with_unit(name, print_units(units.get(c, ""))) for c, name in zip(frame, names, strict=True)]
+    rows = [list(row) for row in zip(*(column_cells(str(c), frame) for c in frame), strict=True)]
+    about, means = " ".join(filter(None, notes)), [meanings.get(c, "") for c in frame]
+    return Table(caption, heads, rows, about, means, file, whole, is_open=is_open)
 
 
 def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
@@ -120,8 +109,7 @@ def _fit(name: str, frame: pd.DataFrame) -> Table:
     missing, more = len(frame) - len(fitted), "further " if len(fitted) else ""
     note = f"For {counted(missing, f'{more}case')} no power law fits." if missing else ""
     if "quantity" in fitted:
-        law = fitted["quantity"].map(lambda quantity: WORDS["laws"].get(quantity, quantity))
-        fitted = fitted.assign(quantity=law).rename(columns={"quantity": "law"})
+        fitted = fitted.replace({"quantity": WORDS["laws"]}).rename(columns={"quantity": "law"})
     return named(name, fitted, True, note=note, whole=frame)
 
 
@@ -244,7 +232,7 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
         return None
     status = source.outcomes["status"]
     solved, slopes = status.size - len(absent), np.array([])
-    if "slope" in status.coords and "slope" in status.dims:
+    if "slope" in status.indexes:
         slopes = status["slope"].values[(status == 0).any([d for d in status.dims if d != "slope"]).values]
     rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
@@ -275,7 +263,7 @@ def failures(absent: pd.DataFrame) -> Table | None:
     more, beyond = min(len(failed), MAX_LISTED) - len(shown), len(failed) - MAX_LISTED
     note = f"{more} more are in the CSV file." if more else ""
     note += f" {beyond} others are in the archive alone." if beyond > 0 else ""
-    return from_frame("Failed points", shown, note)
+    return named("failed_points", shown, note=note)
 
 
 def failed_tasks(source: Source) -> Table | None:
@@ -325,6 +313,5 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
 
 def claims(source: Source) -> list[dict[str, Any]]:
     """Rows of the ledger in an archive, as plain data."""
-    table = source.tables.get("claims")
-    rows = table.to_dict("records") if table is not None and "id" in table else []
-    return [{str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()} for row in rows]
+    table = source.table("claims", "id")
+    return [] if table is None else table.to_dict("records")

@@ -3,7 +3,6 @@
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
@@ -12,24 +11,6 @@ from gaitsweep.pipeline.report import paper
 from gaitsweep.pipeline.report.cells import Cell, cell
 from gaitsweep.pipeline.report.entry import Entry
 from gaitsweep.pipeline.report.words import WORDS, plain, spaced, typeset
-
-
-@dataclass(frozen=True)
-class Bar:
-    """A printed number and a computed one on one scale: positions in percent of the picture's width.
-
-    `printed_from` and `printed_to` are what rounds to the printed number, `low` and `high` what the rounding of the
-    printed parameters allows the computed one; equal ends mean an exact number.
-    """
-
-    printed: float | None
-    printed_from: float
-    printed_to: float
-    value: float
-    low: float
-    high: float
-    words: str
-
 
 #: A claim as the ledger shows it: texts, cells of numbers, its picture, and the figures that show it with their links.
 Claim = dict[str, Any]
@@ -128,29 +109,29 @@ def _number(row: Mapping[str, Any], name: str) -> Cell:
     return cell(value) if isinstance(value, (int, float)) and math.isfinite(value) else Cell("")
 
 
-def _bar(row: Mapping[str, Any]) -> Bar | None:
-    """Picture of a claim's numbers; None where nothing is printed and nothing varies."""
+def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Picture of a claim's numbers: words, and places in percent of its width; None if nothing is printed or varies.
+
+    Numbers from `printed_from` to `printed_to` round to the one `printed`, which may be None; the rounding of the
+    printed parameters allows the computed `value` to lie from `low` to `high`, which are equal for an exact one.
+    """
     value, printed, half, low, high = (
         float(v) if isinstance(v := row.get(name), (int, float)) else math.nan
         for name in ("value", "printed_value", "printed_half_unit", "interval_low", "interval_high")
     )
-    has_interval = low <= high
-    if not math.isfinite(value) or not (math.isfinite(printed) or has_interval):
+    if not math.isfinite(value) or not (math.isfinite(printed) or low <= high):
         return None
-    low, high = (low, high) if has_interval else (value, value)
-    half = half if math.isfinite(half) else 0.0
-    around = [value, low, high] + ([printed - half, printed + half] if math.isfinite(printed) else [])
-    left, right = min(around), max(around)
+    words, numbers = f"computed {plain(value, 6)}", {"value": value, "low": value, "high": value}
+    if low <= high:
+        numbers |= {"low": low, "high": high}
+        words += f", from {plain(low)} to {plain(high)} by rounding"
+    if math.isfinite(printed):
+        half = half if math.isfinite(half) else 0.0
+        numbers |= {"printed": printed, "printed_from": printed - half, "printed_to": printed + half}
+        words = f"printed {plain(printed)}, {words}"
+    left, right = min(numbers.values()), max(numbers.values())
     # At least 2 % of the number, so that equal numbers are not drawn apart.
     span = max(right - left, 0.02 * abs(value)) or 1.0
     left, right = 0.5 * (left + right - 1.16 * span), 0.5 * (left + right + 1.16 * span)
-
-    def place(x: float) -> float:
-        return round(100 * (x - left) / (right - left), 2)
-
-    by_rounding = f", from {plain(low)} to {plain(high)} by rounding" if has_interval else ""
-    words = f"computed {plain(value, 6)}{by_rounding}"
-    if not math.isfinite(printed):
-        return Bar(None, 0, 0, place(value), place(low), place(high), words)
-    rounds_to = place(printed - half), place(printed + half)
-    return Bar(place(printed), *rounds_to, place(value), place(low), place(high), f"printed {plain(printed)}, {words}")
+    places = {name: round(100 * (x - left) / (right - left), 2) for name, x in numbers.items()}
+    return {"words": words, "printed": None, **places}

@@ -212,12 +212,8 @@ def _entry(
         place=paper.PLACES.get(source.name, 0) if words else len(paper.PLACES),
         statuses=html_tables.statuses(source),
         figures=[
-            {
-                "name": drawing.name,
-                "title": drawing.title,
-                "finding": drawing.finding,
-                "claims": list(words.get(drawing.name, {}).get("claims", [])),
-            }
+            {name: getattr(drawing, name) for name in ("name", "title", "finding")}
+            | {"claims": words.get(drawing.name, {}).get("claims", [])}
             for drawing in drawings
         ],
         claims=html_tables.claims(source),
@@ -279,20 +275,14 @@ def _slugs(sources: list[Source]) -> list[str]:
 
 
 def _origin(source: Source) -> str:
-    """Where the archive comes from, in one line."""
-    record, packages = source.provenance, source.provenance.get("packages", {})
-    version = packages.get("gaitsweep", "") if isinstance(packages, dict) else ""
-    parts = [f"gaitsweep {version}".strip()]
+    """Where the archive comes from, and the processor time of its run, in one line."""
+    record, account = source.provenance, source.run.get("account")
+    parts = [f"gaitsweep {record.get('packages', {}).get('gaitsweep', '')}".strip()]
     parts += [f"{word} {str(record[word.lower()])[:12]}" for word in ("commit", "Python") if record.get(word.lower())]
-    return ", ".join([*parts, *_times(source.run)])
-
-
-def _times(run: dict[str, Any]) -> list[str]:
-    """Processor time of a study."""
-    account, jobs = run.get("account"), run.get("jobs", "?")
-    own = account.get("workers_cpu") if isinstance(account, dict) else None
-    workers = f"{jobs} worker{'' if jobs == 1 else 's'}"
-    return [f"{own:.2g} s CPU, {workers}"] if isinstance(own, float) else []
+    if isinstance(account, dict) and isinstance(account.get("workers_cpu"), float):
+        jobs = source.run.get("jobs", "?")
+        parts.append(f"{account['workers_cpu']:.2g} s CPU, {jobs} worker{'' if jobs == 1 else 's'}")
+    return ", ".join(parts)
 
 
 def _software(source: Source) -> dict[str, Any]:

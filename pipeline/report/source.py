@@ -252,11 +252,8 @@ class Source:
 
     def units(self, variable: str) -> str:
         """Units to print after a quantity; empty if it is dimensionless."""
-        column = self.grid.variables.get(variable)
-        units = str(column.attrs.get("units", "")) if column is not None else ""
-        if not units and variable in ("slope", "stance_angle"):
-            return "rad"
-        return print_units(units)
+        units = str(self.grid[variable].attrs.get("units", "")) if variable in self.grid.variables else ""
+        return print_units(units or ("rad" if variable in ("slope", "stance_angle") else ""))
 
     def command(self, at: Mapping[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""

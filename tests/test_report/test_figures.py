@@ -25,6 +25,7 @@ from gaitsweep.pipeline.report.figures.style import (
     on_map,
     set_log,
     style,
+    title_of,
 )
 from gaitsweep.pipeline.report.figures.svg import TARGETS
 from gaitsweep.pipeline.report.source import read
@@ -576,6 +577,17 @@ def test_the_ends_of_an_interval_are_told_apart():
     frame = pd.DataFrame({"low": [0.0182933977], "high": [0.0182933982], "slope": [0.018293398]})
     low, high = (cells.column_cells(name, frame)[0].text for name in ("low", "high"))
     assert low != high and "(" not in low
+
+
+def test_a_title_over_all_panels_is_that_of_each_whatever_stands_above_it():
+    figure = Figure()
+    panels = figure.subplots(1, 2)
+    panels[0].set_title("(a) detuning = 0", loc="left")
+    panels[0].set_xlabel("slope (rad)")
+    assert [title_of(panels[0], side) for side in "xy"] == ["slope (rad)", "(a) detuning = 0"]
+    figure.supylabel("stance angle (rad)")
+    assert [title_of(axes, "y") for axes in panels] == ["stance angle (rad)"] * 2
+    assert title_of(panels[1], "x") == ""
 
 
 def test_what_is_drawn_in_radians_has_second_axes_in_degrees():

@@ -612,7 +612,7 @@ def test_tables_name_the_walker_of_a_file_as_the_page_does(tmp_path):
 def test_a_table_shows_codes_as_words_and_units_as_in_print():
     frame = pd.DataFrame({"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]})
     frame.attrs["units"] = {"speed": "m s-1"}
-    table = html_tables.from_frame("Design", frame)
+    table = html_tables.named("design", frame)
     assert [cell.text for cell in table.rows[0]] == ["end: steps vanish", "my_walker", "0.5"]
     assert table.heads[2] == "speed (m s⁻¹)"
 
@@ -639,15 +639,15 @@ def test_a_bar_holds_all_its_numbers_in_proportion():
     row = {"value": 0.0191, "printed_value": 0.020, "printed_half_unit": 5e-4, "interval_low": 0.018,
            "interval_high": 0.0203}  # fmt: skip
     bar = ledger._bar(row)
-    places = [bar.low, bar.value, bar.printed_from, bar.printed, bar.high, bar.printed_to]
+    places = [bar[name] for name in ("low", "value", "printed_from", "printed", "high", "printed_to")]
     assert places == sorted(places) and places[0] > 0 and places[-1] < 100
-    assert (bar.value - bar.low) / (bar.high - bar.low) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
+    assert (bar["value"] - bar["low"]) / (bar["high"] - bar["low"]) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
     # 8 % of the span is left free on either side.
     assert (places[0], places[-1]) == pytest.approx((100 * 0.08 / 1.16, 100 * 1.08 / 1.16), abs=0.02)
     assert ledger._bar({"value": 1.0}) is None
     # Equal numbers are drawn in one place, however many digits they differ in.
     close = ledger._bar({"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0})
-    assert abs(close.value - close.printed) < 0.1
+    assert abs(close["value"] - close["printed"]) < 0.1
 
 
 def test_verdicts_have_signs():

@@ -6,6 +6,7 @@ from dataclasses import replace
 from urllib.parse import parse_qs
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from gaitsweep.pipeline.report import html_tables, pages
@@ -145,7 +146,8 @@ def test_a_cell_of_a_map_has_the_key_that_both_its_axes_move(tmp_path):
     varied = {"R": ["R"], "m_s": ["m_s"], "w_t": ["R", "m_s"]}
     source = read(write(tmp_path / "m.nc", text, grid, coords, {"B": POINT}, varied=varied))
     assert source.parameters({"walker": "B", "R": 0.1, "m_s": 2.0})["w_t"] == 4.0
-    panel = starts.cells(source, {"slope": 0.01}, ("R", "m_s"), {}, (), 1, "gait")
+    angles = pd.DataFrame(angle[..., 0], pd.Index([0.3, 0.1], name="R"), pd.Index([1.0, 2.0], name="m_s"))
+    panel = starts.cells(source, {"slope": 0.01}, {"stance_angle": angles}, (), 1, "gait")
     assert panel["moved"] == {"w_t": [["R", "m_s"], [3.0, 4.0, 1.0, 2.0]]}
     table = html_tables.walkers(source)
     assert {row[0].text: row[1].text for row in table.rows}["w_t"] == "by R, m_s"

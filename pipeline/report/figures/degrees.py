@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.style import MUTED, RULE
+from gaitsweep.pipeline.report.figures.style import MUTED, RULE, title_of
 from gaitsweep.pipeline.report.words import plain
 
 _UNIT = "(rad)"
@@ -25,18 +25,14 @@ def add_degrees(figure: Figure) -> None:
         # Panels that do not share a scale each have their own.
         alone = len(axes.get_shared_y_axes().get_siblings(axes)) == 1
         for which, edge, is_outer in ("x", "top", place.is_first_row()), ("y", "right", place.is_last_col() or alone):
-            if is_outer and getattr(axes, f"get_{which}scale")() != "log" and _is_in_radians(axes, panels, which):
+            if is_outer and getattr(axes, f"get_{which}scale")() != "log" and _is_in_radians(axes, which):
                 _add(axes, which, edge)
 
 
-def _is_in_radians(axes: Axes, panels: list[Axes], which: str) -> bool:
+def _is_in_radians(axes: Axes, which: str) -> bool:
     """Whether an axis of a panel is in radians, by its title or by that of the panels that share it."""
-    figure: Any = axes.figure
-    grouper = getattr(axes, f"get_shared_{which}_axes")()
-    shared = [other for other in panels if other is axes or grouper.joined(axes, other)]
-    titles = [getattr(other, f"get_{which}label")() for other in shared]
-    titles += [other.get_title(loc="left") for other in shared if which == "y"]
-    return any(_UNIT in title for title in (*titles, getattr(figure, f"get_sup{which}label")()))
+    shared = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+    return any(_UNIT in title_of(other, which) for other in shared)
 
 
 def _add(axes: Axes, which: str, edge: str) -> None:

@@ -8,9 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.maps import draw_map, mark_cells
-from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.starts import START
+from gaitsweep.pipeline.report.figures.maps import draw_map
+from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
+from gaitsweep.pipeline.report.figures.starts import START, cells
 from gaitsweep.pipeline.report.figures.style import add_bar, choose_rows, on_map
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import SYMBOLS, WORDS, axis_values, plain, shorten, spaced, with_unit
@@ -65,7 +65,8 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
                 grids = {name: part.pivot(index=down, columns=along, values=own) for name, own in columns.items()}
                 grids["slope"] *= mapped.inside
                 shown = (down, along, *(name for name in ("slope", "froude_speed") if name in grids))
-                mark_cells(sketch, axes, source, at, grids, shown, mapped.cell)
+                held = cells(source, at, grids, shown, sketch.grid.size, mapped.cell)
+                sketch.maps.append(Panel(axes, values, held))
             own = source.walkers.get(str(at.get("walker", source.walker)), {})
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(mapped.title if k == 0 else "", pad=5)

@@ -1,7 +1,6 @@
 """Maps of a quantity over two axes, and of the outcomes of initial conditions."""
 
 import itertools
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,7 +66,8 @@ def heatmap(source: Source) -> Sketch | None:
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
             fixed = {"gait": gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}}
             sketch.pieces.append(part[[down, along, *columns]].assign(**fixed))
-            mark_cells(sketch, axes, source, at, grids, (down, along, *columns), f"{gait} step")
+            held = cells(source, at, grids, (down, along, *columns), sketch.grid.size, f"{gait} step")
+            sketch.maps.append(Panel(axes, grids[variable], held))
         sketch.grid[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
     add_bar(picture, sketch.panels).set_label(quantity)
@@ -97,17 +97,6 @@ def draw_map(axes: Axes, values: pd.DataFrame, every: pd.Series) -> Any:
     return axes.pcolormesh(*sides, values.to_numpy(float), cmap="cividis", vmin=low, vmax=high, rasterized=True)
 
 
-def mark_cells(
-    sketch: Sketch, axes: Axes, source: Source, at: dict[str, Any], grids: Mapping[str, pd.DataFrame],
-    shown: Sequence[str], called: str,
-) -> None:  # fmt: skip
-    """Let every cell of a map name its values and start its gait, from columns over the keys along and down."""
-    values, *_ = grids.values()
-    columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
-    keys = str(values.columns.name), str(values.index.name)
-    sketch.maps.append(Panel(axes, values, cells(source, at, keys, columns, shown, sketch.grid.size, called)))
-
-
 def _draw_stability_border(axes: Axes, radius: pd.DataFrame | None) -> None:
     """Draw the contour max |λ| = 1 where it crosses the map."""
     if radius is not None and radius.min().min() < 1 < radius.max().max():
@@ -132,8 +121,7 @@ def _edges(values: np.ndarray, scale: str) -> np.ndarray:
 
 
 def _axis_title(source: Source, name: str) -> str:
-    column = source.grid.variables.get(name)
-    words = str(column.attrs.get("long_name", "")) if column is not None else ""
+    words = str(source.grid[name].attrs.get("long_name", "")) if name in source.grid.variables else ""
     return titled(name, source.units(name), words if len(words) < 34 else "")
 
 

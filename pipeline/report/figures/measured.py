@@ -22,8 +22,7 @@ _SAME = 1e-5
 
 def table(source: Source) -> pd.DataFrame:
     """The measurements in the archive; no rows if there are none."""
-    overlay = source.tables.get("overlay")
-    return pd.DataFrame() if overlay is None else overlay
+    return source.tables.get("overlay", pd.DataFrame())
 
 
 def variables(source: Source) -> list[str]:

@@ -41,23 +41,18 @@ def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     return {**kept, "units": str(table.get("units", "1")), "violation_limits": limits}
 
 
-def address(at: Mapping[str, Any], **start: float) -> str:
-    """Address of a gait on its page: the line, then the slope and the stance angle."""
-    near = {k: float(f"{v:.8g}") for k, v in start.items()}
-    return urlencode([*at.items(), *near.items()])
+def _address(at: Mapping[str, Any], gait: Any) -> str:
+    """Address of a gait on its page, by its line, slope and stance angle; empty where it has none."""
+    near = {name: float(f"{gait[name]:.8g}") for name in START[:2]}
+    return urlencode({**at, **near}) if np.isfinite([*near.values()]).all() else ""
 
 
 def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     """Address of the gait of each row of a table, by its line, slope and stance angle; empty where there is none."""
     if not {"slope", "stance_angle"} <= set(table.columns):
         return [""] * len(table)
-    columns = [c for c in source.line_columns(table) if c != "walker"]
-    texts = []
-    for row in table.to_dict("records"):
-        start = {name: float(row[name]) for name in ("slope", "stance_angle")}
-        at = {"walker": str(row.get("walker", source.walker)), **{c: float(row[c]) for c in columns}}
-        texts.append(address(at, **start) if all(np.isfinite(list(start.values()))) else "")
-    return texts
+    rows = (table.iloc[[k]] for k in range(len(table)))
+    return [_address(source.line_of(row), row.iloc[0]) for row in rows]
 
 
 def lines(source: Source) -> list[dict[str, Any]]:
@@ -116,8 +111,7 @@ def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
         return ""
     stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
     rows = (stable if len(stable) else every).sort_values("slope")
-    row = rows.iloc[2 * len(rows) // 3]
-    return address(at, slope=float(row["slope"]), stance_angle=float(row["stance_angle"]))
+    return _address(at, rows.iloc[2 * len(rows) // 3])
 
 
 def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -133,8 +127,8 @@ def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def cells(
-    source: Source, at: Mapping[str, Any], names: Sequence[str], columns: Mapping[str, np.ndarray],
-    shown: Sequence[str], maps: int, called: str,
+    source: Source, at: Mapping[str, Any], grids: Mapping[str, pd.DataFrame], shown: Sequence[str], maps: int,
+    called: str,
 ) -> dict[str, Any]:  # fmt: skip
     """What the script needs to name and start the gait of any cell of a map.
 
@@ -143,10 +137,8 @@ def cells(
     source : Source
     at : mapping
         Values of the axes that the map does not vary, the study's first walker if none is among them.
-    names : sequence of str
-        Keys along the map, across and down.
-    columns : mapping
-        Arrays of shape (m, n), down and across: columns of the gaits' starts, and quantities.
+    grids : mapping
+        Columns of the gaits' starts, and quantities, over the keys of the map, down and across.
     shown : sequence of str
         Columns and keys whose values a cell shows under the pointer.
     maps : int
@@ -165,7 +157,9 @@ def cells(
     fixed = {key: float(value) for key, value in at.items() if key != "walker"}
     line = {"walker": str(at.get("walker", source.walker)), **fixed}
     keys = parameters(source, line)
-    own = {name: values for name, values in columns.items() if name not in (*names, *fixed)}
+    grid, *_ = grids.values()
+    names = grid.columns.name, grid.index.name
+    own = {name: grid.to_numpy(float) for name, grid in grids.items() if name not in (*names, *fixed)}
     moved = {}
     for key, axes in source.varied.items():
         across = [axis for axis in axes if axis in names]

@@ -87,12 +87,6 @@ def _is_narrow(low: float, high: float) -> bool:
     return high < 200 * low
 
 
-def _digits(axis: Axis) -> int:
-    """Digits that distinguish the ticks of a narrow logarithmic axis."""
-    low, high = axis.get_view_interval()
-    return 2 if high > 2 * low else 4
-
-
 class _Decades(LogLocator):
     """Ticks at powers of ten, and on narrow axes at twice and five times them."""
 
@@ -114,10 +108,10 @@ def set_log(axes: Axes, which: str) -> None:
 
 
 def _tick(axis: Axis, value: float, _: int) -> str:
-    return plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
-
-
-def _decade(value: float) -> str:
+    """A tick of a logarithmic axis: on a narrow one a number with digits that distinguish it, else a power of ten."""
+    low, high = axis.get_view_interval()
+    if _is_narrow(low, high):
+        return plain(value, 2 if high > 2 * low else 4)
     power = round(np.log10(value)) if value > 0 else 0
     return {0: "1", 1: "10"}.get(power, "10" + superscript(power))
 
@@ -186,6 +180,12 @@ def set_heading(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", pad=7)
 
 
+def title_of(axes: Axes, side: str) -> str:
+    """Title of an axis: that of all panels, its own, or the heading above it."""
+    every = getattr(axes.figure, f"get_sup{side}label")()
+    return str(every or getattr(axes, f"get_{side}label")() or (axes.get_title(loc="left") if side == "y" else ""))
+
+
 def spread_evenly(count: int, most: int) -> np.ndarray:
     """Indices of some of many items, evenly spaced, the first and the last included.
 
@@ -226,15 +226,8 @@ def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list
 
 def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str) -> None:
     """Write names beside the ends (x, y) of curves, in their inks; those of one ink that would overlap share a line."""
-    sign, (left, right), log = 1 if side == "right" else -1, axes.get_xlim(), axes.get_xscale() == "log"
-    left, right = (np.log(left), np.log(right)) if log else (left, right)
-
-    def widen(room: float) -> None:
-        wide = room * (right - left)
-        ends = np.array([left - wide * (side == "left"), right + wide * (side == "right")])
-        axes.set_xlim(*(np.exp(ends) if log else ends))
-
-    widen(0.2)
+    sign, log = 1 if side == "right" else -1, axes.get_xscale() == "log"
+    left, right = np.log(axes.get_xlim()) if log else axes.get_xlim()
     placed: list[tuple[float, float, float, list[str], str]] = []
     for x, y, name, ink in sorted(labels, key=lambda item: item[1]):
         height = axes.transData.transform((x, y))[1]
@@ -244,7 +237,9 @@ def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side
             placed.append((height, x, y, [name], ink))
     order = [name for _, _, name, _ in labels]
     longest = max((len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0)
-    widen(min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH))))
+    room = (right - left) * min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH)))
+    ends = np.array([left - room * (side == "left"), right + room * (side == "right")])
+    axes.set_xlim(*(np.exp(ends) if log else ends))
     lowest = -np.inf
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
         lift = max(0.0, lowest + _GAP - height)

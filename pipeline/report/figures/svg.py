@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, rounded
-from gaitsweep.pipeline.report.figures.style import VARIABLES, thin
+from gaitsweep.pipeline.report.figures.style import VARIABLES, thin, title_of
 from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
@@ -119,11 +119,8 @@ def _to_svg(figure: Figure, salt: str, dpi: int, decimals: int = 2) -> str:
 def _adapt(svg: str, decimals: int) -> str:
     """Matplotlib's SVG without prologue, foreign names and fixed colours."""
     svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
-    svg = re.sub(r"<style.*?</style>", "", svg, flags=re.S)
-    svg = re.sub(
-        r"<svg [^>]*?viewBox=(\"[^\"]*\")[^>]*>", r'<svg viewBox=\1 aria-hidden="true" focusable="false">', svg
-    )
+    svg = re.sub(r"<(metadata|style).*?</\1>", "", svg, flags=re.S)
+    svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', r'<svg \1 aria-hidden="true" focusable="false">', svg)
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
     svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace("xlink:href", "href")
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
@@ -208,16 +205,9 @@ def _frame(axes: Axes, height: float) -> dict[str, Any]:
     """Axes in the SVG's coordinates: corners, and for each axis its ends and its scale."""
     box, sides = axes.get_window_extent(), {}
     for side in "xy":
-        is_log = getattr(axes, f"get_{side}scale")() == "log"
-        sides[side] = {"limits": rounded(getattr(axes, f"get_{side}lim")()), "log": is_log, "title": _title(axes, side)}
+        limits, scale = (getattr(axes, f"get_{side}{what}")() for what in ("lim", "scale"))
+        sides[side] = {"limits": rounded(limits), "log": scale == "log", "title": title_of(axes, side)}
     return {"box": [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)], **sides}
-
-
-def _title(axes: Axes, side: str) -> str:
-    """Title of an axis: its own, the heading above it, or that of all panels."""
-    figure: Any = axes.figure
-    own = getattr(axes, f"get_{side}label")() or (axes.get_title(loc="left") if side == "y" else "")
-    return str(own or getattr(figure, f"get_sup{side}label")())
 
 
 def _text(value: Any) -> str:
