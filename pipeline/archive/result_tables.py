@@ -50,7 +50,7 @@ def write(file: Any, plan: Plan) -> None:
                 columns = {name: values[order] for name, values in columns.items()}
             _group(file, plan, group, columns)
     if failures := list(failed(plan)):
-        columns = dict(zip(("task", "outcome", "reason"), np.array(failures).T, strict=True))
+        columns = dict(zip(("task", "outcome", "reason"), map(np.array, zip(*failures, strict=True)), strict=True))
         _group(file, plan, "failed_tasks", columns)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))

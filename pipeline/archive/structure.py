@@ -114,7 +114,7 @@ def _dimensions(file: Any) -> Iterator[str]:
 
 
 def _types(file: Any) -> Iterator[str]:
-    """Dimensions and types of variables, and their units, long names and flags."""
+    """Dimensions, types and flags of variables."""
     grid = file.variables["status"].dimensions
     for name, variable in file.variables.items():
         about = VARIABLES.get(name)

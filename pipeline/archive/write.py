@@ -25,6 +25,7 @@ from gaitsweep.pipeline.archive.written import Sentences, Written, line_descript
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from gaitsweep.pipeline.store.record import sentence_number
 from gaitsweep.pipeline.store.store import Key, Outcome
 from gaitsweep.pipeline.study import corners, units
 from gaitsweep.tasks.registry import VARIABLES
@@ -225,10 +226,11 @@ class _LineWriter:
             end = self._outcome(plan.graph.line_keys(i))
             for number in plan.study.batch(i).tolist():
                 ends[number] = end
-        self.sentences = Sentences({number: reason for number, (_, reason) in enumerate(ends)})
+        self.sentences = Sentences({sentence_number(reason): reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
-        self.reason = self.sentences.renumbered(np.arange(len(ends), dtype=np.uint64)).reshape(shape)
+        numbers = np.array([sentence_number(reason) for _, reason in ends], np.uint64)
+        self.reason = self.sentences.renumbered(numbers).reshape(shape)
         self.written = Written(Counter(status for status, _ in ends))
         for i, (status, reason) in enumerate(ends):
             if ALL_STATUSES[status] not in ANSWERS:

@@ -56,8 +56,9 @@ def _claims_of(path: Path) -> list[str]:
     """Claims that a study checks, if its archive was written by the present versions of its tasks."""
     record = provenance.stored(path)
     with contextlib.suppress(AttributeError, LookupError, TypeError):  # of a record that somebody else made
-        if all(TASKS[name].version == version for name, version in record["tasks"].items()):
-            return list(tomllib.loads(record["study"])["want"]["claims"])
+        versions = record["tasks"]
+        if "claims" in versions and all(TASKS[name].version == version for name, version in versions.items()):
+            return [name for name in tomllib.loads(record["study"])["want"]["claims"] if name in CLAIMS]
     return []
 
 

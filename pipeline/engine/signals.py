@@ -36,7 +36,9 @@ class Signals:
             }
 
     def restore(self) -> None:
-        """Leave signals to their earlier handlers."""
+        """Leave signals to their earlier handlers; after one, another run may have workers."""
+        if self.received:
+            worker_process.close_all()
         for signum, handler in self._handlers.items():
             signal.signal(signum, handler)
 

@@ -33,7 +33,7 @@ def digest(data: bytes) -> str:
 
 
 def _of_array(x: np.ndarray) -> list[Any]:
-    """What stands for an array in the text of a key; anything else that JSON lacks fails here."""
+    """What stands for an array in the text of a key."""
     return [x.dtype.str, list(x.shape), digest(x.tobytes())]
 
 

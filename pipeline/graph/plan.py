@@ -173,18 +173,27 @@ class Plan:
 
         Asked once all other nodes are stored; before, they run if any of these does.
         """
-        nodes, number = [self.graph.node(name) for name in self.graph.study_tasks], self.store.number
-        # Their keys name all that is below them: what was stored since with other keys was retried, or lost before.
-        own, stored = {node.key.key for node in nodes}, reversed([*self.store] if nodes else [])
-        latest = next((number(key) for key in stored if key not in own), 0)
-        for node in nodes:
-            outcome = self.store.outcome(node.key.key)
+        keys = self.graph.study_keys
+        for name, key in keys.items():
+            node, needs = self.graph.node(name), self.graph.layers[name].needs
+            outcome = self.store.outcome(key.key)
             if outcome is None:
-                yield replace(node, why=self._new_or_changed(node.key))
-            elif max(latest, *map(number, node.needs), 0) > number(node.key.key):
+                yield replace(node, why=self._new_or_changed(key))
+            elif self._latest(needs, keys) > self.store.number(key.key):
                 yield replace(node, why="its inputs change")
             elif self.retry and outcome.status != "ok":
                 yield replace(node, why="retried")
+
+    def _latest(self, needs: tuple[str, ...], over_study: dict[str, Key]) -> int:
+        """Number of the latest record of some tasks of the study."""
+        graph, number, latest = self.graph, self.store.number, 0
+        if "points" in needs:
+            chunks = (graph.chunk_key(graph.grid.chunk(k)) for k in range(graph.grid.chunks))
+            latest = max(map(number, chunks), default=0)
+        for need in set(needs) & set(graph.line_tasks):
+            lines = (graph.line_keys(i)[need].key for i in range(self.study.batches))
+            latest = max(latest, *map(number, lines))
+        return max(latest, *(number(over_study[need].key) for need in needs if need in over_study), 0)
 
     def outcome_of_line(self, number: int) -> Outcome | None:
         """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""
@@ -220,11 +229,10 @@ def summary(plan: Plan) -> Summary:
             todo[node.task][node.why] += plan.graph.size(node)
             if node.lines:
                 todo["atlas"][node.why] += node.lines
-        changes = any(todo.values())
         for node in plan.over_study():
             todo[node.task][node.why] += 1
-        for name in plan.graph.study_tasks if changes else ():
-            if not todo[name]:
+        for name in plan.graph.study_tasks:
+            if not todo[name] and any(todo.get(need) for need in layers[name].needs):
                 todo[name]["its inputs change"] = 1
     counts = {name: sum(why.values()) for name, why in todo.items()}
     work = sum(n * plan.graph.seconds(name) for name, n in counts.items() if n)

@@ -27,6 +27,8 @@ _OF_SYSTEM = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
 _READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
 #: How a damaged file is read: a schema that cannot be parsed is no reason to read nothing.
 _OF_DAMAGED = ("trusted_schema=OFF", "writable_schema=ON")
+#: Errors of reading a damaged row: of SQLite, its text, the number of its columns, a number that is none or too large.
+_UNREADABLE = (sqlite3.DatabaseError, OverflowError, TypeError, ValueError)
 _MAX_GAP = 1000  # records missing in a row where a damaged file is taken to end
 #: Files of a store, and how those of SQLite begin, which it writes over and removes.
 _BEGINNINGS = {
@@ -142,13 +144,13 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
     number, gap = 1, 0
     while gap < _MAX_GAP:
         gap += 1
-        with contextlib.suppress(sqlite3.DatabaseError, ValueError):  # of text, or of the number of columns
+        with contextlib.suppress(*_UNREADABLE):
             for row in db.execute("SELECT * FROM records WHERE id = ?", (number,)):
                 gap = 0
                 if is_whole(row):
                     yield row
         if gap == _MAX_GAP:  # as records leave that were stored anew
-            with contextlib.suppress(sqlite3.DatabaseError):
+            with contextlib.suppress(*_UNREADABLE):
                 for (found,) in db.execute("SELECT id FROM records WHERE id > ? ORDER BY id LIMIT 1", (number,)):
                     if found > number:
                         number, gap = found - 1, 0

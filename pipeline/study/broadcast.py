@@ -10,6 +10,7 @@ import xarray as xr
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.location import Location, clip
+from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.tasks.registry import VARIABLES
 
 #: Numbers, of `knees` truth values. So is a pandas.Series, but where pandas has no stubs its name would admit all.
@@ -18,7 +19,7 @@ Values: TypeAlias = float | Sequence[float] | Sequence[Sequence[float]] | np.nda
 _RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
 
 
-def definition(walker: object) -> str | dict[str, Any]:
+def definition(walker: object) -> Definition:
     """Name or table of a walker.
 
     Parameters

@@ -296,7 +296,13 @@ def test_claims_are_read_from_archives_and_the_others_computed(ledger, capsys):
     assert found["D2"]["verdict"] == "stored" and found["D2"]["printed_value"] is None and found["D2"]["value"] == 0.5
 
 
-@pytest.mark.parametrize("other", [{"tasks": {"claims": 0}}, {"tasks": 3}, {"study": ""}, {"study": "want = 3"}])
+@pytest.mark.parametrize(
+    "other",
+    [
+        *({"tasks": tasks} for tasks in ({"claims": 0}, {}, 3)),
+        *({"study": text} for text in ("", "want = 3", '[want]\nclaims = [["D2"]]')),
+    ],
+)
 def test_claims_of_another_version_or_record_are_computed_again(ledger, capsys, other):
     with netCDF4.Dataset(ledger, "a") as file:
         file.provenance = json.dumps({**json.loads(file.provenance), **other}, sort_keys=True)

@@ -15,10 +15,10 @@ from gaitsweep.pipeline.errors import StoppedError
 from gaitsweep.pipeline.graph import reads
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.keys import task_key
-from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.record import Points
-from gaitsweep.pipeline.store.store import Key, Outcome, Store
+from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study import parse
 from gaitsweep.pipeline.study.model import Lines
 from gaitsweep.tasks import registry
@@ -140,12 +140,22 @@ def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
         store.put_result(graph.line_keys(0)["atlas"], Outcome("ok", ""), b"")
         stale = dict.fromkeys(["landmarks", "claims"], "its inputs change")
         assert {node.task: node.why for node in plan.over_study()} == stale
-        for name in stale:
-            store.put_result(keys[name], Outcome("ok", ""), b"")
-        assert list(plan.over_study()) == []
-        # The plan says so before, whatever is computed.
-        store.put_result(Key("another", "another"), Outcome("ok", ""), b"")
-        assert {node.task: node.why for node in plan.over_study()} == stale
+
+
+def test_a_plan_says_of_tasks_over_the_study_what_runs(make, tmp_path):
+    """Landmarks need branches alone: points that are computed again, with another variable, do not concern them."""
+    study = make(
+        np.linspace(0.01, 0.02, 300).tolist(), want={"variables": ["period"], "fits": ["landmarks", "scaling"]}
+    )
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(study, store)
+        graph = plan.graph
+        for key in (*(graph.line_keys(k)["atlas"] for k in range(2)), *graph.study_keys.values()):
+            store.put_result(key, Outcome("ok", ""), serialize.dump({}))
+        said = {name for name in graph.study_tasks if summary(plan).todo[name]}
+        chunk = graph.chunk_node(graph.grid.chunk(0))
+        store.put(chunk.key, b"", b"")
+        assert said == {node.task for node in plan.over_study()} == {"scaling"}
 
 
 PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml")) if "claims" in path.read_text()]

@@ -98,6 +98,18 @@ def test_a_second_interrupt_is_hard_unless_it_is_the_first_once_more(pause, code
     assert code == 130 or done.stderr.endswith("StoppedError: Stopped by SIGINT; finished results are kept.\n")
 
 
+def test_a_signal_that_comes_after_the_last_look_for_one_does_not_end_the_next_run():
+    """Signals are handled up to the end, when no worker is left to be ended."""
+    program = (
+        "import os, signal; from gaitsweep.pipeline.engine.signals import Signals, worker_process\n"
+        "earlier, signals = signal.getsignal(signal.SIGTERM), Signals(); signals.handle()\n"
+        "os.kill(os.getpid(), signal.SIGTERM); signals.restore(); worker_process.WorkerProcess().close()\n"
+        "print(signal.getsignal(signal.SIGTERM) is earlier)\n"
+    )
+    done = interpret(program)
+    assert (done.stdout, done.stderr, done.returncode) == ("True\n", "", 0)
+
+
 @pytest.mark.parametrize("when", ["while it stops", "while its record is written"])
 def test_a_signal_that_comes_twice_leaves_a_line_and_a_record(toy, when):
     """As `timeout` sends it: to its command, and a moment later to the group, of which that is one."""

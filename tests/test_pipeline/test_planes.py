@@ -241,8 +241,7 @@ def test_charts_that_were_never_packed_are_damage(tmp_path):
             Plan(graph.study, store).boxes(charts, "halves")
 
 
-def test_damage_that_comes_from_another_study_ends_one_study_alone(tmp_path):
-    """It is met when the charts are read, not packed; the run plans that study again, from its repaired journal."""
+def test_damage_met_when_a_result_is_copied_ends_that_study_alone(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as store:
         jobs = Jobs(Plan(read(written(tmp_path, HALVED)), store), Engine(1), lambda *_: None)
         charts, _ = jobs.take()

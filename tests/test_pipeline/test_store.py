@@ -76,9 +76,12 @@ def test_a_repair_finds_records_beyond_the_numbers_that_others_left(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as found:
         for k in 2 * [*range(file._MAX_GAP + 1)]:
             found.put(Key(f"points-{k}", "kin"), b"head", b"payload")
-    repair(tmp_path / "j")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
-        assert len([*found]) == file._MAX_GAP + 1
+    for number in (None, 2**63 - 1):  # the last that there can be, too
+        if number:
+            sql(tmp_path / "j", f"UPDATE records SET id = {number} WHERE key = 'points-0'")
+        repair(tmp_path / "j")
+        with contextlib.closing(Store(tmp_path / "j")) as found:
+            assert len([*found]) == file._MAX_GAP + (number is None)
 
 
 def test_of_two_records_that_a_kill_left_the_later_counts(tmp_path):
