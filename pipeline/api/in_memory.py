@@ -11,7 +11,6 @@ import xarray as xr
 
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.archive import attributes
-from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
@@ -123,9 +122,8 @@ def gaits(
         why = StudyError(f"`slope` {slopes.BOUND}; got {value!r}.")
         unsolvable.append((np.flatnonzero(~is_slope)[which == k], why))
     answers = [one.check for one in lines]
-    is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
-    coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si, answers[:1])) for name, a in varying.items()}
+    coordinates = {name: a.assign_attrs(attributes.of_axis(name, answers[:1])) for name, a in varying.items()}
     constants = _constants(lines[0].line, answers, varying) if lines else {}
     multipliers = max((check["multipliers"] for check in answers), default=3)
     found = [(at, Points.of_ending(len(at), "raised", str(error), wanted)) for at, error in unsolvable]
@@ -133,7 +131,7 @@ def gaits(
     found += _solve(base, lines)
     places, parts = zip(*found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))], strict=True)
     points = joined(parts, (len(GAITS), multipliers)).take(np.argsort(np.concatenate(places)))
-    return _dataset(points, grid[0], coordinates, constants, is_si, base)
+    return _dataset(points, grid[0], coordinates, constants, replace(base, checks=tuple(answers[:1])))
 
 
 def _lines(walker: Definition, flat: Arrays, varying: list[str]) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
@@ -263,23 +261,19 @@ def _dataset(
     grid: xr.DataArray,
     coordinates: Mapping[str, xr.DataArray],
     constants: Mapping[str, str | float],
-    is_si: bool,
-    base: Study,
+    study: Study,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
-    steps, limits = base.steps, base.options.get("violation_limits")
     variables: dict[str, Any] = {}
     variables["reason_text"] = ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS)
     for name in (v for v in VARIABLES if v in points.values):
         values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps, limits=limits))
+        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], study))
     coords = {**grid.coords, "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS)}
     multipliers = [a.shape[-1] for name, a in points.values.items() if has_multipliers(name)]
     if multipliers:
         coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), attributes.MULTIPLIER)
-    about = {"Conventions": attributes.CONVENTIONS, "source": attributes.SOURCE, "references": PAPER}
-    about |= attributes.of_steps(steps) | ({"accuracy": base.accuracy} if base.accuracy else {})
-    return xr.Dataset(variables, {**coords, **coordinates}, {**about, **constants})
+    return xr.Dataset(variables, {**coords, **coordinates}, {**attributes.of_dataset(study), **constants})

@@ -153,7 +153,7 @@ def simulate(
     pushed = {k: _numbers("pushes", v, 2) for k, v in _by_step("pushes", pushes, steps).items()}
     heights = {k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()}
     params = _params(walker, slope, state, keys)
-    is_si = dispatch.ask("check_walker", params)["si"]
+    checks = [dispatch.ask("check_walker", params)]
     answer = dispatch.ask(
         "simulate", {**params, "steps": steps, "motion": bool(motion), "pushes": pushed, "ground": heights}
     )
@@ -162,7 +162,7 @@ def simulate(
     for name, values in answer.items():
         kind, meaning = ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
         missing = np.full((steps + 1 - len(values), *values.shape[1:]), np.nan)  # of steps that are not taken
-        dims, about = ("step", "phase", "sample")[: values.ndim], units.described(meaning, kind, is_si)
+        dims, about = ("step", "phase", "sample")[: values.ndim], units.described(meaning, kind, checks)
         variables[name] = (dims, np.concatenate([values, missing]), about)
     reason = f"All {steps} steps end in a heelstrike." if taken == steps else f"Step {taken}: {cause}."
     for name, value, text in (

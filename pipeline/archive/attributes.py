@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.model import Study
 from gaitsweep.pipeline.study.parse import EXTRA_AXES
 from gaitsweep.pipeline.study.ways import ends
 from gaitsweep.tasks.registry import PROVED, VIOLATIONS, Variable
 
-CONVENTIONS = "CF-1.11"
-SOURCE = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
 #: Attributes of coordinates, and of the sentences.
 GAIT = {"long_name": "gait by its character", "units": "1"}
 MULTIPLIER = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
@@ -37,13 +37,13 @@ def put(owner: Any, values: dict[str, Any]) -> None:
         raise RuntimeError("attributes are lost")
 
 
-def of_axis(name: str, is_si: bool, checks: Sequence[Mapping[str, Any]] = ()) -> dict[str, str]:
-    """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units.
+def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """CF attributes of an axis.
 
     Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as JSON, by what `tasks` reports
     of each walker.
     """
-    about = {"long_name": EXTRA_AXES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
+    about = {"long_name": EXTRA_AXES.get(name, f"walker's {name}"), "units": units.axis_units(name, checks)}
     found = [check["way"] for check in checks if "way" in check]
     if name != "detuning" or not found:
         return about
@@ -55,13 +55,16 @@ def of_axis(name: str, is_si: bool, checks: Sequence[Mapping[str, Any]] = ()) ->
     return about
 
 
-def of_steps(steps: int) -> dict[str, Any]:
-    """Attributes of a dataset of gaits that repeat after several steps; none for gaits of one step."""
+def of_dataset(study: Study) -> dict[str, Any]:
+    """Attributes of the results of a study, in a file or in memory."""
+    source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
+    about: dict[str, Any] = {"Conventions": "CF-1.11", "source": source, "references": PAPER}
+    about |= {"accuracy": study.accuracy} if study.accuracy else {}
     meaning = (
-        f"gaits that repeat after {steps} steps: the state is that with the largest stance angle, period and losses "
-        f"are of all {steps} steps, a violation is the worst of them"
+        f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
+        f"losses are of all {study.steps} steps, a violation is the worst of them"
     )
-    return {"steps": np.int32(steps), "comment": meaning} if steps > 1 else {}
+    return about | ({"steps": np.int32(study.steps), "comment": meaning} if study.steps > 1 else {})
 
 
 def over_steps(long_name: str, steps: int) -> str:
@@ -72,21 +75,16 @@ def over_steps(long_name: str, steps: int) -> str:
     return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterated)
 
 
-def of_variable(
-    variable: Variable, is_si: bool, is_mixed: bool = False, steps: int = 1, limits: Mapping[str, float] | None = None
-) -> dict[str, Any]:
-    """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`).
-
-    `limits` are those of violations that are not the registry's.
-    """
-    attrs = units.described(over_steps(variable.long_name, steps), variable.kind, is_si, is_mixed)
+def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
+    """CF attributes of a variable of a study."""
+    attrs = units.described(over_steps(variable.long_name, study.steps), variable.kind, study.checks)
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
         attrs |= {"flag_values": np.array(list(flags.values()), np.int8), "flag_meanings": " ".join(flags)}
     elif variable.name == "violations":
         masks = np.array([1 << i for i in range(len(VIOLATIONS))], np.int32)
         attrs |= {"flag_masks": masks, "flag_meanings": " ".join(VIOLATIONS)}
-        values = np.array(list(violation_limits(limits).values()))
+        values = np.array(list(violation_limits(study).values()))
         units_of = "; ".join(f"{v.name}: {v.unit}" for v in VIOLATIONS.values())
         attrs |= {"flag_limits": values, "flag_limit_units": units_of}
     if variable.name not in ("status", "reason"):
@@ -94,6 +92,6 @@ def of_variable(
     return attrs
 
 
-def violation_limits(changed: Mapping[str, float] | None) -> dict[str, float]:
-    """Limit of every violation, by name in the order of their bits, some of them `changed`."""
-    return {v.name: v.limit for v in VIOLATIONS.values()} | dict(changed or {})
+def violation_limits(study: Study) -> dict[str, float]:
+    """Limit of every violation, by name in the order of their bits."""
+    return {v.name: v.limit for v in VIOLATIONS.values()} | study.options.get("violation_limits", {})

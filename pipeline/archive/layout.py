@@ -1,13 +1,12 @@
 """Dimensions and chunks of variables as they lie in an archive, and their checksums."""
 
-import itertools
 import zlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.grid.boxes import Box
+from gaitsweep.pipeline.grid.boxes import Box, boxes
 
 #: Dimensions of the characters of strings are called by this and their length.
 STRING = "string"
@@ -61,9 +60,8 @@ def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tup
         Its values; at the end of the variable they are fewer than `extent`.
     """
     start = (*(s.start for s in box), *(0,) * (values.ndim - len(box)))
-    for corner in itertools.product(*(range(0, n, c) for n, c in zip(values.shape, extent, strict=True))):
-        part = values[tuple(slice(i, i + c) for i, c in zip(corner, extent, strict=True))]
-        yield tuple(a + b for a, b in zip(start, corner, strict=True)), part
+    for part in boxes({str(k): n for k, n in enumerate(values.shape)}, extent, 0):
+        yield tuple(a + span.start for a, span in zip(start, part, strict=True)), values[part]
 
 
 def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:

@@ -27,7 +27,7 @@ def write(file: Any, study: Study) -> None:
     move, or that is tuned anew along them, is one along these; so `ds.where(ds.R > 0.2)` selects by either. All others
     are global attributes under their own names.
     """
-    kinds = dispatch.resolve("gaitsweep.tasks.walkers.walker:KEYS")
+    kinds = units.kinds()
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
     for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
@@ -44,7 +44,7 @@ def write(file: Any, study: Study) -> None:
             put(file, {key: float(values.ravel()[0])})
             continue
         shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
-        about = units.described(f"walker's {key}", kinds[key], units.is_si(study), units.is_mixed(study))
+        about = units.described(f"walker's {key}", kinds[key], study.checks)
         write_variable(file, key, dims, values.reshape(shape), about)
 
 

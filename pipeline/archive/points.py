@@ -19,7 +19,6 @@ from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, OF_GAITS, STATUS_NAMES, of_atlas
 from gaitsweep.pipeline.store.packing import Packed, pack_values
 from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack
-from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.registry import GAITS, VARIABLES, Variable
 
@@ -103,8 +102,6 @@ class PointWriter:
             file.createDimension("multiplier", multipliers)
             numbers = np.arange(multipliers, dtype=np.int32)
             write_variable(file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER)
-        is_si, is_mixed = units.is_si(self.study), units.is_mixed(self.study)
-        limits = self.study.options.get("violation_limits")
         for name in names:
             description = VARIABLES[name]
             variable = file.createVariable(
@@ -118,13 +115,13 @@ class PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.dtypes[name] = variable.dtype
-            attributes.put(variable, attributes.of_variable(description, is_si, is_mixed, self.study.steps, limits))
+            attributes.put(variable, attributes.of_variable(description, self.study))
 
     def fill(self, draft: Path) -> None:
         """Write the values chunk by chunk."""
         with direct_chunks(draft) as write:
             for chunk, key in self._chunks():
-                start = tuple(span.start for span in chunk.box)
+                start = tuple(span.start for span in chunk.spans.values())
                 data, payload = self._record(chunk, key)
                 with self.plan.store.reading():
                     pieces = self._pieces(chunk.shape, Head(data), memoryview(payload))

@@ -37,9 +37,7 @@ def provenance(plan: Plan) -> str:
         {
             "study": study.text,
             "walkers": [check["table"] for check in study.checks],
-            "violation_limits": list(
-                attributes.violation_limits(study.options.get("violation_limits")).items()  # in the order of their bits
-            ),
+            "violation_limits": list(attributes.violation_limits(study).items()),  # in the order of their bits
             "varied": {key: axes for check in study.checks for key, axes in check["varied"].items()},
             "tuned": sorted({key for check in study.checks for key in check["tuned"]}),
             **({"ways": ways} if (ways := [check["way"] for check in study.checks if "way" in check]) else {}),

@@ -10,9 +10,9 @@ import numpy as np
 from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive.attributes import of_axis, over_steps
 from gaitsweep.pipeline.archive.written import write_strings, write_variable
-from gaitsweep.pipeline.dispatch import resolve
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.parse import EXTRA_AXES
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.columns import table_columns
 
@@ -209,11 +209,12 @@ def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     """Kind of quantity and meaning of a column; one without a description is called by its name."""
-    keys, known = resolve("gaitsweep.tasks.walkers.walker:KEYS"), table_columns()
+    kinds, known = units.kinds(), table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    kind, meaning = known.get(f"{group}/{name}") or known.get(name) or (keys.get(name, "number"), "")
-    return kind, meaning or (f"walker's {name}" if name in keys else name.replace("_", " "))
+    own = EXTRA_AXES.get(name, f"walker's {name}") if name in kinds else name.replace("_", " ")
+    kind, meaning = known.get(f"{group}/{name}") or known.get(name) or (kinds.get(name, "number"), "")
+    return kind, meaning or own
 
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
@@ -221,12 +222,11 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if group == "overlay" and name.endswith("_error"):
         measured = _attributes(plan, group, name.removesuffix("_error"))
         return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
-    study, is_si = plan.study, units.is_si(plan.study)
+    study = plan.study
     kind, meaning = meaning_of(name, group)
-    if name in ("slope", "detuning") and f"{group}/{name}" not in table_columns():
-        kind = "angle" if name == "slope" else kind
-        meaning = of_axis(name, is_si, study.checks)["long_name"]
-    attributes = units.described(over_steps(meaning, study.steps), kind, is_si, units.is_mixed(study))
+    if name == "detuning":
+        meaning = of_axis(name, study.checks)["long_name"]
+    attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
-        attributes["units"] = units.axis_units(str(registry.options("curve", study.options)["key"]), is_si)
+        attributes["units"] = of_axis(str(registry.options("curve", study.options)["key"]), study.checks)["units"]
     return attributes

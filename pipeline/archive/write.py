@@ -17,7 +17,6 @@ import numpy as np
 
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import attributes, layout, parameters, read, result_tables
-from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.points import PointWriter
 from gaitsweep.pipeline.archive.provenance import code_digest, provenance
 from gaitsweep.pipeline.archive.read import SCHEMA
@@ -27,7 +26,7 @@ from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.record import sentence_number
 from gaitsweep.pipeline.store.store import Key, Outcome
-from gaitsweep.pipeline.study import corners, units
+from gaitsweep.pipeline.study import corners
 from gaitsweep.tasks.registry import VARIABLES
 
 
@@ -164,20 +163,16 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
     attributes.put(
         file,
         {
-            "Conventions": attributes.CONVENTIONS,
+            **attributes.of_dataset(study),
             "title": f"gaitsweep study {study.name}",
             "institution": "gaitsweep developers",
-            "source": attributes.SOURCE,
             "history": "written by gaitsweep run",
-            "references": PAPER,
             "gaitsweep_schema": np.int32(SCHEMA),
             "study": study.name,
             "kind": study.kind,
             "not_attempted": np.int64(writer.written.counts["not_attempted"]),
             "figures": " ".join(study.figures),
             "provenance": provenance(plan),
-            **({"accuracy": study.accuracy} if study.accuracy else {}),
-            **attributes.of_steps(study.steps),
             **({"walker_notes": "\n".join(notes)} if (notes := corners.notes(study)) else {}),
         },
     )
@@ -190,7 +185,7 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
             write_strings(file, "walker_units", name, known, about)
             continue
         axis = next(a for a in study.axes if a.name == name)
-        about = attributes.of_axis(name, units.is_si(study), study.checks)
+        about = attributes.of_axis(name, study.checks)
         write_variable(file, name, (name,), axis.values.astype(float), about, fletcher32=True)
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences.texts))
@@ -237,7 +232,9 @@ class _LineWriter:
                 self.written.add_failure(reason, 1, line_description(plan.study, i))
 
     def _outcome(self, keys: dict[str, Key]) -> tuple[str, str]:
-        for name in ("atlas", self.study.kind):
+        # Of a study whose own result is known, the atlas may be lost, or never have been needed.
+        is_known = keys[self.study.kind].key in self.plan.store
+        for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
             outcome = self.plan.store.outcome(keys[name].key) if name in keys else Outcome("ok", "")
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
@@ -252,7 +249,7 @@ class _LineWriter:
     def define(self, file: Any) -> None:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
-            write_variable(file, name, self.dims, values, attributes.of_variable(VARIABLES[name], True))
+            write_variable(file, name, self.dims, values, attributes.of_variable(VARIABLES[name], self.study))
 
     def fill(self, draft: Path) -> None:
         """Do nothing: all values are written by `define`."""

@@ -218,7 +218,7 @@ class Jobs:
 
     def _alone(self, charts: Iterable[Node], chunk: Chunk | None = None) -> int:
         """How many lines, or how many of a chunk, charts leave alone."""
-        plane, spans = self.study.plane, dict(zip(self.graph.grid.sizes, chunk.box, strict=True)) if chunk else None
+        plane, spans = self.study.plane, chunk.spans if chunk else None
         boxes = (box for made in charts for box in self.plan.boxes(made, "alone"))
         return sum(plane.lines_in(box, spans) for box in boxes) if plane else 0
 

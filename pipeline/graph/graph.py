@@ -207,16 +207,13 @@ class Graph:
         """
         if self.method is not Method.PLANE or not self.study.plane:
             return
-        number, axes = int(chunk.numbers[0]), self.study.plane.axes
-        spans = dict(zip(self.grid.sizes, chunk.box, strict=True))
-        values = [axis.values[spans[axis.name]] for axis in axes]
+        number, plane = int(chunk.numbers[0]), self.study.plane
         left = [self.node("charts", number)]
         for node in left:  # which grows
             yield node
             for half in halves(node):
-                box = {**(node.box or self.study.plane.region), **half}
-                sides = zip(values, box["low"], box["high"], strict=True)
-                if all(v.min() <= high and v.max() >= low for v, low, high in sides):
+                box = {**(node.box or plane.region), **half}
+                if plane.lines_in(box, chunk.spans):
                     params = layers.line_params(self.study, self.method, "charts", self.study.line(number), box)
                     key = task_key(self.layers["charts"].task, params)
                     left.append(Node("charts", key, line=number, box=box))

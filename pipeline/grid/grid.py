@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.boxes import MOST_POINTS, Box, box_shape
+from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.model import Study
@@ -95,7 +95,7 @@ class Chunk:
     shape : Shape
     """
 
-    box: Box
+    spans: dict[str, slice]
     numbers: np.ndarray
     slopes: slice
     shape: Shape
@@ -157,7 +157,7 @@ class Grid:
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
         sizes = tuple(span.stop - span.start for span in spans.values())
         shape = Shape(sizes, self.extent, list(self.sizes).index("slope"))
-        return Chunk(tuple(spans.values()), numbers, spans["slope"], shape)
+        return Chunk(spans, numbers, spans["slope"], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""

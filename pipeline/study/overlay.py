@@ -65,8 +65,7 @@ def read(name: object, study: Study, location: Location) -> Columns:
 
 
 def _columns(rows: list[list[str]], shown: str, study: Study, location: Location) -> Iterator[tuple[str, np.ndarray]]:
-    is_si = units.is_si(study)
-    axes = {axis.name: units.axis_units(axis.name, is_si) for axis in study.axes}
+    axes = {axis.name: units.axis_units(axis.name, study.checks) for axis in study.axes}
     measured = [v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"]
     known = [*axes, "walker", "gait", *measured]
     seen = []
@@ -83,7 +82,7 @@ def _columns(rows: list[list[str]], shown: str, study: Study, location: Location
         if name in ("walker", "gait"):
             yield name, _words(name, cells, shown, location)
             continue
-        expected = axes[base] if base in axes else VARIABLES[base].units(is_si)
+        expected = axes[base] if base in axes else units.of_kind(VARIABLES[base].kind, study.checks)
         yield name, _numbers(name, cells, shown, location) * _factor(name, unit, expected, shown, location)
 
 

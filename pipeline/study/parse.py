@@ -25,10 +25,8 @@ from gaitsweep.pipeline.study.model import Axis, Definition, Limits, Study
 from gaitsweep.pipeline.study.plot import Plot
 from gaitsweep.tasks import accuracy as accuracies
 from gaitsweep.tasks import registry
-from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, READS, TASKS, VARIABLES
+from gaitsweep.tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, OPTIONS, READS, VARIABLES
 
-#: Tasks that are not kinds of study.
-_INTERNAL_TASKS = (*registry.INTERNAL, "trace", *registry.FITS)
 #: Keys of a study, of `want` and of `limits`, and axes that are not keys of a walker, and what each is.
 KEYS, WANTED, LIMITS, EXTRA_AXES = tomllib.loads(
     Path(__file__).with_name("keys.toml").read_text(encoding="utf-8")
@@ -43,11 +41,6 @@ _ONE_LINK = "gaitsweep.tasks.walkers.walker:ONE_LINK"
 #: Largest axis and grid; anything above is taken for a mistake.
 MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _MAX_DIGITS = 15  # decimals of a linear axis
-
-
-def kinds() -> tuple[str, ...]:
-    """Kinds of study; each except `grid` is the task of that name over each line."""
-    return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _INTERNAL_TASKS))
 
 
 def read(path: str | Path, asked: float | None = None) -> Study:
@@ -99,8 +92,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         raise top.at("name").wrong(allowed, name)
     kind = table.get("kind", "grid")
     if not isinstance(kind, str):
-        raise top.at("kind").wrong(f"must be one of {', '.join(kinds())}", kind)
-    top.at("kind").check_names([kind], kinds())
+        raise top.at("kind").wrong(f"must be one of {', '.join(OPTIONS)}", kind)
+    top.at("kind").check_names([kind], OPTIONS)
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
     own = table.get("accuracy"), top.at("accuracy")
     value, place = own if asked is None else (asked, Location("", "accuracy"))

@@ -68,7 +68,7 @@ def _study() -> Schema:
     file = {"type": "string", "minLength": 1, "description": "CSV file of measurements, relative to the study"}
     holds = {
         "name": {"type": "string", "pattern": f"^{parse.NAME}$"},
-        "kind": {**options.one_of(parse.kinds()), "default": "grid"},
+        "kind": {**options.one_of(OPTIONS), "default": "grid"},
         "accuracy": _between("number", *ACCURACIES),
         "walker": {"anyOf": [_name(), {**_list(_name(), 1), "uniqueItems": True}, _walker()]},
         "gaits": _list(options.one_of(GAITS), 1),
@@ -78,7 +78,7 @@ def _study() -> Schema:
         "options": _table({name: {"anyOf": each} for name, each in known.items()}),
         "figures": _table({"overlay": _table({"file": file}, ["file"])}),
     }
-    conditions = [_of_kind(kind, keys) for kind in parse.kinds()]
+    conditions = [_of_kind(kind, keys) for kind in OPTIONS]
     return {**_table(_described(parse.KEYS, holds), ["name", "walker", "axes"]), "allOf": conditions}
 
 

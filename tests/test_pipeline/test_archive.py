@@ -25,7 +25,7 @@ import xarray as xr
 
 from conftest import ROOT, STUDY, Toy
 from gaitsweep.pipeline.api.studies import load
-from gaitsweep.pipeline.archive import attributes, diff, layout, read, structure, verify, write
+from gaitsweep.pipeline.archive import attributes, diff, layout, read, result_tables, structure, verify, write
 from gaitsweep.pipeline.archive.points import PointWriter
 from gaitsweep.pipeline.archive.provenance import commit, stored
 from gaitsweep.pipeline.archive.unfold import dataset
@@ -513,6 +513,11 @@ def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
 def test_values_that_one_archive_does_not_have_are_told(values, said):
     found = diff.Tolerance(0.0, {}).compare("period", np.array(values), np.array([1.0, 2.0]))
     assert found == [f"`period`: {said}"]
+
+
+def test_keys_of_a_leg_of_one_link_have_their_units_in_tables():
+    for name, kind in {"l": "length", "m": "mass", "r": "length", "R": "length"}.items():
+        assert result_tables.meaning_of(name, "branches") == (kind, f"walker's {name}")
 
 
 def test_multipliers_differ_by_the_larger_of_their_magnitudes_whichever_archive_is_first(made, copy):

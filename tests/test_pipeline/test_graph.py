@@ -142,6 +142,17 @@ def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
         assert {node.task: node.why for node in plan.over_study()} == stale
 
 
+def test_a_line_whose_own_result_is_known_needs_no_atlas(make, tmp_path):
+    """It is lost with its row of a damaged journal, or another study of the command has brought that result."""
+    study = make(kind="branch")
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(study, store)
+        for k in range(2):
+            key, columns = plan.graph.line_keys(k)["branch"], {"branches/slope": np.array([0.01])}
+            store.put_result(key, Outcome("ok", ""), serialize.dump(columns))
+        assert not [*plan.nodes()] and write.write(plan, tmp_path / "s.nc").counts == {"converged": 2}
+
+
 def test_a_plan_says_of_tasks_over_the_study_what_runs(make, tmp_path):
     """Landmarks need branches alone: points that are computed again, with another variable, do not concern them."""
     study = make(

@@ -50,15 +50,16 @@ def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is
     of_line = {line: [] for line in range(found.study.lines)}
     for k in range(found.chunks):
         chunk = found.chunk(k)
-        seen[chunk.box] += 1
+        box = tuple(chunk.spans.values())
+        seen[box] += 1
         assert lines is None or len(chunk.numbers) == lines
-        assert chunk.points == seen[chunk.box].size == chunk.shape.unfold(np.arange(chunk.points)).size
+        assert chunk.points == seen[box].size == chunk.shape.unfold(np.arange(chunk.points)).size
         for line in chunk.numbers.tolist():
             of_line[line].append(k)
         # The first point of its last line, in the grid.
         last = chunk.shape.unfold(np.arange(chunk.points))
         n = chunk.slopes.stop - chunk.slopes.start
-        place = np.argwhere(last == chunk.points - n)[0] + [span.start for span in chunk.box]
+        place = np.argwhere(last == chunk.points - n)[0] + [span.start for span in box]
         at = dict(zip(found.sizes, place.tolist(), strict=True))
         own = found.study.line(int(chunk.numbers[-1]))
         assert own["walker"] == found.study.walkers[at["walker"]] and at["slope"] == chunk.slopes.start

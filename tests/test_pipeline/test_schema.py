@@ -242,7 +242,7 @@ def test_what_is_wrong_for_one_kind_of_study_only_is_refused_there():
     }
     right = {"figures": "branch", "options": "cascade", "accuracy": "grid", "adaptive": "branch"}
     for change, changed in changes.items():
-        for kind in parse.kinds():
+        for kind in OPTIONS:
             table = {**study, "kind": kind, **changed(kind)}
             assert is_valid(table, SCHEMAS["study"]) == (kind == right[change]), (change, kind)
     assert not is_valid({**study, "axes": {"slope": {**window, "to": 0.5, "n": 2}}}, SCHEMAS["study"])

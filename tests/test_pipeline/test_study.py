@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from gaitsweep.pipeline.archive.provenance import provenance
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import model, parse
-from gaitsweep.tasks.registry import CLAIMS, VARIABLES
+from gaitsweep.tasks.registry import CLAIMS, OPTIONS, VARIABLES
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 GOOD = """name = "s"
@@ -39,7 +39,7 @@ WRONG = {
         "": "A study needs a `name` (s.toml).",
         'name = "s"\nwalkr = "E"': "Unknown key `walkr`, did you mean `walker`? (s.toml).",
         'name = "s"\nkind = "brunch"': "Unknown name `brunch`, did you mean `branch`? (s.toml, kind).",
-        'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(parse.kinds())}; got 3 (s.toml, kind).",
+        'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(OPTIONS)}; got 3 (s.toml, kind).",
         'name = "s"\ngaits = "long"': "`gaits` must be a list of names; got 'long' (s.toml, gaits).",
         'name = "s"\ngaits = ["longe"]': "Unknown name `longe`, did you mean `long`? (s.toml, gaits).",
     },

@@ -180,12 +180,12 @@ def test_a_way_that_cannot_be_is_said_in_one_line(tmp_path, walker, axes, said):
 
 
 def test_walkers_of_a_study_are_led_each_from_itself(tmp_path):
-    about = of_axis("detuning", False, parse.read(written(tmp_path, '["E", "F"]', WAY.format('"D"'))).checks)
+    about = of_axis("detuning", parse.read(written(tmp_path, '["E", "F"]', WAY.format('"D"'))).checks)
     assert about["long_name"] == "mixture of each walker (0) and D (1)"
     assert json.loads(about["walker_at_0"]) == [resolve(name).table() for name in "EF"]
     for name in "EF":
         (tmp_path / f"{name}.toml").write_text(f'[walker]\nbase = "{name}"\ntoward = {{ base = "{name}", R = 0.2 }}\n')
-    about = of_axis("detuning", False, parse.read(written(tmp_path, '["E.toml", "F.toml"]', "detuning = [0.5]")).checks)
+    about = of_axis("detuning", parse.read(written(tmp_path, '["E.toml", "F.toml"]', "detuning = [0.5]")).checks)
     assert about["long_name"] == "mixture of each walker (0) and the one it leads to (1)"
 
 
