@@ -53,3 +53,12 @@ def silence(stream: int) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     os.close(nowhere)
+
+
+def duration(seconds: float) -> str:
+    """Format a time, given in seconds."""
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.3g} min"
+    return f"{float(f'{seconds / 3600:.3g}'):,.10g} h"

@@ -98,7 +98,7 @@ def admit(names: Iterable[str]) -> None:
     ExtensionError
         If one cannot be loaded, or is none.
     """
-    for name in {*names} - VARIABLES.keys():
+    for name in {*names} - {own for variable in VARIABLES.values() for own in (variable.name, variable.group)}:
         added = extensions.find("measures", name, Variable)
         if added is None:
             continue

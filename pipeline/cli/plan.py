@@ -8,13 +8,12 @@ from typing import Any
 
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.cli import kinds, studies
-from gaitsweep.pipeline.engine.progress import duration
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.store.store import Store
 from gaitsweep.pipeline.study import corners
-from gaitsweep.pipeline.terminal import counted
+from gaitsweep.pipeline.terminal import counted, duration
 from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
 
 

@@ -12,7 +12,6 @@ from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.cli import studies
 from gaitsweep.pipeline.cli.errors import report_errors
 from gaitsweep.pipeline.engine import runner
-from gaitsweep.pipeline.engine.progress import duration
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -47,7 +46,7 @@ def _after(ends: list[runner.StudyRun], unfinished: list[str], seconds: float) -
         count = f"{len(archives)} of {len(archives) + len(unfinished)}" if unfinished else f"{len(archives)}"
         parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
         parts += [f"not run to the end: {', '.join(unfinished)}"] if unfinished else []
-        yield f"{count} studies in {duration(seconds)}: {'; '.join(parts)}"
+        yield f"{count} studies in {terminal.duration(seconds)}: {'; '.join(parts)}"
     if archives:
         folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
         shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)

@@ -7,9 +7,9 @@ from typing import Any
 
 from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.engine import locks
-from gaitsweep.pipeline.engine.progress import duration, last_state, sentence
+from gaitsweep.pipeline.engine.progress import last_state, sentence
 from gaitsweep.pipeline.paths import sidecar_path
-from gaitsweep.pipeline.terminal import counted
+from gaitsweep.pipeline.terminal import counted, duration
 
 
 def run(options: argparse.Namespace) -> int:

@@ -287,17 +287,8 @@ def sentence(state: dict[str, Any]) -> str:
         f"{name} {stage['done']:,} of {stage['todo']:,}" for name, stage in state["stages"].items() if name != "points"
     ]
     parts += [f"{name} {n:,}" for name, n in sorted(failed.items())]
-    parts.append("longer than planned" if state.get("overdue") else f"{duration(state['eta'])} to go")
+    parts.append("longer than planned" if state.get("overdue") else f"{terminal.duration(state['eta'])} to go")
     return ", ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """Format a time, given in seconds."""
-    if seconds < 120:
-        return f"{seconds:.3g} s"
-    if seconds < 7200:
-        return f"{seconds / 60:.3g} min"
-    return f"{float(f'{seconds / 3600:.3g}'):,.10g} h"
 
 
 def last_state(log: Path) -> dict[str, Any] | None:

@@ -19,7 +19,7 @@ from gaitsweep.pipeline.engine.account import Account
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.jobs import Jobs
 from gaitsweep.pipeline.engine.locks import lock_archive
-from gaitsweep.pipeline.engine.progress import Display, Progress, duration
+from gaitsweep.pipeline.engine.progress import Display, Progress
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
@@ -316,9 +316,8 @@ class _Snapshots:
 def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:
     what = "point" if plan.study.kind == "grid" else "line"
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
-    seconds = time.monotonic() - progress.start
-    n = sum(written.counts.values())
-    progress.say(f"{plan.study.name}: {terminal.counted(n, what)} ({by_status}) in {duration(seconds)}; {path}")
+    took, n = terminal.duration(time.monotonic() - progress.start), sum(written.counts.values())
+    progress.say(f"{plan.study.name}: {terminal.counted(n, what)} ({by_status}) in {took}; {path}")
     for reason, n in written.failures.most_common(_MAX_REASONS):
         progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
     if len(written.failures) > _MAX_REASONS:
