@@ -31,6 +31,8 @@ TOYS = {
 }
 registry.TASKS.clear()
 registry.TASKS.update(TOYS)
+for kind in registry.OPTIONS.keys() - {"grid", *TOYS}:
+    del registry.OPTIONS[kind]
 
 if __name__ == "__main__":
     sys.exit(commands.main())
