@@ -228,5 +228,5 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         meaning = of_axis(name, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
-        attributes["units"] = of_axis(str(registry.options("curve", study.options)["key"]), study.checks)["units"]
+        attributes["units"] = units.axis_units(str(registry.options("curve", study.options)["key"]), study.checks)
     return attributes

@@ -94,10 +94,9 @@ class Plan:
         """Parts of the box of charts, as `graph.boxes` has them; those that failed leave all of it alone."""
         key, plane = charts.key.key, self.study.plane
         if key not in self._boxes:
-            outcome = self.store.outcome(key)
-            if outcome is None or outcome.status != "ok":
-                return [charts.box or plane.region] if outcome and plane and which == "alone" else []
             arrays = self.store.result(key)
+            if arrays is None:
+                return [charts.box or plane.region] if key in self.store and plane and which == "alone" else []
             self._boxes[key] = {name: boxes(arrays, name) for name in ("halves", "alone")}
         return self._boxes[key][which]
 
