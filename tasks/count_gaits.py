@@ -13,6 +13,7 @@ from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.search import distinct
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio, verify_steps
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
@@ -22,8 +23,8 @@ from gaitsweep.tasks.walkers.resolve import walker_of_line
 _MAX_ANGLE, _MIN_ANGLE_RATIO = 1.0, 0.5
 #: Stance rate from barely crossing the vertical, over the angle to it, to much faster, over the stance angle.
 _SLOWEST, _FASTEST = -0.7, -4.0
-#: Swing rate over the magnitude of the stance rate.
-_SWING_RATIO = (-1.6, 1.6)
+#: Largest swing rate over the stance rate, of a leg that swings in pi sqrt(leg/g); of faster ones in proportion.
+_SWING_RATIO = 1.6
 #: Solutions closer than this in similarity coordinates are the same, and after a coarse iteration.
 _SAME, _SAME_COARSE = 1e-5, 1e-3
 #: Newton steps of a guess, by the number of phases of a step: with a free knee they are dear, and few converge late.
@@ -141,7 +142,8 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     rate = fastest + (slowest - fastest) * unit[1]
     if problem.m == 2:
         return np.vstack([angle, rate])
-    return np.vstack([angle, rate, -rate * (_SWING_RATIO[0] + (_SWING_RATIO[1] - _SWING_RATIO[0]) * unit[2])])
+    largest = _SWING_RATIO * max(1.0, np.pi / SmallAngles(problem.walker).swing)
+    return np.vstack([angle, rate, -rate * largest * (2 * unit[2] - 1)])
 
 
 def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:

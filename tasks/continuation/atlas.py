@@ -32,7 +32,7 @@ from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
 from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Point, Track, joined
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
-from gaitsweep.tasks.fixed_points.search import search_lines, starts
+from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance
 from gaitsweep.tasks.walkers.walker import Walker
@@ -226,16 +226,19 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     return branch
 
 
-#: Initial guesses of a survey, whose number depends on whether there are knees alone.
-_GUESSES: dict[bool, int] = {}
+#: Initial guesses of a survey, by whether there are knees and the number of periods.
+_GUESSES: dict[tuple[bool, int], int] = {}
 
 
 def searched(walker: Walker) -> str:
-    """Describe how many initial guesses a survey of the walker's line uses, and where."""
-    if walker.knees not in _GUESSES:
-        _GUESSES[walker.knees] = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
-    where = f"{len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
-    return f"{_GUESSES[walker.knees]} initial guesses at {where}"
+    """Describe how many initial guesses a survey of the walker's line uses, and how far they reach."""
+    times = periods(walker) * walker.time_unit
+    kind = (walker.knees, len(times))
+    if kind not in _GUESSES:
+        _GUESSES[kind] = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
+    slopes = f"{len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
+    reach = f"periods from {times[0]:.3g} to {times[-1]:.3g}{' s' * walker.si}"
+    return f"{_GUESSES[kind]} initial guesses at {slopes}, with {reach}"
 
 
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:

@@ -150,7 +150,7 @@ SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
 #: The scalar that is positive beyond an end at which gaits are followed no further, by its kind.
 LIMITS: dict[str, Callable[[Any], np.ndarray]] = {
     "end_fall": lambda at: fall_margin(at.Z, at.stride.steps),
-    "end_zero_step": lambda at: rate_of_steps(at.Z[1 : at.m]) - MOST_RATE,
+    "end_zero_step": lambda at: rate_of_steps(at.Z, at.m, at.stride.steps) - MOST_RATE,
 }
 _EVERY = SCALARS | LIMITS
 

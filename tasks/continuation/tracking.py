@@ -114,7 +114,7 @@ def _stop_reasons(point: Point) -> np.ndarray:
     """Why tracks stop at their points; empty where they go on."""
     q, angle = point.at.q, point.Z[0]
     slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
-    vanished = rate_of_steps(point.Z[1 : point.at.m]) > MOST_RATE
+    vanished = rate_of_steps(point.Z, point.at.m, point.at.stride.steps) > MOST_RATE
     early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
@@ -134,9 +134,13 @@ MOST_RATE = 36.0
 HALVED, NOT_A_STEP = "halved", "not a step"
 
 
-def rate_of_steps(rates: np.ndarray) -> np.ndarray:
-    """Return the norm (n,) of rates over angle, (m - 1, n) [sqrt(g/leg)]: steps vanish where it has no bound."""
-    return np.asarray(np.sqrt((rates**2).sum(axis=0)))
+def rate_of_steps(Z: np.ndarray, m: int, steps: int = 1) -> np.ndarray:
+    """Return the norm (n,) of the rates over angle of gaits Z (c, n): steps vanish where it has no bound.
+
+    Rates are in sqrt(g/leg); of steps shorter than pi, as of legs that swing fast, relative to those of their duration.
+    """
+    brevity = np.minimum(1.0, Z[-2] / (np.pi * steps))
+    return np.asarray(brevity * np.sqrt((Z[1:m] ** 2).sum(axis=0)))
 
 
 def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:

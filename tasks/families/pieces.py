@@ -81,7 +81,7 @@ class Piece:
         """Return the largest norm of rates over angle on the half next to the lower (0) or upper (1) end."""
         nodes = self.branch.Z[:, self.first : self.last + 1]
         nodes = nodes if (nodes[-1, 0] == self.q[k]) else nodes[:, ::-1]
-        return float(rate_of_steps(nodes[1 : self.branch.m, : nodes.shape[1] // 2 + 1]).max())
+        return float(rate_of_steps(nodes[:, : nodes.shape[1] // 2 + 1], self.branch.m, self.branch.steps).max())
 
     def end_point(self, k: int) -> np.ndarray:
         """Return its point (c,) at the lower (0) or upper (1) end."""

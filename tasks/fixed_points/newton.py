@@ -14,6 +14,8 @@ from gaitsweep.tasks.step.step_map import matvec
 
 #: Mean durations of steps beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
+#: Shortest time of a strike of an initial guess [sqrt(leg/g)].
+_SHORTEST_PHASE = 0.005
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
 
@@ -144,7 +146,9 @@ def newton(
             (size < np.maximum(1e-5 if coarse else rounding_std, enough))
             | ((size < 1e-6) & (size > 0.3 * last[active]))
         )
-        sane = (np.abs(w[1 : problem.m, active]) < 50).all(axis=0) & (w[problem.m :, active] > 0.05).all(axis=0)
+        brevity = np.minimum(1.0, w[-1, active] / np.pi)
+        sane = (np.abs(brevity * w[1 : problem.m, active]) < 50).all(axis=0)
+        sane &= (w[problem.m :, active] > _SHORTEST_PHASE).all(axis=0)
         sane &= (w[-1, active] < LONGEST_PERIOD * problem.steps) & (w[0, active] < 0.4)
         converged[active[done & sane & ~beside]] = True
         last[active] = size

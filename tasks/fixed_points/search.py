@@ -9,7 +9,7 @@ import numpy as np
 
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
-from gaitsweep.tasks.mechanics.small_angles import exchange_periods, exchange_rates
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.verify_step import StepCheck
@@ -22,6 +22,14 @@ _MAX_ITERATIONS = 15
 _MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
 #: Guesses in one cell of this size after three steps converge to one gait: the nearest to it continues.
 _MERGE_CELL = 0.1
+#: Stance angles of the lattice, and its periods over the time in which the leg swings by itself: with straight legs,
+#: and with knees. Gaits of random walkers have periods of 0.5 to 1.8 swings.
+_ANGLES, _ANGLES_KNEED = 9, 7
+_PERIODS, _PERIODS_KNEED = (0.65, 0.8, 0.95, 1.1, 1.27, 1.6), (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42)
+#: Periods farther apart have another between them [sqrt(leg/g)]: a slow leg's steps nearly end upright.
+_LARGEST_GAP = 1.25
+#: Rates of kneed legs just before heelstrike, the swing leg's over the stance leg's: of long and of short gaits.
+_RATIOS = (0.8, 0.0)
 #: Periods of the lattice replaced by those in which point feet exchange places.
 _EXCHANGED = (1, 2)
 #: Largest rate over angle of a guess.
@@ -43,46 +51,79 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     Returns
     -------
     list of ndarray, shape (m + phases, n)
-        For each slope, in similarity coordinates; their number depends on whether there are knees alone.
+        For each slope, in similarity coordinates.
 
     Notes
     -----
-    Stance angles run from the linear (slope) to the cube-root scaling. Straight legs have the rates with which, to
-    first order in the angles, they exchange places in the period; where these are too large for linear theory, as on
-    steep slopes, the stance leg has that of an inverted pendulum. With point feet heelstrike fixes the ratio of the
-    rates, so that both legs do so in certain periods only: the two shortest take the place of two of the lattice. Of
-    kneed walkers the stance rate is that of an inverted pendulum which crosses from +angle to -angle in the period,
-    with several swing rates and times of kneestrike.
+    Stance angles run from the linear (slope) to the cube-root scaling, periods are those of `periods`. The rates are
+    those with which, to first order in the angles, the legs exchange places in the period, with knees the stance leg
+    alone; where these are too large for linear theory, as on steep slopes, the stance leg has that of an inverted
+    pendulum. With point feet heelstrike fixes the ratio of the rates, so that both legs do so in certain periods only:
+    the two shortest take the place of two of the lattice.
     """
-    if walker.knees:
-        angles, others = 7, [(2.0, 2.7, 3.4, 4.3), (-0.7, 0.1), (0.55, 0.75)]
-    else:
-        angles, others = 9, [(2.0, 2.5, 3.0, 3.5, 4.0, 5.0)]
+    linear = SmallAngles(walker)
+    angles, others = (_ANGLES_KNEED, [_RATIOS]) if walker.knees else (_ANGLES, [])
     lattices = []
     for i, slope in enumerate(slopes):
         top = np.log(min(2.0 * slope ** (1 / 3), 1.2))
         bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
-        grid = np.meshgrid(np.linspace(bottom, top, angles), *others, indexing="ij")
+        grid = np.meshgrid(np.linspace(bottom, top, angles), _periods(linear), *others, indexing="ij")
         lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))
+
     counts = [lattice.shape[1] for lattice in lattices]
-    log_angle, period, *rest = np.hstack(lattices)
+    log_angle, period, *ratio = np.hstack(lattices)
+    at_slope = np.repeat(slopes, counts)
     if walker.knees:
-        ratio, fraction = rest
-        rate = -1.0 / np.tanh(period / 2)
-        rows = [log_angle, rate, -ratio * rate, fraction * period, period]
+        rows = _kneed_guesses(linear, np.exp(log_angle), period, ratio[0], at_slope)
     else:
-        angle = np.exp(log_angle)
-        if walker.point_foot:
-            exchanged = exchange_periods(walker, angle, np.repeat(slopes, counts))
-            for place, own in zip(_EXCHANGED, exchanged, strict=True):
-                period = np.where((period == others[0][place]) & np.isfinite(own), own, period)
-        rates = exchange_rates(walker, angle, period, np.repeat(slopes, counts))
-        plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
-        is_linear = np.abs(rates).max(axis=0) <= _LINEAR_UP_TO
-        rates = np.where(is_linear, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE), plain)
-        # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
-        rows = [log_angle, *(rates[:1] if walker.point_foot else rates), period]
-    return np.split(np.vstack(rows), np.cumsum(counts)[:-1], axis=1)
+        rows = _straight_guesses(linear, np.exp(log_angle), period, at_slope)
+    return np.split(np.vstack([log_angle, *rows]), np.cumsum(counts)[:-1], axis=1)
+
+
+def periods(walker: Walker) -> np.ndarray:
+    """Periods of the guesses, from that in which the walker's leg swings by itself, shape (k,) [sqrt(leg/g)]."""
+    return _periods(SmallAngles(walker))
+
+
+def _periods(linear: SmallAngles) -> np.ndarray:
+    lattice = np.array(_PERIODS_KNEED if linear.has_knees else _PERIODS) * linear.swing
+    wide = np.diff(lattice) > _LARGEST_GAP
+    between = (lattice[:-1] + lattice[1:])[wide] / 2
+    return np.sort(np.concatenate([lattice, between]))
+
+
+def _straight_guesses(
+    linear: SmallAngles, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
+) -> list[np.ndarray]:
+    """Rates over the angle and periods of guesses for straight legs."""
+    if linear.point_foot:
+        lattice = _periods(linear)
+        for place, exchange in zip(_EXCHANGED, linear.exchange_periods(angle, slope), strict=True):
+            period = np.where((period == lattice[place]) & np.isfinite(exchange), exchange, period)
+
+    rates = linear.exchange_rates(angle, period, slope)
+    plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
+
+    # A fast leg swings through small angles at high rates.
+    quickness = max(1.0, np.pi / linear.swing)
+    limits = _LINEAR_UP_TO * np.array([[1.0], [quickness]])
+    is_linear = (np.abs(rates) <= limits).all(axis=0)
+    largest = _MAX_RATE * quickness
+    rates = np.where(is_linear, np.clip(rates / angle, -largest, largest), plain)
+
+    # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
+    return [*(rates[:1] if linear.point_foot else rates), period]
+
+
+def _kneed_guesses(
+    linear: SmallAngles, angle: np.ndarray, period: np.ndarray, ratio: np.ndarray, slope: np.ndarray
+) -> list[np.ndarray]:
+    """Rates over the angle just before heelstrike, times of kneestrike and periods of guesses for legs with knees."""
+    rate, kneestrike = linear.kneed_exchange(angle, period, ratio, slope)
+    is_linear = np.abs(rate) <= _LINEAR_UP_TO
+    plain = -1.0 / np.tanh(period / 2)
+    rate = np.where(is_linear, np.clip(rate / angle, -_MAX_RATE, _MAX_RATE), plain)
+    return [rate, ratio * rate, kneestrike, period]
 
 
 def search(problem: Problem, slope: float) -> tuple[np.ndarray, AnyStride | None, StepCheck | None]:

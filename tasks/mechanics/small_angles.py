@@ -1,4 +1,9 @@
-"""Steps of straight legs to first order in the angles: what a search for gaits begins with."""
+"""Steps to first order in the angles, in closed form: what a search for gaits begins with.
+
+Near q = (stance, swing thigh[, swing shank]) = 0 the equations of motion (tasks.mechanics.equations) are
+M q'' = G q - c, with constant M and G, and c linear in the slope. States are followed as linear functions of
+(stance angle, old stance rate, old swing rate, 1, slope), so that all angles and slopes share one propagation.
+"""
 
 from __future__ import annotations
 
@@ -9,85 +14,229 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 #: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
 _PERIODS = np.linspace(1.0, 6.0, 51)
+#: Shortest and longest time taken for a swing of the leg [sqrt(leg/g)]: a leg that is balanced about the hip has none.
+_SWINGS = (0.02, 7.0)
+#: Times at which the flexion of the knee is looked at, over a swing of the leg, and the largest for its return.
+_KNEE_TIMES, _KNEE_UP_TO = 200, 1.6
+#: Time of kneestrike over the period, where it is not known, and at most.
+_KNEE_GUESS, _KNEE_LATEST = 0.65, 0.93
 
 
-def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Rates just after heelstrike with which straight legs exchange places in a given time.
-
-    Parameters
-    ----------
-    walker : Walker
-        Without knees.
-    angle, period, slope : ndarray, shape (n,) [rad], [sqrt(leg/g)] and [rad]
-
-    Returns
-    -------
-    ndarray, shape (2, n) [rad/sqrt(leg/g)]
-        Of the stance and of the swing leg. A leg whose mass is all at the foot starts with the rate that heelstrike
-        gives it; then only the stance leg reaches the other's place.
-    """
-    by_angles, by_rates, start, rest = _exchange(walker, angle, period, slope)
-    lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
-    if walker.point_foot:
-        along = _rates_along(angle)
-        return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
-    return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
-
-
-def exchange_periods(walker: Walker, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Periods in which both legs exchange places, where their masses are at the feet.
+class SmallAngles:
+    """A walker's motion and impacts to first order in the angles.
 
     Parameters
     ----------
     walker : Walker
-        With point feet.
-    angle, slope : ndarray, shape (n,) [rad]
 
-    Returns
-    -------
-    ndarray, shape (2, n) [sqrt(leg/g)]
-        The two shortest, by linear interpolation between periods 0.1 apart; NaN where there are fewer.
+    Attributes
+    ----------
+    swing : float [sqrt(leg/g)]
+        Time in which the straight leg, hung at the hip, swings from one side to the other.
     """
-    by_angles, by_rates, start, rest = _exchange(walker, angle, _PERIODS, slope)
-    # Of both legs, (2, periods, n): what they lack, and what a rate of the stance leg adds.
-    lack = (-start - rest)[:, None] - np.tensordot(by_angles, start - rest, 1).transpose(1, 0, 2)
-    by_rate = np.tensordot(by_rates, _rates_along(angle), 1).transpose(1, 0, 2)
-    off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
-    crosses = np.diff(np.sign(off), axis=0) != 0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[:, None] / np.diff(off, axis=0)
-    return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
+
+    def __init__(self, walker: Walker):
+        constants = lump(walker)
+        self.point_foot, self.has_knees = walker.point_foot, walker.knees
+        self.eps, R = constants["eps"], constants["R"]
+        stance, *swing = (complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"]) for x in _arms(walker))
+        inertia = [constants["C_bb"]]
+        between = 0.0
+        if walker.knees:
+            inertia.append(constants["C_cc"])
+            between = constants["H_re"]
+
+        rolling = constants["C_aa"] + 2 * R * stance.imag
+        self.locked = _Linear(rolling, R, self.eps, stance, [sum(swing)], [sum(inertia) + 2 * between], 0.0)
+        self.free = _Linear(rolling, R, self.eps, stance, swing, inertia, between)
+
+        S, J = self.locked.G[1], self.locked.M[1, 1]
+        # A leg whose centre of mass lies at the hip, or above, has no swing of its own.
+        longest = (np.pi / _SWINGS[1]) ** 2
+        self.swing = max(float(np.pi / np.sqrt(max(-S / J, longest))), _SWINGS[0])
+
+        # Heelstrike with both legs along the normal (tasks.mechanics.impacts).
+        momentum = np.zeros((len(self.free.M), 2))
+        momentum[0] = 1 + 2 * self.eps * S, self.eps * (S + J)
+        momentum[1:, 0] = self.free.G[1:] + [C + between for C in inertia]
+        self.heelstrike = np.linalg.solve(self.free.M, momentum)
+
+    def exchange_rates(self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Rates just after heelstrike with which straight legs exchange places in a given time.
+
+        Parameters
+        ----------
+        angle, period, slope : ndarray, shape (n,) [rad], [sqrt(leg/g)] and [rad]
+
+        Returns
+        -------
+        ndarray, shape (2, n) [rad/sqrt(leg/g)]
+            Of the stance and of the swing leg. A leg whose mass is all at the foot starts with the rate that
+            heelstrike gives it; then only the stance leg reaches the other's place.
+        """
+        by_rates, lack = self._exchange(angle, period, slope)
+        if self.point_foot:
+            along = _rates_along(angle)
+            return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
+        return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
+
+    def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Periods in which both legs exchange places, where their masses are at the feet.
+
+        Parameters
+        ----------
+        angle, slope : ndarray, shape (n,) [rad]
+
+        Returns
+        -------
+        ndarray, shape (2, n) [sqrt(leg/g)]
+            The two shortest, by linear interpolation between periods 0.1 apart; NaN where there are fewer.
+        """
+        motion = self.locked.after(_PERIODS)[:, :2]
+        # What both legs lack, and what a rate of the stance leg adds, (periods, 2, n).
+        lack = -np.array([angle, -angle]) - motion @ _known(angle, slope)
+        by_rate = motion[:, :, 2:4] @ _rates_along(angle)
+        off = lack[:, 1] * by_rate[:, 0] - lack[:, 0] * by_rate[:, 1]
+
+        crosses = np.diff(np.sign(off), axis=0) != 0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[:, None] / np.diff(off, axis=0)
+        return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
+
+    def kneed_exchange(
+        self, angle: np.ndarray, period: np.ndarray, ratio: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Stance rate and time of kneestrike with which the stance leg reaches the other's place in a given time.
+
+        Parameters
+        ----------
+        angle, period, ratio, slope : ndarray, shape (n,) [rad], [sqrt(leg/g)], 1 and [rad]
+            `ratio` is the swing leg's rate just before heelstrike over the stance leg's.
+
+        Returns
+        -------
+        rate : ndarray, shape (n,) [rad/sqrt(leg/g)]
+            Of the old stance leg, just before heelstrike.
+        kneestrike : ndarray, shape (n,) [sqrt(leg/g)]
+
+        Notes
+        -----
+        When the knee returns depends little on the rates. First it is taken to do so after `_KNEE_GUESS` of the period,
+        which gives the rates without gravity's moment about the stance foot, and these the time.
+        """
+        rate, kneestrike = np.empty(len(angle)), np.empty(len(angle))
+        pairs, place = np.unique([period, ratio], axis=1, return_inverse=True)
+        for i, (T, own_ratio) in enumerate(pairs.T):
+            by_angle, by_rate, by_swing, *_ = self._kneed_end(_KNEE_GUESS * T, T)[0]
+            time = self._knee_return(-(by_angle + 1) / (by_rate + by_swing * own_ratio), own_ratio)
+            time = min(time, _KNEE_LATEST * T) if np.isfinite(time) else _KNEE_GUESS * T
+
+            lanes = place.ravel() == i
+            by_angle, by_rate, by_swing, rest, by_slope = self._kneed_end(time, T)[0]
+            lack = -(by_angle + 1) * angle[lanes] - rest - by_slope * slope[lanes]
+            rate[lanes] = lack / (by_rate + by_swing * own_ratio)
+            kneestrike[lanes] = time
+        return rate, kneestrike
+
+    def _exchange(self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What rates after heelstrike add to the last angles of a step, (n, 2, 2), and what these lack, (2, n)."""
+        periods, place = np.unique(period, return_inverse=True)
+        motion = self.locked.after(periods)[place, :2]
+        lack = -np.array([angle, -angle]) - np.einsum("nij,jn->in", motion, _known(angle, slope))
+        return motion[:, :, 2:4], lack
+
+    def _start(self) -> np.ndarray:
+        """State with a free knee just after heelstrike by (angle, old stance rate, old swing rate, 1, slope)."""
+        n = len(self.free.M)
+        start = np.zeros((2 * n, 5))
+        start[:n, 0] = [1.0, *[-1.0] * (n - 1)]
+        start[n:, 1:3] = self.heelstrike
+        return start
+
+    def _knee_return(self, rate: float, ratio: float) -> float:
+        """Time at which the knee is straight again after it has flexed, for rates over the angle; NaN if it is not."""
+        step = _KNEE_UP_TO * self.swing / _KNEE_TIMES
+        state = self._start() @ [1.0, rate, ratio * rate, 0.0, 0.0]
+        advance, before = self.free.after(np.array([step]))[0, :, :-2], 0.0
+        for k in range(_KNEE_TIMES):
+            state = advance @ state
+            flexion = state[1] - state[2]
+            if before > 0 >= flexion:
+                return float((k + before / (before - flexion)) * step)
+            before = flexion
+        return np.nan
+
+    def _kneed_end(self, kneestrike: float, period: float) -> np.ndarray:
+        """Angles at the end of a kneed step by (angle, old stance rate, old swing rate, 1, slope), shape (2, 5)."""
+        struck = self.free.moved(self._start(), kneestrike)
+        # The impulse is a torque in the knee.
+        momentum = self.free.M @ struck[3:]
+        rates = np.linalg.solve(self.locked.M, [momentum[0], momentum[1] + momentum[2]])
+        return self.locked.moved(np.vstack([struck[:2], rates]), period - kneestrike)[:2]
+
+
+def _arms(walker: Walker) -> str:
+    """Letters of the first moments of the stance leg and of the swing links."""
+    return "abc" if walker.knees else "ab"
+
+
+class _Linear:
+    """Motion M q'' = G q - c of some links, with c by (1, slope)."""
+
+    def __init__(
+        self,
+        rolling: float,
+        R: float,
+        eps: float,
+        stance: complex,
+        swing: list[complex],
+        inertia: list[float],
+        between: float,
+    ):
+        arms = np.array([stance, *swing])
+        self.G = arms.imag
+        self.M = np.diag([rolling, *inertia])
+        self.M[0, 1:], self.M[1:, 0] = eps * self.G[1:], self.G[1:]
+        if len(swing) > 1:
+            self.M[1, 2] = self.M[2, 1] = between
+        self.c = np.stack([arms.real, arms.imag], axis=1)
+        self.c[0, 1] -= R
+
+    def after(self, times: np.ndarray) -> np.ndarray:
+        """States (angles, rates) after k times by those at the start, then by (1, slope), shape (k, 2 n, 2 n + 2)."""
+        # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and force.
+        squares, modes = np.linalg.eig(np.linalg.solve(self.M, np.diag(self.G)).astype(complex))
+        growth = np.sqrt(squares)[:, None]
+        is_free = growth == 0
+        by_angle = np.cosh(growth * times)
+        by_rate = np.where(is_free, times, np.sinh(growth * times) / np.where(is_free, 1, growth))
+        fallen = np.sinh(growth * times / 2) / np.where(is_free, 1, growth)
+        by_force = -2 * np.where(is_free, times / 2, fallen) ** 2
+
+        back = np.linalg.inv(modes)
+        force = back @ np.linalg.solve(self.M, self.c)
+
+        def links(of_mode: np.ndarray, source: np.ndarray) -> np.ndarray:
+            return np.einsum("ik,kn,kj->nij", modes, of_mode, source).real
+
+        angles = [links(by_angle, back), links(by_rate, back), links(by_force, force)]
+        rates = [links(squares[:, None] * by_rate, back), links(by_angle, back), links(-by_rate, force)]
+        return np.concatenate([np.concatenate(angles, axis=2), np.concatenate(rates, axis=2)], axis=1)
+
+    def moved(self, states: np.ndarray, time: float) -> np.ndarray:
+        """States by (angle, two rates, 1, slope), shape (2 n, 5), after some time."""
+        motion = self.after(np.array([time]))[0]
+        moved = motion[:, :-2] @ states
+        moved[:, 3:] += motion[:, -2:]
+        return moved
+
+
+def _known(angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """State of straight legs just after heelstrike but for its rates, then (1, slope), shape (6, n)."""
+    none = np.zeros_like(angle)
+    return np.stack([angle, -angle, none, none, none + 1, slope])
 
 
 def _rates_along(angle: np.ndarray) -> np.ndarray:
     """Rates just after heelstrike over the stance leg's, where the masses are at the feet, shape (2, n)."""
     return np.array([np.ones_like(angle), np.cos(2 * angle)])
-
-
-def _exchange(
-    walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Linear motion in certain periods, (n, 2, 2), by angles and by rates; the first angles, and those at rest, (2, n).
-
-    Notes
-    -----
-    Near q = (stance, swing angle) = 0 the equations of motion (tasks.mechanics.equations) are
-    M q'' = G q - c, with G = diag(Im S_a, Im S_b) and c = (Re S_a + (Im S_a - R) slope, Re S_b + Im S_b slope).
-    With q0 = (angle, -angle), q(T) = -q0 is linear in the rates.
-    """
-    k = lump(walker)
-    S_a, S_b = complex(k["S_a_re"], k["S_a_im"]), complex(k["S_b_re"], k["S_b_im"])
-    M = np.array([[k["C_aa"] + 2 * k["R"] * S_a.imag, k["eps"] * S_b.imag], [S_b.imag, k["C_bb"]]])
-    G = np.array([S_a.imag, S_b.imag])
-    rest = np.array([S_a.real + (S_a.imag - k["R"]) * slope, S_b.real + S_b.imag * slope])
-    rest /= np.where(G == 0, np.nan, G)[:, None]  # a balanced leg has no angle of rest of its own
-    squares, modes = np.linalg.eig((np.linalg.inv(M) * G).astype(complex))
-    growth = np.sqrt(squares)[:, None]
-    inverse = np.linalg.inv(modes)
-
-    def propagator(by_mode: np.ndarray) -> np.ndarray:
-        return np.einsum("ik,kn,kj->nij", modes, by_mode, inverse).real
-
-    free = growth == 0
-    by_rates = np.where(free, period, np.sinh(growth * period) / np.where(free, 1, growth))
-    return propagator(np.cosh(growth * period)), propagator(by_rates), np.array([angle, -angle]), rest

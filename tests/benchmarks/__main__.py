@@ -69,7 +69,7 @@ def measure(quick: bool, families: tuple[str, ...], slopes: int) -> Measurements
     _say("planes")
     tables["planes"] = planes.table(quick)
     _say("random walkers and bounds")
-    tables["missed"] = missed.missed(RANDOM_LINES[quick]).rows()
+    tables["missed"] = missed.missed(range(RANDOM_LINES[quick]), missed.built).rows()
     tables["outcomes"] = stress.lanes(RANDOM_LANES[quick]).rows()
     compared = bounds.bounds(RANDOM_SLOPES[quick], walkers=[(name, resolve(name, {})) for name in families])
     tables["bounds"], tables["deception"] = compared.rows(), compared.histogram()

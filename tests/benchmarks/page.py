@@ -61,8 +61,8 @@ integrated. Below, the curve of each walker stands beside those of the peers.</p
 multipliers, error bound and part of the archive, and of making a cell, over which the gaits are predicted.</p>
 {{ table(tables.planes) }}
 <h2>Gaits missed</h2>
-<p>Lines of random walkers near those of the catalogue, each searched besides at one random slope from twelve times as
-many initial guesses as the lattice has: gaits of that search, and those of them that the line's survey lacks.</p>
+<p>Lines of random walkers as people build them, each searched besides at one random slope from thousands of other
+initial guesses: gaits of that search, and those of them that the line's survey lacks.</p>
 {{ table(tables.missed) }}
 <h2>Work against wanted variables</h2>
 <p>The same line for studies that want fewer and fewer variables. Each step includes its Jacobian; an event check

@@ -67,7 +67,7 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     for module in (lines, accuracies, planes):
         monkeypatch.setattr(module, "what_more_take", lambda study, fewer, more: Difference(1e-3, more, 1e-3, fewer))
     one = Counter(D=1)
-    monkeypatch.setattr(missed, "missed", lambda count: missed.Missed(one, one))
+    monkeypatch.setattr(missed, "missed", lambda numbers, draw: missed.Missed(one, one))
     monkeypatch.setattr(stress, "lanes", lambda count: stress.Outcomes({"point feet": Counter({"gait, long": count})}))
     monkeypatch.setattr(
         bounds, "bounds", lambda each, walkers: bounds.Bounds(["D"], *np.full((4, 1), 1e-3), np.zeros(1))

@@ -1,8 +1,9 @@
-"""Gaits that a survey misses: random lines, each also searched at one slope from many times as many guesses."""
+"""Gaits that a survey misses: random lines, each also searched at one slope from thousands of other guesses."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.search import starts
+from gaitsweep.tasks.fixed_points.search import distinct
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import structures_of
 from gaitsweep.tasks.step.problem import Lanes
@@ -24,8 +25,10 @@ DERIVED = {"A": ("detuning", -0.5, 2.0), "C": ("detuning", -0.5, 2.0), "E": ("fo
 KEYS, SPREAD = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"), 0.3
 #: Range of the slopes [rad].
 MIN_SLOPE, MAX_SLOPE = 1e-3, 0.5
-#: Copies of the lattice of guesses at the slope, and how far they are shaken: ln angle, and relatively rates and times.
-COPIES, SHAKE = 12, 0.25
+#: Guesses of the dense search at a slope, by the number of phases of a step.
+GUESSES = {1: 3000, 2: 3000}
+#: Lines searched side by side.
+SEARCHED = 10
 #: Lines surveyed side by side.
 BLOCK = 32
 
@@ -37,7 +40,7 @@ class Missed:
     lines: Counter[str] = field(default_factory=Counter)
     gaits: Counter[str] = field(default_factory=Counter)
     lacking: Counter[str] = field(default_factory=Counter)
-    each: list[tuple[str, dict[str, float], float, float, float]] = field(default_factory=list)
+    each: list[tuple[str, dict[str, Any], float, float, float]] = field(default_factory=list)
 
     def rows(self) -> list[dict[str, float | str]]:
         """Rows of the table: by walker, and all."""
@@ -59,26 +62,78 @@ def neighbour(seed: int) -> tuple[str, dict[str, float], float]:
     return name, changes, float(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE))))
 
 
-def missed(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -> Missed:
-    """Compare surveys of random lines with a dense search at a slope of each."""
+def built(seed: int) -> tuple[str, dict[str, Any], float]:
+    """Draw a walker as people build them: the name of its kind, its table, and a slope [rad].
+
+    Legs of one link (half of them) and of two, these with knees in every second case; centres of mass from just below
+    the hip to the foot. Legs of two links are tuned by offsets of their masses, or not.
+    """
+    random = np.random.default_rng(seed)
+    draw = random.uniform
+
+    def over_decades(low: float, high: float) -> float:
+        return float(np.exp(draw(np.log(low), np.log(high))))
+
+    radius = 0.0 if random.random() < 0.2 else float(draw(0.0, 0.8))
+    slope = over_decades(MIN_SLOPE, 0.3)
+    if seed % 2 == 0:
+        length = 1.0 - radius
+        leg = {"l": length, "c": length * draw(0.03, 1.0), "r": length * over_decades(0.02, 1.0), "m": 1.0, "R": radius}
+        hip = 0.0 if random.random() < 0.15 else over_decades(0.01, 100.0)
+        return "one link", {"knees": False, **leg, "m_h": hip}, slope
+
+    knees = seed % 4 == 1
+    thigh = float(draw(0.3, 0.7))
+    shank = 1.0 - thigh
+    table: dict[str, Any] = {
+        **{"knees": knees, "l_t": thigh, "l_s": shank, "R": min(radius, 0.8 * shank), "w_t": 0.0, "w_s": 0.0},
+        **{"m_t": 1.0, "m_s": over_decades(0.03, 5.0)},
+        **{"c_t": thigh * draw(0.02, 0.9), "c_s": shank * draw(0.05, 0.9)},
+        **{"r_t": thigh * draw(0.02, 0.5), "r_s": shank * draw(0.02, 0.5)},
+        "eps_T": 0.0 if random.random() < 0.3 else float(draw(0.0, 0.4)),
+        "m_h": 0.0 if random.random() < 0.15 else over_decades(0.05, 50.0),
+    }
+    if random.random() < 0.6:
+        table["tuned"] = ["w_t", "w_s"] if knees else ["w_t"]
+    return "knees" if knees else "two links", table, slope
+
+
+def missed(
+    numbers: Sequence[int],
+    draw: Callable[[int], tuple[str, dict[str, Any], float]] = neighbour,
+    say: Callable[[str], None] | None = None,
+) -> Missed:
+    """Compare surveys of random lines with a dense search at a slope of each.
+
+    Parameters
+    ----------
+    numbers : sequence of int
+        Of the walkers drawn.
+    draw : callable
+        `neighbour` or `built`.
+    say : callable, optional
+        Told of the counts after each block of lines.
+    """
     outcome = Missed()
-    drawn: list[tuple[str, dict[str, float], float, Walker]] = []
-    for k in range(count):
-        name, changes, slope = neighbour(count * seed + k)
+    drawn: list[tuple[str, dict[str, Any], float, Walker]] = []
+    for number in numbers:
+        name, keys, slope = draw(number)
         try:
-            drawn.append((name, changes, slope, resolve(name, changes)))
+            walker = resolve(name, keys) if draw is neighbour else resolve(keys)
         except WalkerError:
             continue
-    for numbers, problem, surveyed in survey_walkers([walker for *_, walker in drawn]):
-        w, line = _dense(problem, np.array([drawn[i][2] for i in numbers]))
-        for lane, (i, branches) in enumerate(zip(numbers, surveyed, strict=True)):
-            name, changes, slope, _ = drawn[i]
+        drawn.append((name, keys, slope, walker))
+
+    for some, problem, surveyed in survey_walkers([walker for *_, walker in drawn]):
+        w, line = _dense(problem, np.array([drawn[i][2] for i in some]))
+        for lane, (i, branches) in enumerate(zip(some, surveyed, strict=True)):
+            name, keys, slope, _ = drawn[i]
             outcome.lines[name] += 1
             for gait in w[:, line == lane].T:
                 outcome.gaits[name] += 1
                 if not atlases.is_known(branches, np.append(gait, np.log(slope))):
                     outcome.lacking[name] += 1
-                    outcome.each.append((name, changes, slope, float(np.exp(gait[0])), float(gait[-1])))
+                    outcome.each.append((name, keys, slope, float(np.exp(gait[0])), float(gait[-1])))
         if say:
             say(f"{outcome.lines.total()} lines, {outcome.gaits.total()} gaits, {outcome.lacking.total()} missed")
     return outcome
@@ -97,26 +152,52 @@ def survey_walkers(walkers: Sequence[Walker]) -> Iterator[tuple[list[int], Lanes
 
 def _dense(problem: Lanes, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distinct gaits (m + phases, n) of lines at a slope of each, and the line of each."""
-    lattices = [starts(problem.walker_of(i), [float(slope)])[0] for i, slope in enumerate(slopes)]
-    w = np.repeat(np.hstack(lattices), COPIES, axis=1)
-    line = np.repeat(np.arange(len(slopes)), [COPIES * each.shape[1] for each in lattices])
-    random = np.random.default_rng(0)
-    shaken = w * (1 + SHAKE * random.uniform(-1, 1, w.shape))
-    shaken[0] = w[0] + SHAKE * random.uniform(-1, 1, w.shape[1])
-    w = np.where(np.arange(w.shape[1]) % COPIES == 0, w, shaken)
-    for coarse in (True, False):
-        w, converged = newton(problem.some(line), w, np.log(slopes[line]), coarse=coarse)
+    parts = []
+    for first in range(0, len(slopes), SEARCHED):
+        lines = np.arange(first, min(first + SEARCHED, len(slopes)))
+        w, line = _searched(problem, slopes, lines)
+        parts.append((w, line))
+    return np.hstack([w for w, _ in parts]), np.concatenate([line for _, line in parts])
+
+
+def _searched(problem: Lanes, slopes: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct gaits of some lines, and the line of each."""
+    count = GUESSES[problem.phases]
+    w = np.hstack([_guesses(problem.walker_of(i), slopes[i], problem.m, count, i) for i in lines])
+    line = np.repeat(lines, count)
+    for coarse, apart in ((True, 1e-3), (False, 1e-5)):
+        w, converged = newton(problem.some(line), w, np.log(slopes[line]), coarse=coarse, max_iterations=20)
         w, line = w[:, converged], line[converged]
-        cells = np.vstack([line, np.round(w, 3 if coarse else 5)])
-        kept = np.unique(cells, axis=1, return_index=True)[1]
+        kept, _ = distinct(w, line, apart)
         w, line = w[:, kept], line[kept]
-    # Rounding may leave neighbours in two cells.
-    order = np.lexsort([*w[::-1], line])
-    w, line = w[:, order], line[order]
-    first = np.ones(len(line), bool)
-    first[1:] = (np.abs(np.diff(w, axis=1)).max(axis=0) > 1e-4) | (np.diff(line) > 0)
-    w, line = w[:, first], line[first]
     if not len(line):
         return w, line
+
     _, check = verify_steps(problem.some(line), w, np.log(slopes[line]))
     return w[:, check.anthropomorphic], line[check.anthropomorphic]
+
+
+def _guesses(walker: Walker, slope: float, m: int, count: int, seed: int) -> np.ndarray:
+    """Random guesses (m + phases, count): an inverted pendulum, and a leg that swings by itself, both far off."""
+    random = np.random.default_rng(seed)
+    draw = random.uniform
+    log_angle = draw(np.log(0.3 * slope), np.log(1.3), count)
+
+    moment = -(walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)).imag
+    swing = np.pi * np.sqrt(walker.leg_inertia / max(moment * walker.leg, 1e-9))
+    period = np.exp(draw(np.log(0.03), np.log(12.0), count))
+    near = random.random(count) < 0.7
+    period[near] = (swing * draw(0.4, 2.0, count))[near]
+
+    stance = -1 / np.tanh(period / 2) * np.exp(draw(-0.7, 1.3, count))
+    if walker.knees:
+        swing_rate = draw(-1.2, 0.5, count) * np.abs(stance)
+        return np.vstack([log_angle, stance, swing_rate, draw(0.25, 0.98, count) * period, period])
+    if m == 2:
+        return np.vstack([log_angle, stance, period])
+    frequency = np.pi / swing
+    swing_rate = frequency / np.tan(frequency * period / 2)
+    swing_rate = np.clip(swing_rate, -8 * frequency, 8 * frequency) * draw(0.5, 1.5, count) + draw(-1, 1, count)
+    wild = random.random(count) < 0.3
+    swing_rate[wild] = (draw(-4, 4, count) * max(frequency, 1.0))[wild]
+    return np.vstack([log_angle, stance, swing_rate, period])

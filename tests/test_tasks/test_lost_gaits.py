@@ -11,15 +11,16 @@ from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
-from gaitsweep.tasks.mechanics.small_angles import exchange_periods
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.registry import GAITS, STATUSES
+from gaitsweep.tasks.solve_at_slope import solve_one
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.verify_step import strike_distance
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import FAILURES, branches, of_label, repeats, solved, some
 from oracle import Oracle, StepFailed
 from soak.bounds import compared
-from soak.missed import missed
+from soak.missed import built, missed, neighbour
 
 GAP = {
     "m_t": 2.39806,
@@ -367,7 +368,8 @@ def test_point_feet_exchange_places_in_the_periods_of_gaits_of_small_angles(rati
     out, slope = solved("E", [1e-7], foot_mass_ratio=ratio), np.array([1e-7])
     for label, place in (("short", 0), ("long", 1)):
         found = of_label(out, label)
-        periods = exchange_periods(resolve("E", {"foot_mass_ratio": ratio}), found["stance_angle"][None], slope)
+        linear = SmallAngles(resolve("E", {"foot_mass_ratio": ratio}))
+        periods = linear.exchange_periods(found["stance_angle"][None], slope)
         assert periods[place, 0] == pytest.approx(found["period"], rel=5e-3)
 
 
@@ -382,10 +384,109 @@ def test_short_gaits_of_steep_slopes_are_found(detuning):
     assert repeats("A", {"detuning": detuning}, slope[0], found) < 1e-6
 
 
-@pytest.mark.parametrize(("count", "rate"), [(6, 0.0), pytest.param(1000, 0.01, marks=pytest.mark.soak)])
-def test_a_survey_misses_few_gaits_that_a_dense_search_finds(count, rate):
-    outcome = missed(count)
-    assert outcome.gaits.total() > count / 2
+#: Walkers of one link whose legs swing faster or slower than those of the catalogue: their slope, and stance angle and
+#: period of gaits, which simulations walk for 200 steps.
+FAST_AND_SLOW = [
+    (
+        {"l": 0.517, "m": 5.0, "c": 0.1053, "r": 0.022, "R": 0.483, "m_h": 3.19},
+        0.0015,
+        [(0.098275898832063393, 0.293635174356), (0.07065, None)],
+    ),
+    (
+        {"l": 0.924, "m": 5.0, "c": 0.0997, "r": 0.049, "R": 0.076, "m_h": 2.44},
+        0.0254,
+        [(0.16983, None), (0.15973966147925395, 0.264413715606)],
+    ),
+    (
+        {"l": 0.22697, "m": 6.79027, "c": 0.0177785601, "r": 0.23826, "R": 0.77303, "m_h": 4.37745},
+        0.0044,
+        [(0.73339586234200248, 2.74712925986), (0.51267, None)],
+    ),
+    (
+        {"l": 0.792, "m": 5.0, "c": 0.0258, "r": 0.0307, "R": 0.208, "m_h": 17.2},
+        0.002132064845791061,
+        [(0.077612, None), (0.076138, None)],
+    ),
+]
+
+
+@pytest.mark.parametrize(("walker", "slope", "gaits"), FAST_AND_SLOW)
+def test_gaits_of_fast_and_slow_legs_are_found(walker, slope, gaits):
+    table = {**walker, "knees": False, "g": 9.81}
+
+    found = solve_one({"walker": table, "slope": slope})["gaits"]
+
+    assert len(found) == len(gaits)
+    for gait, (angle, period) in zip(found, gaits, strict=True):
+        digits = 1e-12 if period else 3e-5
+        assert gait["stance_angle"] == pytest.approx(angle, rel=digits)
+        if period:
+            assert gait["period"] == pytest.approx(period, rel=1e-11)
+
+
+@pytest.mark.parametrize("centre", [0.005, 0.03, 0.05, 0.07, 0.1, 0.13, 0.2, 0.3])
+def test_both_gaits_are_found_wherever_the_mass_of_a_leg_lies(centre):
+    walker = {"l": 0.9, "m": 5.0, "c": centre, "r": centre / 2, "R": 0.1, "m_h": 5.0, "knees": False, "g": 9.81}
+
+    found = solve_one({"walker": walker, "slope": 0.01})["gaits"]
+
+    assert [gait["gait"] for gait in found] == ["long", "short"]
+
+
+@pytest.mark.parametrize("centre", [0.0, -0.05])
+def test_a_leg_that_is_balanced_about_the_hip_is_searched_like_a_slow_one(centre):
+    walker = {"l": 0.9, "m": 5.0, "c": centre, "r": 0.2, "R": 0.1, "m_h": 5.0, "knees": False, "g": 9.81}
+
+    solved = solve_one({"walker": walker, "slope": 0.01})
+
+    assert solved["gaits"] == [] and len(solved["absent"]) == 2
+    assert "with periods from 1.45 to 3.58" in solved["absent"][0]
+
+
+@pytest.mark.parametrize("centre", [0.04, 0.1, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("hip", [0.0, 2.0, 40.0])
+def test_a_line_has_the_long_gait_that_small_angles_prove(centre, hip):
+    """As slopes vanish, the legs of a long gait exchange places at equal rates; which periods allow it is exact."""
+    walker = resolve({"l": 0.8, "m": 1.0, "c": centre * 0.8, "r": 0.1, "R": 0.2, "m_h": hip, "knees": False})
+    linear = SmallAngles(walker)
+    period = np.linspace(0.5, 1.5, 4001) * linear.swing
+    stance, swing = linear.exchange_rates(np.ones_like(period), period, np.zeros_like(period))
+    apart = swing - stance
+    roots = period[:-1][(np.diff(np.sign(apart)) != 0) & (np.abs(np.diff(apart)) < 1)]
+
+    long, *_ = solve_one({"walker": walker.table(), "slope": 1e-9})["gaits"]
+
+    assert np.abs(roots / long["period"] - 1).min() < 1e-3
+
+
+@pytest.mark.parametrize("slope", [1e-8, 0.02])
+def test_a_kneed_step_begins_as_small_angles_have_it(slope):
+    """The time of kneestrike is that of other rates, so both are near those of the gait."""
+    problem, found = branches("C")
+    gaits = [Z[:, 0] for branch in found for _, Z, _ in branch.guesses(np.log([slope]))]
+    assert len(gaits) == 2
+    for log_angle, rate, swing_rate, kneestrike, period, _ in gaits:
+        asked = (np.array([x]) for x in (np.exp(log_angle), period, swing_rate / rate, slope))
+
+        guess, time = SmallAngles(problem.walker).kneed_exchange(*asked)
+
+        assert guess[0] == pytest.approx(rate * np.exp(log_angle), rel=0.05)
+        assert time[0] == pytest.approx(kneestrike, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("draw", "numbers", "rate"),
+    [
+        (built, range(4), 0.0),
+        pytest.param(neighbour, range(6, 12), 0.0, marks=pytest.mark.thorough),
+        pytest.param(built, range(4, 40), 0.0, marks=pytest.mark.thorough),
+        pytest.param(neighbour, range(1000, 2000), 0.01, marks=pytest.mark.soak),
+        pytest.param(built, range(2000), 0.01, marks=pytest.mark.soak),
+    ],
+)
+def test_a_survey_misses_few_gaits_that_a_dense_search_finds(draw, numbers, rate):
+    outcome = missed(numbers, draw)
+    assert outcome.gaits.total() > len(numbers) / 2
     assert outcome.lacking.total() <= rate * outcome.gaits.total(), outcome.each
 
 
@@ -393,7 +494,7 @@ def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     monkeypatch.setattr(
         "gaitsweep.tasks.continuation.atlas.survey_lines", lambda problem, tolerance: [[] for _ in problem.lanes]
     )
-    outcome = missed(4)
+    outcome = missed(range(4, 8))
     assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
 
