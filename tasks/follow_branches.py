@@ -75,11 +75,13 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         parts.append(
             (number, np.exp(q), np.exp(w[0]), *rates, times[-1], knee, radius, (radius < 1).astype("i1"), label)
         )
-        for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
-            if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
-                period, error = point["period"] * time_unit, point["error_bound"]
-                points.append((number, point["kind"], point["slope"], *state, period, error))
+
+        found = special_points(problem, curve) + contact_lost(problem, curve, low, high)
+        found = [point for point in found if low <= point["slope"] <= high and point["kind"] != "window"]
+        for point in found + _leaves_window(problem, curve, low, high):
+            state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
+            period, error = point["period"] * time_unit, point["error_bound"]
+            points.append((number, point["kind"], point["slope"], *state, period, error))
     tables = stacked("branches", parts, COLUMNS) | table("special_points", points, SPECIAL)
     gait = f"gait of {problem.steps} steps" if problem.steps > 1 else "gait"
     return tables if parts else tables | nothing(over(gait, np.array([low, high])))
@@ -123,6 +125,31 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         error = least(point.Z, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
         records.append(record("end_contact_lost", point.at, 0, slope_error + 64 * EPS))
+    return records
+
+
+def _leaves_window(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:
+    """Find the points at which a branch goes on beyond a window of slopes.
+
+    Parameters
+    ----------
+    problem : Problem
+    branch : Branch
+    low, high : float [rad]
+        The window.
+
+    Returns
+    -------
+    list of dict
+        As `special_points`, of kind `window`, at the slopes of its edges. Nothing happens to the gaits there.
+    """
+    edges = np.array([low, high])
+    records: list[dict[str, Any]] = []
+    for index, Z, _ in branch.guesses(np.log(edges)):
+        point = correct(problem, Z, None)
+        for lane in np.flatnonzero(point.ok).tolist():
+            edge = {"slope": float(edges[index[lane]])}
+            records.append(record("window", point.at, lane, 8 * EPS) | edge)
     return records
 
 

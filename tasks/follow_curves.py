@@ -13,7 +13,7 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.codimension_one import DIFFERENCE, Curve, follow_both_directions, turning
 from gaitsweep.tasks.continuation.defining import slope_error
-from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.continuation.special_points import RATES, special_points
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.tables import Arrays, nothing, table
 from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
@@ -22,8 +22,9 @@ from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 #: Why a line has no curve.
 _NO_START = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 #: Columns of the tables.
-_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "error_bound", "walks", "stopped")
-_TURNINGS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
+_PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
+_CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
+_TURNINGS = ("curve", "kind", "turn", *_PLACE)
 
 
 def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -42,9 +43,10 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, error_bound, walks, and at its ends
-        `stopped`: why it was followed no further) and `turnings` (turning points of key or slope along a curve: curve,
-        kind, turn, slope, key, value, stance_angle, period, error_bound), in the walker's units.
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate, thigh_rate, shank_rate, period,
+        error_bound, walks, and at its ends `stopped`: why it was followed no further) and `turnings` (turning points
+        of key or slope along a curve: curve, kind, turn, and from slope to error_bound the same), in the walker's
+        units.
 
     Raises
     ------
@@ -111,11 +113,15 @@ def _is_ordinary(walker_at: Callable[[float], Walker], values: list[float], usua
 
 
 def _place(equations: Curve, Z: np.ndarray, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
-    """Slope, key, its value, stance angle and period of a point, in the walker's units."""
-    walker = equations.walker_at(equations.value(Z))
-    slope, value = np.exp(np.clip(Z[-2], *window["q"])), np.clip(Z[-1] * equations.scale, *window["key"])
-    period = Z[-3] * walker.time_unit
-    return float(slope), key, float(value), float(np.exp(Z[0])), float(period)
+    """Slope, key, its value, state at the start of the step and period of a point, in the walker's units."""
+    time_unit = equations.walker_at(equations.value(Z)).time_unit
+    slope = float(np.exp(np.clip(Z[-2], *window["q"])))
+    value = float(np.clip(Z[-1] * equations.scale, *window["key"]))
+
+    problem = equations.problem(Z)
+    y, scale = problem.section(Z[:-2, None])
+    angle, *rates = problem.start(y * scale, np.array([slope]))[:, 0].tolist()
+    return slope, key, value, angle, *(rate / time_unit for rate in rates), float(Z[-3]) * time_unit
 
 
 def _error(equations: Curve, Z: np.ndarray, window: Mapping[str, tuple[float, float]]) -> float:

@@ -57,14 +57,14 @@ TASKS = {
             side_by_side="gaitsweep.tasks.solve_points:lines",
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),
-        Task("points", "gaitsweep.tasks.solve_points:points", 24, needs=("atlas",)),
+        Task("points", "gaitsweep.tasks.solve_points:points", 25, needs=("atlas",)),
         Task("charts", "gaitsweep.tasks.solve_planes:charts", 10),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
-        Task("branch", "gaitsweep.tasks.follow_branches:branch", 20, needs=("atlas",)),
+        Task("branch", "gaitsweep.tasks.follow_branches:branch", 21, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 11, needs=("atlas",)),
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 20, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 13, needs=("atlas",)),
-        Task("curve", "gaitsweep.tasks.follow_curves:curve", 18, needs=("atlas",)),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 19, needs=("atlas",)),
         Task("design", "gaitsweep.tasks.map_designs:design", 25),
         Task("census", "gaitsweep.tasks.count_gaits:census", 16),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
@@ -72,7 +72,7 @@ TASKS = {
         Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 8, needs=("atlas",)),
         Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)),
         Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 7, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 22, needs=("points", "atlas")),
+        Task("claims", "gaitsweep.tasks.check_claims:claims", 23, needs=("points", "atlas")),
     )
 }
 

@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline import dispatch
-from gaitsweep.pipeline.archive import attributes
+from gaitsweep.pipeline.archive import attributes, parameters
 from gaitsweep.pipeline.archive.written import Sentences
 from gaitsweep.pipeline.errors import StudyError, described
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
@@ -125,13 +125,14 @@ def gaits(
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, answers[:1])) for name, a in varying.items()}
     constants = _constants(lines[0].line, answers, varying) if lines else {}
+    moved = _moved(lines[0].line, answers, varying) if lines else {}
     multipliers = max((check["multipliers"] for check in answers), default=3)
     found = [(at, Points.of_ending(len(at), "raised", str(error), wanted)) for at, error in unsolvable]
     lines = [one for one in lines if len(one.at)]  # which become fewer while they are solved
     found += _solve(base, lines)
     places, parts = zip(*found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))], strict=True)
     points = joined(parts, (len(GAITS), multipliers)).take(np.argsort(np.concatenate(places)))
-    return _dataset(points, grid[0], coordinates, constants, replace(base, checks=tuple(answers[:1])))
+    return _dataset(points, grid[0], coordinates, moved, constants, replace(base, checks=tuple(answers[:1])))
 
 
 def _lines(walker: Definition, flat: Arrays, varying: list[str]) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
@@ -152,9 +153,37 @@ def _constants(
 ) -> dict[str, str | float]:
     """Keys that all walkers share, as attributes; for a single line, all that do not vary."""
     table = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
-    moved = {key for check in checks for key, axes in check["varied"].items() if any(a in varying for a in axes)}
+    others = {*_owners(checks, varying), *varying}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
-    return {key: value for key, value in constants.items() if key not in {*moved, *varying}}
+    shared = {key: value for key, value in constants.items() if key not in others}
+    return shared | parameters.exact_offsets(others, [table])
+
+
+def _owners(checks: list[dict[str, Any]], varying: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Keys that others which vary move, with these."""
+    owners: dict[str, dict[str, None]] = {}
+    for check in checks:
+        for key, movers in check["varied"].items():
+            owners.setdefault(key, {}).update(dict.fromkeys(owner for owner in movers if owner in varying))
+    return {key: list(found) for key, found in owners.items() if found}
+
+
+def _moved(
+    line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, xr.DataArray]
+) -> dict[str, xr.DataArray]:
+    """Keys that others which vary move, along the dimensions of these."""
+    fixed = {key: value for key, value in line["set"].items() if key not in varying}
+    owners = _owners(checks, varying)
+    moved = {}
+    for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
+        if key in varying or key not in owners:
+            continue
+        arrays = xr.broadcast(*(varying[owner] for owner in owners[key]))
+        flat = {owner: array.values.ravel().astype(float) for owner, array in zip(owners[key], arrays, strict=True)}
+        values = parameters.of_walkers(line["walker"], key, {**fixed, **flat})
+        about = parameters.described(key, checks[:1], True)
+        moved[key] = xr.DataArray(values.reshape(arrays[0].shape), dims=arrays[0].dims, attrs=about)
+    return moved
 
 
 def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
@@ -260,12 +289,13 @@ def _dataset(
     points: Points,
     grid: xr.DataArray,
     coordinates: Mapping[str, xr.DataArray],
+    moved: Mapping[str, xr.DataArray],
     constants: Mapping[str, str | float],
     study: Study,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
-    variables: dict[str, Any] = {}
+    variables: dict[str, Any] = dict(moved)
     variables["reason_text"] = ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS)
     for name in (v for v in VARIABLES if v in points.values):
         values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])

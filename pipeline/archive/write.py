@@ -35,8 +35,12 @@ def update(plan: Plan, path: Path) -> Written:
 
     What it was written of is noted in the store, with the checksum of its bytes.
     """
-    measured = {name: column.tolist() for name, column in plan.study.overlay.items()}
-    origin = provenance(plan), plan.study.accuracy, measured, plan.store.last, code_digest("pipeline/archive")
+    study = plan.study
+    measured = {name: column.tolist() for name, column in study.overlay.items()}
+    # Names, units and meanings are in the tables of all folders, and of measures of other packages in these.
+    code = code_digest("pipeline"), code_digest("tasks")
+    others = {v.name: attributes.of_variable(v, study) for v in VARIABLES.values() if v.measure}
+    origin = provenance(plan), study.accuracy, measured, plan.store.last, code, others
     results = hashlib.sha256(repr(origin).encode()).hexdigest()
     with plan.store.reading():
         *noted, contents = json.loads(plan.store.note("archive") or "[null]")

@@ -93,7 +93,8 @@ def _factor(name: str, unit: str, expected: str, shown: str, location: Location)
         return float(np.pi / 180)
     if given != expected:
         wanted = f"`{name} [{expected}]`" if expected != "1" else f"`{name}` without a unit, as the walker has none"
-        raise location.error(f"The column `{name} [{clip(unit, 20)}]` of {shown} must be {wanted}")
+        heading = f"{name} [{clip(unit, 20)}]" if unit else name
+        raise location.error(f"The column `{heading}` of {shown} must be {wanted}")
     return 1.0
 
 

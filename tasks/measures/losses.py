@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gaitsweep.tasks.mechanics.apparent_mass import ApparentMass, dot, of_free_link, of_hinged_link
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -51,18 +52,35 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
 
     Notes
     -----
-    Paper, equation 9. The velocity of a body is that of the contact plus that due to the joint rates, so
-    M = 1 - L Q^-1 L^T with Q the mass matrix of the walker pivoting on the contact and L = sum m dV/dq'. With a
-    massless leg, M = n n^T along the line from the contact to the hip.
+    Paper, equation 9. With a massless leg, M = n n^T along the line from the contact to the hip.
     """
-    chain = Chain(walker)
-    if chain.massless:
-        normal = _to_hip(chain, angle)
+    if Chain(walker).massless:
+        normal = _to_hip(Chain(walker), angle)
         return normal[:, :, None] * normal[:, None, :]
-    q = np.stack([angle, angle, -angle, -angle])
-    lever = chain.levers(q)
-    joints = np.array(chain.compliance(q, [lever.real, lever.imag], chain.kneed))
-    return np.eye(2) - np.moveaxis(joints, -1, 0)
+    return _contact_mass(walker, angle).matrix
+
+
+@np.errstate(divide="ignore", invalid="ignore")  # of invalid walkers, which an array may hold, it is NaN
+def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
+    """Contact mass of a walker whose legs have mass, over the walker's."""
+    leg, mass = walker.leg, walker.total_mass
+    knee, thigh = walker.knee / leg, walker.thigh_centre / leg
+    shank = walker.shank_centre / leg
+    m_t, m_s, m_h = walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
+    I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
+    # A leg whose knee is locked is one link.
+    m_leg = m_t + m_s
+    centre = (m_t * thigh + m_s * (knee + shank)) / m_leg
+    I_leg = I_t + I_s + m_t * m_s / m_leg * np.abs(knee + shank - thigh) ** 2
+
+    new, old = np.exp(1j * angle), np.exp(-1j * angle)
+    if walker.knees:
+        at_knee = of_free_link(m_s, shank * old, I_s)
+        at_hip = of_hinged_link(at_knee, -knee * old, m_t, (thigh - knee) * old, I_t)
+    else:
+        at_hip = of_free_link(m_leg, centre * old, I_leg)
+    contact = -1j * (walker.l / leg * new + walker.R / leg)
+    return of_hinged_link(at_hip.with_point(m_h), contact, m_leg, centre * new, I_leg)
 
 
 def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
@@ -97,16 +115,11 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     )
     if chain.massless:
         return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
-    M = contact_mass(walker, angle)
-    # The angle between eigenvectors and axes, without cancellation.
-    turn = 0.5 * np.arctan2(2 * M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1])
-    first = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    second = np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
-    losses = [
-        0.5 * (e[:, None, :] @ M @ e[:, :, None])[:, 0, 0] * (e * velocity).sum(axis=-1) ** 2 for e in (first, second)
-    ]
-    is_upright = np.abs(first[:, 1]) > np.abs(second[:, 1])
-    return np.where(is_upright, losses[0], losses[1]), np.where(is_upright, losses[1], losses[0])
+
+    M = _contact_mass(walker, angle)
+    velocity = velocity[:, 0] + 1j * velocity[:, 1]
+    normal, tangential = (0.5 * M.along(e) * dot(e, velocity) ** 2 for e in (1j * M.axis, M.axis))
+    return normal, tangential
 
 
 def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:

@@ -1,7 +1,9 @@
 """`gaitsweep.gaits`: arrays in, gaits out, as a study finds them."""
 
 import dataclasses
+import json
 
+import mpmath as mp
 import netCDF4
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.tasks import solve_points
 from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 SLOPES = np.geomspace(0.004, 0.05, 4)
 RAISED, CONVERGED = ALL_STATUSES["raised"], ALL_STATUSES["converged"]
@@ -96,6 +99,70 @@ def test_keys_that_a_derived_one_moves_are_no_constants():
     attrs = gaitsweep.gaits("E", 0.01, foot_mass_ratio=[0.05, 0.1]).attrs
     assert not {"m_s", "m_t", "m_h", "foot_mass_ratio"} & set(attrs) and attrs["R"] == 0.0
     assert gaitsweep.gaits("E", 0.01, foot_mass_ratio=0.05).attrs["m_s"] == 0.05
+
+
+@pytest.mark.parametrize(("walker", "key", "values"), [("A", "detuning", [0.0, 0.5]), ("E", "foot_mass_ratio", [0.1])])
+def test_keys_that_a_derived_one_moves_are_variables_along_it_as_in_an_archive(tmp_path, walker, key, values):
+    axes, path = {"slope": [0.02], key: values}, tmp_path / "s.nc"
+    study = {"name": "s", "walker": walker, "axes": axes, "want": {"variables": ["period"]}}
+    gaitsweep.run(study, jobs=1, archive=path, quiet=True)
+    stored = xr.load_dataset(path)
+
+    answer = gaitsweep.gaits(walker, [0.02], variables=["period"], **{key: xr.DataArray(values, dims=key)})
+
+    moved = [name for name in stored.data_vars if stored[name].dims == (key,)]
+    assert moved == {"A": ["w_t", "r_t", "c_t", "w_s", "r_s"], "E": ["m_t", "m_s", "m_h"]}[walker]
+    assert list(answer.data_vars) == list(stored.data_vars)
+    for name in moved:
+        assert answer[name].dims == (key,) and answer[name].attrs == stored[name].attrs
+        np.testing.assert_array_equal(answer[name], stored[name])
+
+
+def test_keys_that_are_tuned_anew_are_variables_along_all_that_move_them():
+    walker = {"base": "A", "tuned": ["w_t"]}
+    radius, centre = xr.DataArray([0.1, 0.2], dims="foot"), xr.DataArray([0.1, 0.12, 0.14], dims="thigh")
+
+    answer = gaitsweep.gaits(walker, 0.02, R=radius, c_t=centre, m_h=[1.0, 2.0], variables=["period"])
+
+    assert answer.w_t.dims == ("foot", "thigh")
+    one = gaitsweep.gaits(walker, 0.02, R=0.2, c_t=0.12, variables=["period"])
+    assert answer.w_t.values[1, 1] == one.attrs["w_t"]
+
+
+def test_exact_offsets_of_a_tuned_walker_are_stated():
+    """With its offsets in doubles it would be another walker, which does not walk at vanishing slopes."""
+    with mp.workdps(60):
+        key = {name: mp.mpf(value) for name, value in CATALOGUE["C"].table().items() if isinstance(value, float)}
+        lean = mp.asin(key["l_t"] * mp.sin(key["eps_T"]) / (key["l_s"] - key["R"]))
+        exact = {"w_s": key["c_s"] * mp.tan(lean)}
+        arm = key["c_t"] + key["m_s"] / key["m_t"] * key["l_t"]
+        exact["w_t"] = -mp.tan(key["eps_T"]) * arm
+        wanted = {name: mp.nstr(value, 35) for name, value in exact.items()}
+
+    stated = json.loads(gaitsweep.gaits("C", 0.02, m_h=[0.0, 1.0], variables=["period"]).attrs["exact_offsets"])
+
+    assert {name: str(value)[: len(wanted[name]) - 1] for name, value in stated.items()} == {
+        name: value[:-1] for name, value in wanted.items()
+    }
+    for walker, keys in (
+        ("C-printed", {}),
+        ("B", {}),
+        ("A", {"detuning": 0.5}),
+        ("A", {"R": 0.1}),
+        ("C", {"R": [0.2]}),
+    ):
+        assert "exact_offsets" not in gaitsweep.gaits(walker, 0.02, variables=["period"], **keys).attrs
+
+
+def test_exact_offsets_are_stated_of_each_walker_of_an_archive(tmp_path):
+    study = {"name": "s", "walker": ["A", "E", "C"], "axes": {"slope": [0.02]}, "want": {"variables": ["period"]}}
+
+    gaitsweep.run(study, jobs=1, archive=tmp_path / "s.nc", quiet=True)
+
+    stated = json.loads(xr.load_dataset(tmp_path / "s.nc").attrs["exact_offsets"])
+    assert stated.keys() == {"A", "C"} and stated["A"].keys() == {"w_t"}
+    assert stated["A"] == json.loads(gaitsweep.gaits("A", 0.02, variables=["period"]).attrs["exact_offsets"])
+    assert float(stated["A"]["w_t"]) == CATALOGUE["A"].w_t and stated["A"]["w_t"] != stated["C"]["w_t"]
 
 
 def test_data_arrays_keep_their_dimensions():

@@ -54,6 +54,7 @@ def refuse(tmp_path):
         (HEAD + "0.03,inf\n", "`period` must be a number; got 'inf'"),
         ("slope [rad],periode [s]\n0.03,1\n", "Unknown column of measured.csv `periode`, did you mean `period`?"),
         ("slope [rad],period [ms]\n0.03,1\n", "The column `period [ms]` of measured.csv must be `period [s]`"),
+        ("slope [rad],stance_angle\n0.03,1\n", "column `stance_angle` of measured.csv must be `stance_angle [rad]`"),
         ("slope [m],period [s]\n0.03,1\n", "The column `slope [m]` of measured.csv must be `slope [rad]`"),
         ("slope [rad],period [s],period [s]\n0.03,1,1\n", "measured.csv has two columns `period`"),
         ("slope [rad],period [s],period_error [s]\n0.03,1,-1\n", "`period_error` must be at least 0; got '-1'"),

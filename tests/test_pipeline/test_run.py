@@ -7,14 +7,16 @@ import os
 import platform
 import random
 import re
+import shutil
 import signal
 import sqlite3
 import subprocess
 import time
 
+import netCDF4
 import pytest
 
-from conftest import STUDY, Toy
+from conftest import ROOT, STUDY, TOYS, Toy
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.errors import BusyError
@@ -76,6 +78,20 @@ def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
         assert toy.bytes() != whole
         toy("run", "toy.toml")
         assert toy.bytes() == whole
+
+
+def test_an_archive_is_written_again_when_the_name_of_a_variable_changes(toy, tmp_path):
+    """As when the code is brought up to date, without a commit of its own."""
+    shutil.copytree(ROOT / "gaitsweep", tmp_path / "other/gaitsweep", ignore=shutil.ignore_patterns("__pycache__"))
+    other = {"PYTHONPATH": f"{tmp_path / 'other'}{os.pathsep}{TOYS}"}
+    toy("run", "toy.toml", **other)
+    table = tmp_path / "other/gaitsweep/tasks/variables.toml"
+    table.write_text(table.read_text().replace("duration of one step", "time that a step takes"))
+
+    toy("run", "toy.toml", **other)
+
+    with netCDF4.Dataset(journal(toy, ".nc")) as file:
+        assert file["period"].long_name == "time that a step takes"
 
 
 def test_failures_are_told_again_by_a_run_that_writes_nothing(toy):

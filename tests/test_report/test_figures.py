@@ -118,6 +118,19 @@ def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(tmp_pa
     assert max(np.abs(np.diff(y)).max() for y in runs) < 0.002
 
 
+def test_a_locus_marks_no_point_where_a_branch_leaves_the_window(tmp_path):
+    slope = np.linspace(0.01, 0.04, 30)
+    rows = {"branch": np.zeros(30, int), "slope": slope, "stance_angle": 0.1 + slope}
+    kinds = {"kind": ["flip", "window"], "slope": [0.02, 0.04], "stance_angle": [0.12, 0.14]}
+    text = 'name = "window"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.04]'
+    tables = {"branches": rows, "special_points": kinds}
+
+    axes = FIGURES["locus"](read(write(tmp_path / "w.nc", text, {}, {}, {"C": KNEED}, tables))).figure.axes[0]
+
+    marked = [line.get_xdata().tolist() for line in axes.lines if line.get_linestyle() == "None"]
+    assert [0.02] in marked and [0.04] not in marked
+
+
 def _quantities(folder, **columns):
     """A line of two gaits with some variables, those of the second twice those of the first."""
     slope = np.geomspace(0.01, 0.1, 40)

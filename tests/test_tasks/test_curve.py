@@ -11,6 +11,7 @@ from gaitsweep.tasks.continuation.codimension_one import Curve, follow, follow_b
 from gaitsweep.tasks.continuation.joint import rounding_step
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.follow_curves import _is_ordinary, curve
+from gaitsweep.tasks.map_step import map_step
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, branches
@@ -79,6 +80,29 @@ def test_flips_agree_with_those_located_line_by_line():
     assert found["turnings/value"][0] == pytest.approx(0.053798, abs=1e-5)
     # There the slope changes in the second order only with an error along the curve.
     assert found["turnings/error_bound"][0] < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("walker", "key", "low", "high"),
+    [pytest.param("C", "m_h", 0.0, 0.4, marks=pytest.mark.thorough), ("A", "g", 1.0, 9.81)],
+)
+def test_a_step_maps_the_states_along_a_curve_onto_themselves(walker, key, low, high):
+    found = curve(
+        {
+            "line": {"walker": walker, "set": {}},
+            **{"slope": np.array([0.01, 0.2]), "key": key, "from": low, "to": high, "kinds": ["flip"]},
+        },
+        [_atlas(walker, ())],
+    )
+
+    for k in (0, -1):
+        start = [found[f"curves/{name}"][k] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+        line = {"walker": walker, "set": {key: found["curves/value"][k]}}
+        mapped = map_step({**line, "slope": found["curves/slope"][k], "state": start})
+        np.testing.assert_allclose(mapped["state"], start, rtol=1e-7)
+        np.testing.assert_allclose(mapped["heelstrike_time"], found["curves/period"][k], rtol=1e-7)
+    is_locked = found["curves/shank_rate"] == found["curves/thigh_rate"]
+    assert is_locked.all() if walker == "A" else not is_locked.any()
 
 
 def followed(walker, key, low, high, kind, **overrides):

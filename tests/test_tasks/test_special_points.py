@@ -6,6 +6,7 @@ import pytest
 from gaitsweep.tasks.continuation.atlas import survey, to_arrays
 from gaitsweep.tasks.follow_branches import branch
 from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.solve_points import atlas
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 
@@ -44,3 +45,28 @@ def test_an_end_has_the_state_of_the_last_gait_of_its_branch(tables, walker):
         near = np.abs(table["branches/stance_angle"] / table["special_points/stance_angle"][k] - 1).argmin()
         for name in RATES:
             np.testing.assert_allclose(table[f"special_points/{name}"][k], table[f"branches/{name}"][near], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("walker", "steps", "low", "high"), [("C", 1, 0.01, 0.06), ("D", 3, 0.0121, 0.016)])
+def test_a_branch_that_leaves_its_window_has_a_row_there(walker, steps, low, high):
+    line = {"walker": walker}
+    inputs = [atlas({"line": line, "slope": np.array([low, high]), "steps": steps}, [])]
+
+    found = branch({"line": line, "slope_from": low, "slope_to": high, "n": 20, "steps": steps}, inputs)
+
+    rows = np.flatnonzero(found["special_points/kind"] == "window")
+    # Both gaits of C at both edges; those of three steps of D begin at a fold within.
+    assert sorted(found["special_points/slope"][rows]) == ([low, low] if steps == 1 else []) + [high, high]
+    assert (found["special_points/error_bound"][rows] < 1e-14).all()
+    for k in rows:
+        of_branch = found["branches/branch"] == found["special_points/branch"][k]
+        at_edge = of_branch & np.isclose(found["branches/slope"], found["special_points/slope"][k], rtol=1e-12)
+        for name in ("stance_angle", *RATES, "period"):
+            nearest = np.abs(found[f"branches/{name}"][at_edge] / found[f"special_points/{name}"][k] - 1).min()
+            assert nearest < 1e-9, name
+
+
+def test_a_branch_that_ends_within_its_window_has_no_row_at_its_edges(tables):
+    for walker, table in tables.items():
+        kinds = table["special_points/kind"].astype(str)
+        assert ("window" in kinds) == (walker == "physical-straight")

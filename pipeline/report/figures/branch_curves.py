@@ -29,6 +29,8 @@ _UNBOUNDED = 1e12
 def locus(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot stance angle against slope along each branch, with special points; one panel per line."""
     special = source.tables.get("special_points", pd.DataFrame())
+    if "kind" in special:  # where a branch leaves the window nothing happens
+        special = special[special["kind"].astype(str) != "window"]
     every = source.lines_of(table)
     together = len(every) == 2 and all(line.label == line.at["walker"] for line in every)
     chosen = evenly(every, MAX_PANELS)
