@@ -113,6 +113,7 @@ def version(package: str) -> str:
         return "not installed"
 
 
+@functools.cache
 def code_digest(folder: str = "tasks") -> str:
     """Digest of the code of a folder and of its tables, without docstrings, comments and layout."""
     digest = hashlib.sha256()
