@@ -74,6 +74,8 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
         except (OSError, TimeoutError, RuntimeError) as error:
             if limit := reached_limit(error):
                 raise unwritten(Path(), limit) from error
+            if local:
+                raise WorkerError(f"The workers of {address} cannot be started: {described(error)}.") from error
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
         yield client
 

@@ -318,7 +318,7 @@ def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(toy, whole, 
 
 @pytest.mark.soak
 def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30))"
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (18, 18))"
     program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
     words = [str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet", "--cluster", "local:2"]
     done = subprocess.run(
