@@ -117,7 +117,8 @@ def unread(path: Path, error: OSError) -> GaitsweepError:
 def unwritten(path: Path, error: OSError, use: str = "written") -> GaitsweepError:
     """Error for a file or folder that cannot be written: the one that the system names, or else `path`."""
     if error.errno in _LIMITS:
-        return WorkerError(f"A limit of the system is reached: {error.strerror}.")
+        place = f" at {path}" if path.name else ""
+        return WorkerError(f"A limit of the system is reached{place}: {error.strerror}.")
     kind = DiskFullError if is_disk_full(error) or error.errno == errno.EFBIG else ArchiveError
     return kind(f"{error.filename or path} cannot be {use}: {error.strerror}.")
 

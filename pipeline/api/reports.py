@@ -54,7 +54,7 @@ def report(
 def write(
     archives: Sequence[Path], folder: Path, only: bool, bundle: bool, tell: Callable[[int], object] = lambda made: None
 ) -> Path:
-    """Write the pages as `report` does; `tell` is told the number of pages made, after each."""
+    """Write the pages as `report` does; `tell` is told the number of pages made, before the first and after each."""
     read.probe(archives)
     for path in archives:
         with read.open_archive(path):

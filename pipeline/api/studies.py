@@ -142,8 +142,8 @@ def run(
     jobs = Location("", "jobs").count(jobs, MAX_JOBS)
     if not isinstance(cluster, str | None):
         raise Location("", "cluster").wrong("must be tcp://HOST:PORT or local:N", cluster)
-    if not isinstance(archive, str | Path | None) or (archive is not None and not Path(archive).name):
-        raise Location("", "archive").wrong("must name a file", archive)
+    if not isinstance(archive, str | Path | None) or (archive is not None and Path(archive).suffix != ".nc"):
+        raise Location("", "archive").wrong("must be a name that ends in .nc", archive)
     study = _study(wanted, accuracy)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
     runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))

@@ -21,11 +21,19 @@ def jobs(text: str) -> int:
     return count(text, MAX_JOBS)
 
 
-def archive(text: str) -> Path:
-    """Path of an archive."""
+def file(text: str) -> Path:
+    """Path of a file to write."""
     if not Path(text).name or not text.isprintable():
         raise ArgumentTypeError(f"must name a file; got {text!a}")
     return Path(text)
+
+
+def archive(text: str) -> Path:
+    """Path of an archive."""
+    path = file(text)
+    if path.suffix != ".nc":
+        raise ArgumentTypeError(f"must be a name that ends in .nc; got {text}")
+    return path
 
 
 def steps(text: str) -> int:

@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,8 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
 
 def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
     """Proofs of the gaits in an archive, in its order, each with `at`, where it stands."""
+    # Where joblib cannot make semaphores, proofs are made one after the other.
+    warnings.filterwarnings("ignore", ".*joblib will operate in serial mode", UserWarning)
     from joblib import Parallel, delayed
 
     read.probe([options.archive])

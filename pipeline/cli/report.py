@@ -29,15 +29,18 @@ def run(options: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
     """Show how many pages of a report are made, if it takes long."""
-    begin = said = time.monotonic()
+    begin = said = first = time.monotonic()
     shown = False
 
     def tell(made: int) -> None:
-        nonlocal said, shown
+        nonlocal said, shown, first
         now = time.monotonic()
+        if not made:  # what comes before is done once: libraries are loaded, archives read
+            first = now
+            return
         if now - begin > _QUIET and now - said > (0.5 if terminal.is_terminal() else 10):
             said, shown = now, terminal.is_terminal()
-            text = f"{made} of {total} pages, {(now - begin) / made * (total - made):.0f} s to go"
+            text = f"{made} of {total} pages, {(now - first) / made * (total - made):.0f} s to go"
             terminal.say(f"\r\033[K{text}" if shown else text, end="" if shown else "\n")
 
     try:

@@ -19,7 +19,9 @@ def archives(options: argparse.Namespace, codes: list[int] | None = None) -> lis
         with contextlib.nullcontext() if codes is None else report_errors(codes, options.debug):
             studies.append(parse.read(path, getattr(options, "accuracy", None)))
     targets = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
-    for i, (study, path) in enumerate(targets):
-        if any(path == other for _, other in targets[:i]):
+    taken: set[Path] = set()
+    for study, path in targets:
+        if path in taken:
             raise StudyError(f"Two studies are called {study.name}.")
+        taken.add(path)
     return targets

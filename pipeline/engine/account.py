@@ -2,14 +2,13 @@
 
 import resource
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 
 @dataclass
 class Account:
-    """Use of workers by one study.
+    """Use of workers by one study, or by all of a command.
 
     Attributes
     ----------
@@ -34,12 +33,12 @@ class Account:
         self.integrating += result.get("integrating", 0.0)
         self.memory = max(self.memory, (result.get("worker") or {}).get("memory", 0))
 
-    def record(self, every: Sequence["Account"], jobs: int) -> dict[str, float]:
+    def record(self, whole: "Account", jobs: int) -> dict[str, float]:
         """Account of a study, and of the command until now.
 
         Parameters
         ----------
-        every : sequence of Account
+        whole : Account
             Of all studies of the command.
         jobs : int
             Number of workers.
@@ -51,14 +50,13 @@ class Account:
             integrators and functions of a step, and outside [s]; `parent_cpu` [s], `workers_idle` (share of their
             time) and peaks of memory [byte], of all studies of the command until this one was finished.
         """
-        elapsed = time.monotonic() - min(each.start for each in every)
-        occupied = sum(each.occupied for each in every)
+        elapsed = time.monotonic() - whole.start
         return {
             "workers_cpu": round(self.cpu, 3),
             "integrators": round(self.integrating, 3),
             "python": round(max(0.0, self.cpu - self.integrating), 3),
             "parent_cpu": round(time.process_time(), 3),
-            "workers_idle": round(max(0.0, 1 - occupied / max(jobs * elapsed, 1e-9)), 4),
+            "workers_idle": round(max(0.0, 1 - whole.occupied / max(jobs * elapsed, 1e-9)), 4),
             "parent_memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
-            "worker_memory": max(each.memory for each in every),
+            "worker_memory": whole.memory,
         }

@@ -1,24 +1,43 @@
 """Running jobs on a Dask cluster (extra `cluster`)."""
 
 import contextlib
-import itertools
 import logging
 import re
 import sys
+import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator
+from concurrent import futures
+from pathlib import Path
 from typing import Any, TypeVar
 
-from gaitsweep.pipeline.errors import StudyError, WorkerError, reached_limit
+from gaitsweep.pipeline.archive.provenance import software
+from gaitsweep.pipeline.errors import StudyError, WorkerError, described, reached_limit, unwritten
 
+#: Interval of counting the workers [s].
+RECOUNT = 5.0
+#: Time for which a run waits for a worker when none is left [s].
+PATIENCE = 300.0
 _Result = TypeVar("_Result")
-_RECOUNT = 5.0  # interval of counting the workers [s]
-_TIMEOUT = 20  # time to find the scheduler and a first worker [s]
+_LOOK = 0.1  # interval of looking for a signal [s]
+_TIMEOUT = 20  # time to find the scheduler and a first worker, and for which workers may take to load gaitsweep [s]
+_ANSWER, _CLOSING = 5.0, 2  # time for a scheduler to count its workers, and to take leave of a client [s]
+
+
+def _never() -> None:
+    """Do nothing: nobody stops the run."""
 
 
 @contextlib.contextmanager
-def connect(address: str) -> Iterator[Any]:
-    """Connect to the scheduler at `address`, or to N processes on this computer for "local:N".
+def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
+    """Connect to the scheduler at `address`, or to N workers in this process for "local:N".
+
+    Parameters
+    ----------
+    address : str
+    check : callable
+        Called ten times a second while nothing answers; what it raises ends the wait.
 
     Raises
     ------
@@ -41,26 +60,73 @@ def connect(address: str) -> Iterator[Any]:
     if address.startswith(("tls:", "wss:")) and not _has_certificates():
         # Without them a client hangs on closing.
         raise StudyError(f"`--cluster` {address} needs certificates in dask's configuration, distributed.comm.tls.")
+
     with contextlib.ExitStack() as stack:
         hook = sys.unraisablehook
         stack.callback(setattr, sys, "unraisablehook", hook)
         sys.unraisablehook = lambda error: None if _is_of_distributed(error.object) else hook(error)
         try:
+            place = stack.enter_context(_in_process(int(local[1]))) if local else address
+            options: dict[str, Any] = {"timeout": _TIMEOUT, "set_as_default": False}
+            client: Any = _patiently(lambda: distributed.Client(place, **options), check)
+            stack.callback(client.close, _CLOSING)
+            _patiently(lambda: client.wait_for_workers(1, timeout=_TIMEOUT), check)
+        except (OSError, TimeoutError, RuntimeError) as error:
+            if limit := reached_limit(error):
+                raise unwritten(Path(), limit) from error
             if local:
-                address = stack.enter_context(
-                    distributed.LocalCluster(n_workers=int(local[1]), threads_per_worker=1, dashboard_address=None)
-                ).scheduler_address
-            client = stack.enter_context(distributed.Client(address, timeout=_TIMEOUT, set_as_default=False))
-            client.wait_for_workers(1, timeout=_TIMEOUT)
-        except (OSError, TimeoutError) as error:
+                raise WorkerError(f"The workers of {address} cannot be started: {described(error)}.") from error
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
-        except RuntimeError as error:  # dask's processes import the script that starts them
-            if reached_limit(error):
-                raise
-            guard = 'A script must be a file that calls `run` under `if __name__ == "__main__":`'
-            files = "each process needs some 50 open files (`ulimit -n`)"
-            raise WorkerError(f"The processes of {address} cannot be started. {guard}; {files}.") from error
         yield client
+
+
+@contextlib.contextmanager
+def _in_process(n: int) -> Iterator[Any]:
+    """A scheduler and `n` workers of one thread in this process, which open no port.
+
+    Whoever reached one could run code as this user. Each worker's jobs run in a process of their own as elsewhere.
+    """
+    import distributed
+
+    class Scheduler(distributed.Scheduler):
+        def start_http_server(self, *_: Any, **__: Any) -> None:
+            """Serve no pages."""
+
+    class Worker(distributed.Worker):
+        def start_http_server(self, *_: Any, **__: Any) -> None:
+            """Serve no pages."""
+
+    shared = {"protocol": "inproc://", "dashboard": False}
+    # Each worker would measure the memory of the whole process.
+    worker = {"cls": Worker, "options": {**shared, "nthreads": 1, "memory_limit": 0}}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address")  # there may be no network
+        cluster = distributed.SpecCluster(
+            workers=dict.fromkeys(range(n), worker),
+            scheduler={"cls": Scheduler, "options": shared},
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster:
+        yield cluster
+
+
+def _patiently(call: Callable[[], _Result], check: Callable[[], None], most: float = float("inf")) -> _Result | None:
+    """Result of a call that may never return, made in another thread while `check` is called; None after `most` s."""
+    answer: futures.Future[_Result] = futures.Future()
+
+    def run() -> None:
+        try:
+            answer.set_result(call())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    end = time.monotonic() + most
+    while time.monotonic() < end:
+        if futures.wait([answer], _LOOK).done:
+            return answer.result()
+        check()
+    return None
 
 
 def _has_certificates() -> bool:
@@ -77,38 +143,102 @@ def _is_of_distributed(callback: Any) -> bool:
     return str(getattr(callback, "__module__", "")).startswith("distributed")
 
 
-def results(
-    client: Any, run: Callable[..., _Result], jobs: Iterator[tuple[Any, ...]]
-) -> Generator[_Result, None, None]:
-    """Run jobs on the cluster and yield their results as they arrive; each worker has a second one waiting.
+class Team:
+    """The workers of a cluster, counted from time to time.
 
     Parameters
     ----------
     client : distributed.Client
+    check : callable
+        Called while the scheduler does not answer; what it raises ends the wait.
+
+    Attributes
+    ----------
+    slots : int
+        Number of jobs the cluster can run at once.
+    """
+
+    def __init__(self, client: Any, check: Callable[[], None] = _never):
+        self.client, self.check, self.slots = client, check, 1
+        self._tried: set[str] = set()  # addresses of workers that have loaded gaitsweep
+        self._counted, self._seen = -RECOUNT, time.monotonic()
+        self._is_told = False
+
+    def count(self) -> str:
+        """Count the workers if it is time; a sentence if none is left and the run waits.
+
+        Raises
+        ------
+        WorkerError
+            If none has been there for `PATIENCE`, or one cannot load gaitsweep.
+        """
+        if time.monotonic() - self._counted < RECOUNT:
+            return ""
+        threads = _patiently(self.client.nthreads, self.check, _ANSWER)
+        self._counted = time.monotonic()
+        if threads:
+            self.slots = max(1, sum(threads.values()))
+            self._seen, self._is_told = self._counted, False
+            self._try([address for address in threads if address not in self._tried])
+            return ""
+
+        if self._counted - self._seen > PATIENCE:
+            raise WorkerError(f"The cluster has had no worker for {PATIENCE:g} s.")
+        if self._is_told:
+            return ""
+        self._is_told = True
+        return f"The cluster has no worker; the run waits {PATIENCE:g} s for one."
+
+    def _try(self, addresses: list[str]) -> None:
+        """Have new workers load gaitsweep: one that cannot would end at its first job without a word."""
+        if not addresses:
+            return
+
+        def answers() -> dict[str, Any]:
+            return dict(self.client.run(software, workers=addresses, on_error="return"))
+
+        for address, answer in (_patiently(answers, self.check, _TIMEOUT) or {}).items():
+            if isinstance(answer, OSError):  # it has left meanwhile
+                continue
+            if isinstance(answer, Exception):
+                raise WorkerError(f"The cluster's worker at {address} cannot load gaitsweep: {described(answer)}.")
+            self._tried.add(address)
+
+
+def results(
+    team: Team, run: Callable[..., _Result], take: Callable[[], tuple[Any, ...] | None]
+) -> Generator[_Result | str, None, None]:
+    """Run jobs on the cluster and yield their results as they arrive; each worker has a second one waiting.
+
+    Sentences come between them, for who waits.
+
+    Parameters
+    ----------
+    team : Team
     run : callable
         Called with the arguments of each job.
-    jobs : iterator of tuple
+    take : callable
+        Returns the arguments of the next job, None if none is ready.
     """
     import distributed
 
-    pending = distributed.as_completed(loop=client.loop, with_results=True)
-    slots, counted = workers(client), time.monotonic()
-
-    def submit() -> None:
+    pending = distributed.as_completed(loop=team.client.loop, with_results=True)
+    while True:
+        if sentence := team.count():
+            yield sentence
         # Jobs of workers that leave stay.
-        for job in itertools.islice(jobs, max(0, 2 * slots - pending.count())):
-            pending.add(client.submit(run, *job, pure=False))
+        while pending.count() < 2 * team.slots and (job := take()):
+            pending.add(team.client.submit(run, *job, pure=False))
+        if not pending.count():
+            return
 
-    submit()
-    for future, result in pending:
-        if future.status != "finished":
-            raise ConnectionError("the cluster lost a job")
-        if time.monotonic() - counted > _RECOUNT:
-            slots, counted = workers(client), time.monotonic()
-        submit()
-        yield result
-
-
-def workers(client: Any) -> int:
-    """Number of jobs the cluster can run at once."""
-    return max(1, sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values()))
+        with pending.thread_condition:
+            if not pending.has_ready():
+                pending.thread_condition.wait(_LOOK)
+        team.check()
+        for future, result in pending.next_batch(block=False):
+            if future.status == "error":
+                raise result[1]
+            if future.status != "finished":
+                raise ConnectionError("the cluster lost a job")
+            yield result

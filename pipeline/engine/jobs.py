@@ -192,6 +192,7 @@ class Jobs:
         """Store the result of a job."""
         self.running -= 1
         self.account.add(result)
+        self.engine.account.add(result)
         try:
             if self.error:
                 return

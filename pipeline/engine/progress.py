@@ -87,7 +87,9 @@ class Progress:
                 self.done["points"] += details["lost"]
                 self.counts[details["outcome"]] += details["lost"]
         self._log(event, details)
-        if self.verbose or event == "engine":
+        if event == "engine":
+            self.say(f"engine: {', '.join(details.values())}")
+        elif self.verbose:
             shown = (f"{key} {_format(value)}" for key, value in details.items() if value not in ("", 0, None))
             self.say(f"{event}: " + ", ".join(shown))
 
@@ -201,10 +203,21 @@ class _LinesAlone:
 
 
 class Display:
-    """Shows the progress of all studies of a command on one line, or in a notebook, and logs their states."""
+    """Shows the progress of all studies of a command on one line, or in a notebook, and logs their states.
 
-    def __init__(self, studies: list[Progress], quiet: bool):
-        self.studies, self.quiet, self.is_terminal = studies, quiet, terminal.is_terminal()
+    Parameters
+    ----------
+    points : list of int
+        Points of each study.
+    quiet : bool
+    """
+
+    def __init__(self, points: list[int], quiet: bool):
+        self.number, self.points, self.quiet = len(points), sum(points), quiet
+        self.open: list[Progress] = []
+        self.over, self.past = 0, total([])  # number of studies that are over, and their states together
+        self.start, self.lock = time.monotonic(), threading.Lock()
+        self.is_terminal = terminal.is_terminal()
         self.bar = None if quiet else notebook_bar()
         self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._tick, daemon=True)
@@ -217,21 +230,53 @@ class Display:
         self.stopped.set()
         self.thread.join()
         if self.bar:
-            self.bar(total([study.state() for study in self.studies]))
+            self.bar(self._state())
         if self.is_terminal and not self.quiet:
             terminal.say(_CLEAR, end="")
+
+    def begin(self, study: Progress) -> None:
+        """Show a study."""
+        with self.lock:
+            self.open.append(study)
+
+    def end(self, study: Progress, is_over: bool) -> None:
+        """Count a study that is over; one that is not will begin again."""
+        with self.lock:
+            self.open.remove(study)
+            if is_over:
+                self.over += 1
+                self.past = {**total([self.past, study.state()]), "eta": 0.0}
+
+    def _state(self) -> dict[str, Any]:
+        """State of all studies together, also of those that have not begun."""
+        with self.lock:
+            now = [study.state() for study in self.open]
+            waiting = self.number - self.over - len(now)
+            state = total([self.past, *now])
+            if self.number == 1:
+                return state
+
+            elapsed = time.monotonic() - self.start
+            state |= {"studies": f"{self.over:,} of {self.number:,}", "rate": state["done"] / elapsed}
+            if waiting:
+                # Those that are over took the time until now; before any is, those that wait are as those that run.
+                each = elapsed / self.over if self.over > len(now) else state["eta"] / max(1, len(now))
+                state |= {"points": self.points, "eta": round(state["eta"] + each * waiting, 1), "overdue": False}
+            return state
 
     def _tick(self) -> None:
         last_log = last_shown = time.monotonic()  # the time of day may be set back
         while not self.stopped.wait(_FAST):
             clock = time.monotonic()
+            if not self.open:
+                continue
             if clock - last_log >= _LOG:
                 last_log = clock
-                for study in self.studies:
+                for study in list(self.open):
                     study.log_state()
             if not self.quiet and clock - last_shown >= (_FAST if self.is_terminal or self.bar else _SLOW):
                 last_shown = clock
-                state = total([study.state() for study in self.studies])
+                state = self._state()
                 if self.bar:
                     self.bar(state)
                 elif self.is_terminal:  # of a line that wraps, only the last part would be cleared
@@ -278,7 +323,7 @@ def _format(value: Any) -> str:
 def sentence(state: dict[str, Any]) -> str:
     """State of a run in one line."""
     failed = {k: n for k, n in state["counts"].items() if k not in ANSWERS}
-    parts = []
+    parts = [f"studies {state['studies']}"] if "studies" in state else []
     if state["points"]:
         done = state["cached"] + state["done"]
         parts.append(f"{done:,} of {state['points']:,} points ({100 * done / state['points']:.0f} %)")

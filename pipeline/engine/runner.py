@@ -5,7 +5,7 @@ import json
 import platform
 import shutil
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,6 @@ from gaitsweep.pipeline import dispatch, paths, terminal
 from gaitsweep.pipeline.archive import read, result_tables, write
 from gaitsweep.pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
 from gaitsweep.pipeline.engine import worker_process
-from gaitsweep.pipeline.engine.account import Account
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.jobs import Jobs
 from gaitsweep.pipeline.engine.locks import lock_archive
@@ -82,13 +81,11 @@ def run(
         stack.callback(signals.restore)
         for study in studies:
             stack.callback(study.close)
-            study.open()
         try:
             signals.handle()
-            while waiting := [study for study in studies if study.is_open]:
-                _attempt(waiting, options, signals)
+            _run(studies, options, signals)
         except Exception as error:
-            stopped = [study for study in studies if study.is_open]
+            stopped = [study for study in studies if not study.is_over]
             for study in stopped:
                 study.end(error, quietly=study is not stopped[0])
     if errors:
@@ -96,23 +93,37 @@ def run(
     return studies
 
 
-def _attempt(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
-    """Run what the open studies lack; for a damaged journal this is known only now."""
-    engine = Engine(options.jobs, options.cluster)
-    by_jobs: dict[Jobs, StudyRun] = {}
+def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
+    """Run what the studies lack, each opened when there is room for its jobs."""
+    engine = Engine(options.jobs, options.cluster, signals.check)
+    waiting, by_jobs = deque(studies), dict[Jobs, StudyRun]()
+    points = [study.study.points if study.study.kind == "grid" else 0 for study in studies]
     with contextlib.ExitStack() as stack:
         stack.callback(worker_process.close_all)
-        for study in studies:
-            jobs = study.plan(engine, signals)
-            if jobs:
-                by_jobs[jobs] = study
-                stack.callback(study.pause)
-        with Display([study.progress for study in by_jobs.values() if study.progress], options.quiet):
+        display = stack.enter_context(Display(points, options.quiet))
 
-            def finish(jobs: Jobs) -> None:
-                by_jobs[jobs].finish(jobs, [each.account for each in by_jobs], signals)
+        def begin() -> Jobs | None:
+            while waiting:
+                study = waiting.popleft()
+                jobs = study.begin(engine, signals)
+                if jobs and study.progress:
+                    by_jobs[jobs] = study
+                    display.begin(study.progress)
+                    return jobs
+                if not study.is_over:  # its journal is repaired
+                    waiting.append(study)
+            return None
 
-            Scheduler(list(by_jobs), engine, signals, finish).run()
+        def finish(jobs: Jobs) -> None:
+            study = by_jobs.pop(jobs)
+            progress = study.progress
+            study.finish(jobs, signals)
+            if progress:
+                display.end(progress, study.is_over)
+            if not study.is_over:
+                waiting.append(study)
+
+        Scheduler([], engine, signals, finish, begin).run()
 
 
 def _check_room(study: Study, path: Path) -> None:
@@ -139,6 +150,8 @@ class StudyRun:
     ----------
     is_open : bool
         Whether it is locked and not finished.
+    is_over : bool
+        Whether it is finished, or has ended with an error.
     code : int
         Exit code.
     counts : Counter
@@ -147,40 +160,48 @@ class StudyRun:
 
     def __init__(self, study: Study, path: Path, options: Options, report: Callable[[Exception], None]):
         self.study, self.path, self.options, self.report = study, path, options, report
-        self.is_open, self.code, self.counts = False, 1, Counter[str]()
+        self.is_open, self.is_over = False, False
+        self.code, self.counts = 1, Counter[str]()
         self.progress: Progress | None = None
         self._store: Store | None = None
         self._resources = contextlib.ExitStack()
-        self._repairs, self._clock = 0, time.monotonic()
+        self._repairs, self._clock = 0, 0.0
         self._record: dict[str, Any] = {
             "study": study.name,
             "archive": path.name,
-            "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "began": "",
             "host": platform.node(),
             "jobs": options.jobs,
             "cluster": options.cluster,
-            "cpu": cpu_features(),
+            "cpu": [],
             "version": version("gaitsweep"),
         }
 
-    def open(self) -> None:
+    def _open(self) -> None:
         """Lock the archive, and with `fresh` forget earlier results."""
-        with self._guarded():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            _check_room(self.study, self.path)
-            read.check_replaceable(self.path)
-            write.check_path(self.path)
-            paths.check_sidecars(self.path)
-            self._resources.enter_context(lock_archive(self.path))
-            if not self.options.fresh:
-                check_same_study(self.path, self.study)
-            self.is_open = True
-            if self.options.fresh:
-                forget(sidecar_path(self.path, ".journal"))
+        self._clock = time.monotonic()
+        self._record |= {"began": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "cpu": cpu_features()}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        _check_room(self.study, self.path)
+        read.check_replaceable(self.path)
+        write.check_path(self.path)
+        paths.check_sidecars(self.path)
+        self._resources.enter_context(lock_archive(self.path))
+        if not self.options.fresh:
+            check_same_study(self.path, self.study)
+        self.is_open = True
+        if self.options.fresh:
+            forget(sidecar_path(self.path, ".journal"))
 
-    def plan(self, engine: Engine, signals: Signals) -> Jobs | None:
-        """Compare the study with its journal, and lay out the jobs that are missing."""
+    def begin(self, engine: Engine, signals: Signals) -> Jobs | None:
+        """Open the study, compare it with its journal, and lay out the jobs that are missing.
+
+        None if this ends it, or its journal was damaged and is repaired.
+        """
+        signals.check()
         with self._guarded():
+            if not self.is_open:
+                self._open()
             self._store = Store(sidecar_path(self.path, ".journal"))
             plan = Plan(self.study, self._store, self.options.retry_failed, signals.check)
             todo = summary(plan)
@@ -192,7 +213,7 @@ class StudyRun:
             return Jobs(plan, engine, listen, self.options.chunk)
         return None
 
-    def finish(self, jobs: Jobs, accounts: list[Account], signals: Signals) -> None:
+    def finish(self, jobs: Jobs, signals: Signals) -> None:
         """Write the archive of a study whose jobs are done, or report what ended it."""
         with self._guarded():
             signals.check()
@@ -206,7 +227,7 @@ class StudyRun:
             failures = result_tables.failed(jobs.plan)
             failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
             self._record |= {
-                "account": jobs.account.record(accounts, jobs.engine.jobs),
+                "account": jobs.account.record(jobs.engine.account, jobs.engine.jobs),
                 "points": sum(written.counts.values()),
                 "counts": dict(written.counts),
                 "failed": sum(written.failures.values()),
@@ -254,7 +275,7 @@ class StudyRun:
         """Write the record of the run and unlock the archive."""
         self.pause()
         if error and (system := error if isinstance(error, OSError) else reached_limit(error)):
-            error = unwritten(self.path.parent, system)
+            error = unwritten(self.path, system)
         if error:
             self.code = getattr(error, "exit_code", StudyError.exit_code)
             self._record["error"] = str(error)
@@ -266,7 +287,7 @@ class StudyRun:
             except OSError as failure:
                 if not error:  # one line is enough, and this error matters less
                     terminal.say(f"gaitsweep: {unwritten(record, failure)}")
-        self.is_open = False
+        self.is_open, self.is_over = False, True
         self._resources.close()
         if error and not quietly:
             self.report(error)

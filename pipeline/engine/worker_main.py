@@ -45,19 +45,24 @@ def serve(parent: int, number: int) -> None:
         except EOFError:
             return
         idle = request.idle
-        try:
+        try:  # what goes wrong here is no result of the task
             function = resolve(request.function)
+            _limit_memory(request.memory)
         except Exception as error:
             connection.send(("broken", described(error)))
             continue
-        _limit_memory(request.memory)
         params, inputs = request.params, [serialize.load(i) for i in request.inputs]
         line = repr(params.get("line"))
         if "line" in params and request.packing and line not in warm:
             # The time to load compiled code does not count for the first point.
             _answer(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
-        connection.send(("started", _pages(1)))
+        try:
+            memory = _pages(1)
+        except OSError as error:
+            connection.send(("broken", described(error)))
+            continue
+        connection.send(("started", memory))
         outcome, result = _answer(function, params, inputs, request.packing)
         before, used = used, (time.process_time(), _integrating())
         connection.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))

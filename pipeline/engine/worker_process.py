@@ -77,7 +77,7 @@ class WorkerProcess:
             self._connection.send(request)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == "broken":
-                raise WorkerError(f"A worker cannot load its task: {parts[0]}.")
+                raise WorkerError(f"A worker cannot begin its task: {parts[0]}.")
             outcome, self.used, parts = self._answer(request.time_limit, parts[0] + request.memory)
         except TimeoutError:
             self.close()

@@ -65,7 +65,7 @@ def write(
     only : bool
         Delete the other pages of earlier reports.
     tell : callable
-        Told the number of pages made, after each.
+        Told the number of pages made, before the first and after each.
     bundle : bool
         Write `bundle.html` too, which holds all pages of the folder; one that is there is kept up to date.
 
@@ -85,6 +85,7 @@ def write(
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
+    tell(0)
     pages = _in_processes(sources, slugs, tell)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)

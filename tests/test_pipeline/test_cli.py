@@ -158,6 +158,13 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             "`--archive` names one file, but there are several studies.",
         ),
         (["run", "s.toml", "--archive", ""], "Argument --archive: must name a file; got '' (gaitsweep run --help)."),
+        *(
+            (
+                ["run", "s.toml", "--archive", name],
+                f"Argument --archive: must be a name that ends in .nc; got {name} (gaitsweep run --help).",
+            )
+            for name in ("x", ".nc", "a.journal")
+        ),
         (["run", "s.toml", "--archive", "/"], "Argument --archive: must name a file; got '/' (gaitsweep run --help)."),
         (
             ["run", "s.toml", "--archive", "a\udcff"],
@@ -302,7 +309,7 @@ def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
         assert commands.main(["verify", str(archive)]) == 3
         assert capsys.readouterr().err == f"gaitsweep: {archive} cannot be tried in another process: {said}.\n"
         error = unwritten(archive, OSError(code, os.strerror(code)))
-        assert (error.exit_code, str(error)) == (3, f"A limit of the system is reached: {said}.")
+        assert (error.exit_code, str(error)) == (3, f"A limit of the system is reached at {archive}: {said}.")
     monkeypatch.setattr(read.subprocess, "Popen", Mock(return_value=ended(1)))
     assert commands.main(["verify", str(archive)]) == 3
 
@@ -1004,6 +1011,23 @@ def test_claims_are_printed_with_their_numbers(capsys):
     assert "D2: proved" in said and "γ < 0.015" in said and "0.0150884379411" in said
     assert commands.main(["claims", "D99"]) == 2
     assert capsys.readouterr().err.startswith("gaitsweep: There is no claim 'D99'; there are D1, ")
+
+
+def test_claims_come_in_the_order_of_the_paper_as_they_are_known(tmp_path, monkeypatch, capsys):
+    """The first are known soon; those of its appendix need all gaits with knees."""
+    monkeypatch.chdir(tmp_path)
+    row = dict.fromkeys(("quotation", "source", "computed", "printed_value", "value"))
+    asked = []
+
+    def answer(name, params):
+        assert capsys.readouterr().out.count(": reproduced") == min(1, len(asked))
+        asked.extend(params["ids"])
+        return [{**row, "id": params["ids"][0], "verdict": "reproduced"}]
+
+    monkeypatch.setattr("gaitsweep.pipeline.cli.claims.ask", answer)
+
+    assert commands.main(["claims", "A1", "E1", "D2"]) == 0
+    assert asked == ["D2", "E1", "A1"]
 
 
 def test_verify_answers_machines(tmp_path, capsys):

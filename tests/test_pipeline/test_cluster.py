@@ -9,13 +9,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
 from gaitsweep.pipeline.engine import cluster as cluster_executor
 from gaitsweep.pipeline.engine.cluster import connect
-from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.errors import StudyError, WorkerError
 from processes import alive, descendants, ignored, wait_for_points
 
 pytest.importorskip("distributed")
@@ -98,7 +99,6 @@ def test_a_signal_ignored_from_the_start_stays_ignored_on_a_cluster(toy, whole, 
         process = toy.start("run", "toy.toml", "--cluster", "local:2", "--chunk", 20, **SLOW)
     wait_for_points(toy, 2)
     group = [pid for pid in (process.pid, *descendants(process.pid)) if os.getpgid(pid) == os.getpgid(process.pid)]
-    assert len(group) > 2
     for pid in group:
         os.kill(pid, signum)
     _, err = process.communicate(timeout=100)
@@ -132,20 +132,18 @@ def test_an_address_that_cannot_be_is_refused_at_once(address, said):
         pass
 
 
-def test_a_script_that_dask_cannot_import_is_told_so_at_once(tmp_path):
-    """Each of its processes imports the script, and would run the study too."""
+def test_a_script_needs_no_guard_to_run_on_workers_of_its_own(tmp_path):
+    """They are in its process: none imports the script again."""
     study = '{"name": "s", "walker": "D", "axes": {"slope": [0.01]}}'
     script = tmp_path / "script.py"
-    script.write_text(f"from gaitsweep import run\nrun({study}, cluster='local:1')\n")
+    script.write_text(
+        f"from gaitsweep import run\nprint(run({study}, cluster='local:1', quiet=True).status.values[0, 0])\n"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
         [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
     )
-    assert ended.stderr.splitlines()[-1] == (
-        "gaitsweep.pipeline.errors.WorkerError: The processes of local:1 cannot be started. "
-        'A script must be a file that calls `run` under `if __name__ == "__main__":`; '
-        "each process needs some 50 open files (`ulimit -n`)."
-    )
+    assert (ended.stdout, ended.stderr) == ("converged\n", "")
 
 
 def test_certificates_of_clients_are_looked_for(monkeypatch):
@@ -171,15 +169,83 @@ def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
 @pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP address")  # there may be no network
 def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
     """Of eight workers one is left: what was submitted is more than it should have waiting."""
-    import distributed
+    monkeypatch.setattr(cluster_executor, "RECOUNT", 0.0)
+    jobs = iter([(n,) for n in range(40)])
 
-    counts = iter([8])
-    monkeypatch.setattr(cluster_executor, "workers", lambda client: next(counts, 1))
-    monkeypatch.setattr(cluster_executor, "_RECOUNT", 0.0)
-    one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
-    with distributed.LocalCluster(**one) as local, distributed.Client(local, set_as_default=False) as client:
-        jobs = ((n,) for n in range(40))
-        assert sorted(cluster_executor.results(client, abs, jobs)) == list(range(40))
+    with connect("local:1") as client:
+        one = client.nthreads()
+        counts = iter([dict.fromkeys(one, 8)])
+        monkeypatch.setattr(client, "nthreads", lambda: next(counts, one))
+        found = list(cluster_executor.results(cluster_executor.Team(client), abs, lambda: next(jobs, None)))
+
+    assert sorted(found) == list(range(40))
+
+
+@pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP address")
+def test_a_run_without_workers_ends_after_a_time_that_it_has_told(monkeypatch):
+    """The scheduler knows of none, or does not answer."""
+    monkeypatch.setattr(cluster_executor, "RECOUNT", 0.1)
+    monkeypatch.setattr(cluster_executor, "PATIENCE", 0.5)
+    jobs, told = iter([(1.5,)]), []
+
+    with connect("local:1") as client:
+        monkeypatch.setattr(client, "nthreads", dict)
+        found = cluster_executor.results(cluster_executor.Team(client), time.sleep, lambda: next(jobs, None))
+        with pytest.raises(WorkerError, match=r"The cluster has had no worker for 0.5 s\.") as ended:
+            told.extend(found)
+
+    assert told == ["The cluster has no worker; the run waits 0.5 s for one."] and ended.value.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("signum", "code", "trouble"),
+    [(signal.SIGTERM, 143, signal.SIGKILL), (signal.SIGINT, 130, signal.SIGSTOP)],
+    ids=["gone", "stopped"],
+)
+def test_a_signal_ends_a_run_whose_only_worker_is_lost(toy, cluster, signum, code, trouble):
+    cluster.add_worker(**SLOW)
+    process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
+    wait_for_points(toy, 1)
+    cluster.workers[0].send_signal(trouble)
+    time.sleep(0.5)
+
+    process.send_signal(signum)
+    _, err = process.communicate(timeout=20)
+
+    assert process.returncode == code, err
+    assert err.splitlines()[-1].startswith(f"gaitsweep: Stopped by {signum.name}")
+
+
+def test_a_worker_that_cannot_load_gaitsweep_ends_the_run(toy, cluster, tmp_path):
+    """At its first job it would end without a word, and the run wait for another."""
+    (tmp_path / "other/gaitsweep").mkdir(parents=True)
+    (tmp_path / "other/gaitsweep/__init__.py").write_text("raise ImportError('nothing here')\n")
+    cluster.add_worker(PYTHONPATH=str(tmp_path / "other"))
+
+    said = toy("run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3).stderr
+
+    assert said.count("\n") == 1 and " cannot load gaitsweep: " in said and "nothing here" in said
+
+
+def _listening(pid):
+    """Sockets of a process that others can connect to over the network."""
+    listens = "0A"
+    rows = [row.split() for name in ("tcp", "tcp6") for row in Path(f"/proc/{pid}/net/{name}").read_text().splitlines()]
+    there = {f"socket:[{row[9]}]" for row in rows if row[3] == listens}
+    files = [os.readlink(file) for file in Path(f"/proc/{pid}/fd").iterdir() if file.is_symlink()]
+    return there.intersection(files)
+
+
+def test_workers_of_its_own_open_no_port(toy, whole):
+    """Whoever reached one, the dashboard's too, could run code as the user of the run."""
+    process = toy.start("run", "toy.toml", "--cluster", "local:2", "--chunk", 10, **SLOW)
+    wait_for_points(toy, 2)
+
+    ports = [port for pid in (process.pid, *descendants(process.pid)) for port in _listening(pid)]
+    process.communicate(timeout=60)
+
+    assert not ports and process.returncode == 0
+    assert toy.bytes() == whole
 
 
 @pytest.mark.soak
@@ -252,7 +318,7 @@ def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(toy, whole, 
 
 @pytest.mark.soak
 def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30))"
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (18, 18))"
     program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
     words = [str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet", "--cluster", "local:2"]
     done = subprocess.run(
@@ -262,7 +328,7 @@ def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 3 and done.stderr.count("\n") == 1 and "ulimit -n" in done.stderr, done.stderr
+    assert done.returncode == 3 and done.stderr.count("\n") == 1 and "Too many open files" in done.stderr, done.stderr
 
 
 @pytest.mark.soak

@@ -11,6 +11,7 @@ import shutil
 import signal
 import sqlite3
 import subprocess
+import sys
 import time
 
 import netCDF4
@@ -41,8 +42,40 @@ def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk
 
 
 def test_a_run_needs_no_shared_memory(toy, whole):
-    """As where there is no /dev/shm, and joblib makes no semaphores."""
-    toy("run", "toy.toml", JOBLIB_MULTIPROCESSING="0")
+    """As where there is no /dev/shm, and joblib makes no semaphores: the run says that it has one worker."""
+    said = toy("run", "toy.toml", JOBLIB_MULTIPROCESSING="0").stderr
+
+    assert toy.bytes() == whole
+    assert said.count("One worker computes at a time: /dev/shm cannot be written.") == 1 and "joblib" not in said
+
+
+def test_many_studies_run_with_few_open_files(toy):
+    """Five files of a study are open while it runs; more studies than that wait."""
+    (toy.folder / "many").mkdir()
+    for k in range(70):
+        toy.write(f'name = "s{k}"\nwalker = "E"\n[axes]\nslope = [{0.01 + k / 1000}]\n', f"many/s{k}.toml")
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))"
+    program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
+
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program, str(TOYS / "gaitsweep_toy.py"), "run", "many"],
+        cwd=toy.folder,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"},
+        capture_output=True,
+        text=True,
+    )
+
+    assert done.returncode == 0, done.stderr
+    assert len(list((toy.folder / "data/archive").glob("*.nc"))) == 70
+    assert "70 studies in " in done.stderr and ": converged 70" in done.stderr
+
+
+def test_a_worker_that_cannot_see_its_memory_is_no_result(toy, whole):
+    """As where /proc is hidden: the run ends, and with /proc the same command computes every point."""
+    said = toy("run", "toy.toml", "--quiet", expect=3, TOY_WITHOUT="/proc").stderr
+    assert said.count("\n") == 1 and "A worker cannot begin its task: FileNotFoundError: " in said and "/proc/" in said
+
+    toy("run", "toy.toml")
     assert toy.bytes() == whole
 
 

@@ -117,6 +117,7 @@ def test_a_study_is_not_over_while_its_last_job_is_taken(scheduler, monkeypatch)
 
 def _twins(tmp_path, stack, listen=lambda *_: None):
     """Jobs of two studies of the same three lines."""
+    tmp_path.mkdir(exist_ok=True)
     for name in "ab":
         (tmp_path / f"{name}.toml").write_text(TEXT.format(name, "E", "foot_mass_ratio"))
         store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
@@ -213,6 +214,34 @@ def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
     assert sorted(map(len, found)) == [5, 6] and sum(list(f.values()).count("timed_out") for f in found) == 1
 
 
+def test_a_result_is_kept_for_a_study_that_begins_later(tmp_path, monkeypatch):
+    """Few studies are open at a time: an atlas that the first has made is not made again."""
+    monkeypatch.setattr("gaitsweep.pipeline.engine.scheduler.MOST_OPEN", 2)
+    engine, asked, opened = Engine(2), [], []
+
+    @contextlib.contextmanager
+    def parallel():
+        def run(_, take):
+            for number, request in iter(take, None):
+                asked.append((request.function, request.params["line"]["set"]["foot_mass_ratio"]))
+                yield number, {"outcome": "ok", "reason": "", "data": b"", "seconds": 0.1}
+
+        yield run
+
+    engine.parallel = parallel
+    with contextlib.ExitStack() as stack:
+        waiting = [jobs for n in range(3) for jobs in _twins(tmp_path / f"{n}", stack)]
+
+        def begin():
+            opened.append(sum(not study.is_over for study in scheduler.studies))
+            return waiting.pop() if waiting else None
+
+        scheduler = Scheduler([], engine, Signals(), begin=begin)
+        scheduler.run()
+
+    assert len(asked) == len(set(asked)) == 6 and max(opened) < 2
+
+
 def _divided(monkeypatch, n, trouble):
     """A chunk of n lines of two slopes of which some fail: its points, atlases, and the lines of each request."""
     asked = []
@@ -284,7 +313,8 @@ def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal, colum
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(fileno=lambda: 2))
     monkeypatch.setattr(os, "get_terminal_size", lambda number: os.terminal_size((columns, 24)))
     said, waits = [], iter([False, True])
-    display = progress.Display([], quiet=False)
+    display = progress.Display([9], quiet=False)
+    display.begin(SimpleNamespace(state=dict, log_state=lambda: None))
     display.is_terminal, display.stopped = is_terminal, SimpleNamespace(wait=lambda _: next(waits))
     for name, value in (("_FAST", 0.0), ("_SLOW", 0.0), ("total", list), ("sentence", lambda _: "3 of 9 points" * 10)):
         monkeypatch.setattr(progress, name, value)

@@ -222,7 +222,7 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
     monkeypatch.setattr(pages.os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(pages.threading, "active_count", lambda: 1)
     pages.write(archives, tmp_path, tell=told.append)
-    assert started and told == list(range(1, len(archives) + 1))
+    assert started and told == list(range(len(archives) + 1))
     assert _files(tmp_path) == _files(report)
 
 
@@ -290,6 +290,24 @@ def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch,
     counted = re.findall(r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err)
     assert [int(made) for made, *_ in counted] == list(range(1, len(archives) + 1))
     assert counted[-1][2] == "0" and {total for _, total, _ in counted} == {str(len(archives))}
+
+
+def test_the_time_to_go_of_a_report_is_that_of_its_pages(tmp_path, monkeypatch, capsys):
+    """To read 300 archives takes a minute, and is done once."""
+    clock = iter([0.0, 60.0, 60.5, 61.0])
+    monkeypatch.setattr(report_command.time, "monotonic", clock.__next__)
+    monkeypatch.setattr(report_command.terminal, "is_terminal", lambda: True)
+
+    def write(archives, out, only, bundle, tell):
+        for made in range(3):
+            tell(made)
+        return out / "index.html"
+
+    monkeypatch.setattr(report_command, "write", write)
+    assert commands.main(["report", *["a.nc"] * 300, "-o", str(tmp_path)]) == 0
+
+    said = re.findall(r"\d+ of \d+ pages, \d+ s to go", capsys.readouterr().err)
+    assert said[0] == "1 of 300 pages, 150 s to go"
 
 
 def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tmp_path, monkeypatch):
