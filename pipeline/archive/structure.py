@@ -2,7 +2,6 @@
 
 import json
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from gaitsweep.pipeline.statuses import ALL_STATUSES
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, toml
 from gaitsweep.tasks.accuracy import always
 from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
@@ -60,7 +59,7 @@ def _origins(file: Any) -> Iterator[str]:
     for name, kind in _ORIGIN.items():
         if not isinstance(record.get(name, kind()), kind):
             yield f"`{name}` in `provenance` is no {_WORDS[kind]}."
-    tomllib.loads(record["study"])
+    toml.read(record["study"])
     if not record["walkers"]:
         yield "`provenance` holds no walker."
     yield from (f"`provenance` holds a walker whose {key}" for w in record["walkers"] for key in _not_numbers(w))
