@@ -495,10 +495,10 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
 
 def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     _edit(copy, lambda file: file["branch"].__setitem__((slice(3), 1, 0), 7))
-    _edit(copy, lambda file: file["fits/scaling"].createVariable("quantity", str, ("row",)))
     other = copy.with_name("other.nc")
     shutil.copy(copy, other)
-    _edit(other, lambda file: file["fits/scaling/quantity"].__setitem__(1, "speed"))
+    for path, values in ((copy, ["", ""]), (other, ["", "speed"])):
+        _edit(path, lambda file, values=values: write_strings(file["fits/scaling"], "quantity", "row", values, {}))
     assert "`branch`: 3 of 800 differ" in diff.diff(made, copy, rtol=0.5)
     assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
 
