@@ -6,9 +6,9 @@ BIN := .venv/bin
 READY := .venv/.ready
 COMPLETE := .venv/.complete
 WRITING := .venv/.writing
-# The registry that pip is set to use, if it is set.
-INDEX = $(shell "$(PYTHON)" -m pip config list 2>/dev/null | sed -n "s/.*\.index-url='\(.*\)'/--default-index \1/p" | head -1)
-INSTALL = $(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes $(INDEX) \
+# It takes packages from where pip would; of several indexes any may have what is locked, which its hash tells.
+UV = "$(PYTHON)" with_settings_of_pip.py $(BIN)/uv
+INSTALL = $(UV) pip install --quiet --python $(BIN)/python --require-hashes --index-strategy unsafe-best-match \
   --constraint requirements.lock --requirement pyproject.toml
 TIER = not thorough and not soak
 DRAW ?= 1
@@ -94,10 +94,11 @@ BUDGET ?= 450
 tiers: $(COMPLETE)
 	$(BIN)/python tests/mutants/tiers.py $(BUDGET)
 
-# Write the lock anew from the ranges in pyproject.toml: one version of each package for every Python that it allows.
+# Write the lock anew from the ranges in pyproject.toml: one version of each package for every Python that it allows,
+# with the files of the main index alone; others often have some of them only.
 lock:
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --all-extras --group setup \
-	  --fork-strategy fewest --no-header --no-annotate $(INDEX) --output-file requirements.lock pyproject.toml
+	UV_INDEX= UV_FIND_LINKS= $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --all-extras --group setup \
+	  --fork-strategy fewest --no-header --no-annotate --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf .venv build dist mutants data/archive

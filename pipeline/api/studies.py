@@ -1,7 +1,6 @@
 """Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -161,8 +160,8 @@ def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = N
             raise StudyError(f"{wanted} is a folder of {len(found)} studies; `run` takes one.")
         return parse.read(found[0], accuracy)
     try:
-        table = tomllib.loads(wanted)
-    except tomllib.TOMLDecodeError as error:
+        table = toml.read(wanted)
+    except ValueError as error:
         raise StudyError(f"The study cannot be read: {error}.") from error
     return parse.parse(table, wanted, Path("study"), accuracy)
 

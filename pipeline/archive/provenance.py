@@ -9,13 +9,13 @@ import json
 import math
 import platform
 import re
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gaitsweep.pipeline.archive import attributes
 from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.study import toml
 
 if TYPE_CHECKING:
     from gaitsweep.pipeline.graph.plan import Plan
@@ -60,7 +60,7 @@ def stored(path: Path) -> dict[str, Any]:
         with open(path, "rb") as file:
             text = file.read(_MAX_HEADER).decode("latin-1")
         record: dict[str, Any] = json.JSONDecoder().raw_decode(text, text.index(_BEGINNING))[0]
-        tomllib.loads(record["study"])
+        toml.read(record["study"])
         return {**record, "walkers": [dict(walker) for walker in record["walkers"]]}
     except (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError):
         return {}
@@ -79,7 +79,7 @@ def check_same_study(path: Path, study: Study) -> None:
     record = stored(path)
     if not record:
         return
-    other, walkers = tomllib.loads(record["study"]), record["walkers"]
+    other, walkers = toml.read(record["study"]), record["walkers"]
     kind, own = other.get("kind", "grid"), [check["table"] for check in study.checks]
     if kind != study.kind:
         difference = f"its kind is {kind}, not {study.kind}"

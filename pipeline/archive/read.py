@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import math
 import os
 import resource
 import signal
@@ -25,6 +26,7 @@ SCHEMA = 2
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
 _MAX_VALUES, _MAX_POINTS = 1 << 20, 1 << 16  # values, and points of a variable, read at a time
 _LITTLE_MEMORY = 1 << 23  # numbers, more than any part that is read at a time
+_MOST_PACKED = 1100  # bytes into one, more than deflate packs
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
@@ -99,8 +101,12 @@ def open_archive(path: Path) -> Iterator[Any]:
     size_of(path)
     if not is_nameable(path):
         raise ArchiveError(f"The netCDF library opens no file of such a name as {path}; name it from its own folder.")
+    from gaitsweep.pipeline.archive import objects  # h5py, which it imports, takes longer than most commands
+
     opened = open_netcdf(path)
     try:
+        if fault := objects.fault(path):
+            raise ArchiveError(f"{path} is not an archive of gaitsweep: {fault}.")
         file = opened.__enter__()
     except (OSError, RuntimeError, ValueError) as error:
         _check_limits(path)
@@ -110,10 +116,20 @@ def open_archive(path: Path) -> Iterator[Any]:
             schema = getattr(file, "gaitsweep_schema", None)
             if not isinstance(schema, np.integer) or schema != SCHEMA:
                 raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
+            _check_sizes(file, path)
             yield file
         finally:
             with contextlib.suppress(RuntimeError):
                 opened.__exit__(None, None, None)
+
+
+def _check_sizes(file: Any, path: Path) -> None:
+    """Check that the variables of an open file are not larger than what may be packed into its bytes."""
+    size, most = 0, _MOST_PACKED * size_of(path)
+    for name, variable in layout.variables(file):
+        size += math.prod(variable.shape) * variable.dtype.itemsize
+        if size > most:
+            raise ArchiveError(f"{path} is not an archive of gaitsweep: `{name}` is larger than can be packed into it.")
 
 
 @contextlib.contextmanager

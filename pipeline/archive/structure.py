@@ -2,7 +2,6 @@
 
 import json
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -12,12 +11,14 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from gaitsweep.pipeline.statuses import ALL_STATUSES
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, toml
 from gaitsweep.tasks.accuracy import always
-from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
+from gaitsweep.tasks.registry import GAITS, MAX_STEPS, TASKS, VARIABLES
 
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
+#: Numbers that an archive may have among its attributes: kinds of types, the least and the largest.
+_RANGES = {"accuracy": ("f", 0.0, 1.0), "steps": ("i", 1, MAX_STEPS), "not_attempted": ("i", 0, 2**62)}
 #: Parts of the provenance.
 _ORIGIN = {
     **{"study": str, "walkers": list, "varied": dict, "tasks": dict, "packages": dict, "python": str},
@@ -50,6 +51,10 @@ def _attributes(file: Any) -> Iterator[str]:
             yield f"`{name}` is not JSON."
     if getattr(file, "kind", "grid") not in ("grid", *TASKS):
         yield "`kind` is no kind of study."
+    for name, (kinds, low, high) in _RANGES.items():
+        value = np.asarray(getattr(file, name, low))
+        if value.ndim or value.dtype.kind not in kinds or not low <= value <= high:
+            yield f"The attribute `{name}` is no number that it may be."
     for name in (*_required(file), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
@@ -60,7 +65,7 @@ def _origins(file: Any) -> Iterator[str]:
     for name, kind in _ORIGIN.items():
         if not isinstance(record.get(name, kind()), kind):
             yield f"`{name}` in `provenance` is no {_WORDS[kind]}."
-    tomllib.loads(record["study"])
+    toml.read(record["study"])
     if not record["walkers"]:
         yield "`provenance` holds no walker."
     yield from (f"`provenance` holds a walker whose {key}" for w in record["walkers"] for key in _not_numbers(w))

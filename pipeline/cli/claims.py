@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import json
-import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
+from gaitsweep.pipeline.study import toml
 from gaitsweep.tasks.registry import CLAIMS, TASKS
 
 _FOLDER = Path("data", "archive")
@@ -60,7 +60,7 @@ def _claims_of(path: Path) -> list[str]:
     with contextlib.suppress(AttributeError, LookupError, TypeError):  # of a record that somebody else made
         versions = record["tasks"]
         if "claims" in versions and all(TASKS[name].version == version for name, version in versions.items()):
-            return [name for name in tomllib.loads(record["study"])["want"]["claims"] if name in CLAIMS]
+            return [name for name in toml.read(record["study"])["want"]["claims"] if name in CLAIMS]
     return []
 
 

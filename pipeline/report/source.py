@@ -5,7 +5,6 @@ import json
 import math
 import re
 import shlex
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -338,7 +337,7 @@ def read(path: Path) -> Source:
         tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in layout.tables(file)}
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
-        study = tomllib.loads(provenance["study"])
+        study = toml.read(provenance["study"])
         source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
         for frame in tables.values():
             # In a study of one walker of its own, tables call it `walker`.

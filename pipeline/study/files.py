@@ -2,7 +2,6 @@
 
 import difflib
 import os
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -10,6 +9,7 @@ from typing import Any, TypeAlias
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import toml
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Definition
 
@@ -89,11 +89,9 @@ def read_toml(path: Path, shown: str, number: Reader = float) -> tuple[str, dict
     """
     text = read_text(path, shown := clip(shown, 200))
     try:
-        return text, tomllib.loads(text, parse_float=number)
+        return text, toml.read(text, number)
     except ValueError as error:
         raise unreadable(shown, error) from error
-    except RecursionError as error:
-        raise StudyError(f"{shown} is nested too deeply.") from error
 
 
 def walker(
@@ -163,8 +161,8 @@ def other(value: object, folder: Path, location: Location, number: Reader = floa
     """
     if isinstance(value, str) and value.lstrip().startswith("{"):
         try:
-            value = tomllib.loads(f"toward = {value}", parse_float=number)["toward"]
-        except (ValueError, RecursionError) as error:
+            value = toml.read(f"toward = {value}", number)["toward"]
+        except ValueError as error:
             raise location.wrong("must be a name, a file or a table", value) from error
     if not isinstance(value, str | dict):
         raise location.wrong("must be a name, a file or a table", value)

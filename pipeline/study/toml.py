@@ -1,14 +1,45 @@
-"""Values as TOML, which the standard library reads and does not write; loads nothing of `tasks`."""
+"""Reading and writing of TOML: the standard library takes any depth, and does not write. Loads nothing of `tasks`."""
 
 import json
 import re
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.pipeline.errors import StudyError
+
+_MOST_LEVELS = 32
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+#: A key of more parts, where keys can begin; tomllib's time grows with the square of their number.
+_LONG_KEY = re.compile(rf"(?:^|(?<=[\s\[{{,])){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_LEVELS}}}")
+
+
+def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
+    """Table of a TOML text, with decimals read by `number`.
+
+    Raises
+    ------
+    ValueError
+        If it is not TOML, or tables and lists are nested too deeply for those who read them.
+    """
+    too_deep = f"Tables and lists are nested more than {_MOST_LEVELS} deep"
+    if _LONG_KEY.search(text):
+        raise ValueError(too_deep)
+    try:
+        table = tomllib.loads(text, parse_float=number)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+
+    level: list[Any] = [table]
+    for _ in range(_MOST_LEVELS):
+        values = (value for each in level for value in (each.values() if isinstance(each, dict) else each))
+        level = [value for value in values if isinstance(value, dict | list)]
+    if level:
+        raise ValueError(too_deep)
+    return table
 
 
 def written(value: Any, key: str = "") -> str:

@@ -495,10 +495,10 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
 
 def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     _edit(copy, lambda file: file["branch"].__setitem__((slice(3), 1, 0), 7))
-    _edit(copy, lambda file: file["fits/scaling"].createVariable("quantity", str, ("row",)))
     other = copy.with_name("other.nc")
     shutil.copy(copy, other)
-    _edit(other, lambda file: file["fits/scaling/quantity"].__setitem__(1, "speed"))
+    for path, values in ((copy, ["", ""]), (other, ["", "speed"])):
+        _edit(path, lambda file, values=values: write_strings(file["fits/scaling"], "quantity", "row", values, {}))
     assert "`branch`: 3 of 800 differ" in diff.diff(made, copy, rtol=0.5)
     assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
 
@@ -692,6 +692,13 @@ def _put(name, value):
         (lambda f: f.setncattr("R", np.nan), "The attribute R is not a finite number."),
         (lambda f: f.setncattr("R", "0"), "The attribute R is not a finite number."),
         (lambda f: f.setncattr("kind", "walk"), "`kind` is no kind of study."),
+        (lambda f: f.setncattr("accuracy", "x"), "The attribute `accuracy` is no number that it may be."),
+        (lambda f: f.setncattr("steps", "x"), "The attribute `steps` is no number that it may be."),
+        (lambda f: f["violations"].setncattr("flag_masks", "x y"), "The flags of `violations` have other meanings."),
+        (
+            lambda f: f["violations"].setncattr("flag_meanings", 3),
+            "Its types are not those of an archive (AttributeError).",
+        ),
         (_put("stance_angle", np.nan), "`stance_angle` has 1 values that no gait has."),
         (_put("period", np.inf), "`period` has 1 values that no gait has."),
         (_changed(walkers=None), "`walkers` in `provenance` is no list."),
@@ -716,6 +723,31 @@ def test_impossible_contents_are_invalid_however_right_their_checksums(made, cop
             reader(copy)
         except ArchiveError as error:
             assert str(error).startswith(f"{copy} is damaged: ")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("accuracy", ["1e-6", np.nan, -1e-6, np.array([1e-6, 1e-7]), 3]),
+        ("steps", [np.int32(0), 2.0, np.arange(3), np.int64(2**62)]),
+        ("not_attempted", ["x", np.int64(-1), np.nan]),
+    ],
+)
+def test_a_number_among_the_attributes_is_one(copy, name, values):
+    for value in values:
+        _edit(copy, lambda file, value=value: file.setncattr(name, value))
+
+        assert f"The attribute `{name}` is no number that it may be." in verify.verify(copy)
+
+
+@pytest.mark.parametrize("value", ["x", np.nan, np.arange(2), np.array([], "i8")])
+def test_chunks_of_checksums_that_are_no_numbers_are_damage(copy, value):
+    _edit(copy, lambda file: file.setncattr("checksum_chunk", value))
+
+    for reader in (verify.verify, lambda path: diff.diff(path, path)):
+        with contextlib.suppress(ArchiveError):
+            reader(copy)
+    assert read.damage(copy)
 
 
 class _Counted:

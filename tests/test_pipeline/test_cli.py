@@ -107,7 +107,7 @@ def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
         .stdout.splitlines()[-1]
         .split()
     )
-    assert not {"heyoka", "scipy", "joblib", "netCDF4", "xarray", "matplotlib", "dask"} & {
+    assert not {"heyoka", "scipy", "joblib", "netCDF4", "h5py", "xarray", "matplotlib", "dask"} & {
         m.split(".")[0] for m in found
     }
     assert not {"multiprocessing", "importlib.metadata"} & set(found)  # of workers and of other packages' measures

@@ -17,6 +17,7 @@ import pytest
 
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.archive.written import write_strings
 from gaitsweep.pipeline.cli import claims, commands, status
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.locks import lock_archive
@@ -276,8 +277,7 @@ def ledger(tmp_path, monkeypatch):
         group.createDimension("row", 1)
         columns = {"id": "D2", "verdict": "stored", "quotation": "q", "source": "s", "interval": "", "computed": "c"}
         for name, value in columns.items():
-            group.createVariable(name, str, ("row",))[:] = np.array([value], object)
-            group[name].units = "1"
+            write_strings(group, name, "row", [value], {"units": "1"})
         for name, value in {"printed_value": np.nan, "printed_half_unit": 0.0, "value": 0.5}.items():
             group.createVariable(name, "f8", ("row",))[:] = value
             group[name].units = "1"

@@ -1,6 +1,7 @@
 """A study is checked whole before anything runs, and every mistake gets one line that helps."""
 
 import json
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,9 +10,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+import gaitsweep
 from gaitsweep.pipeline.archive.provenance import provenance
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import model, parse
+from gaitsweep.pipeline.study import files, model, parse, toml
 from gaitsweep.tasks.registry import CLAIMS, OPTIONS, VARIABLES
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
@@ -302,6 +304,48 @@ def test_a_list_of_allowed_names_is_whole(write):
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
     with pytest.raises(StudyError, match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$"):
         parse.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
+
+
+DEEP = {
+    "header": "[" + "a." * 100_000 + "a]\n",
+    "header of a walker": "[walker." + "a." * 1500 + "a]\n",
+    "header of tables": "[[" + "a . " * 100_000 + "a]]\n",
+    "key": "a." * 100_000 + "a = 1\n",
+    "quoted key": """"a.\\"," .'b, c'.""" * 50_000 + "a = 1\n",
+    "key in a table": "x = { y = 1, " + "a." * 100_000 + "a = 1 }\n",
+    "keys upon keys": "[a." + "b." * 25 + "c]\n" + "d." * 25 + "e = 1\n",
+    "lists": "a = " + "[" * 200 + "]" * 200 + "\n",
+    "many lists": "a = " + "[" * 100_000 + "\n",
+    "tables": "a = " + "{ a = " * 200 + "1" + " }" * 200 + "\n",
+    "many tables": "a = " + "{ a = " * 100_000 + "\n",
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=DEEP)
+def test_a_file_that_is_nested_deeply_is_refused_at_once(write, tmp_path, text):
+    """A header of 100,000 parts took half a minute, one of 1,500 ended in an internal error."""
+    (tmp_path / "deep.toml").write_text(text)
+    start = time.process_time()
+
+    for read in (
+        lambda: parse.read(write(text)),
+        lambda: parse.read(write(GOOD.replace('"E"', '"deep.toml"', 1))),
+        lambda: files.walker("deep.toml", tmp_path),
+        lambda: gaitsweep.run(f"{text}x = 1\n"),
+    ):
+        with pytest.raises(StudyError, match=r"cannot be read: Tables and lists are nested more than 32 deep") as error:
+            read()
+        assert "\n" not in str(error.value)
+
+    assert time.process_time() - start < 2
+
+
+def test_dots_in_texts_numbers_and_comments_nest_nothing():
+    words = "A word. " * 99 + "." * 99 + "1.5, 2.5, " * 99
+
+    found = toml.read(f'# {words}\na = "{words}"\nb = [{"1.5, " * 99}]\n{"c." * 31}c = 1\n')
+
+    assert found["a"] == words and found["b"] == [1.5] * 99 and found["c"]
 
 
 def test_a_walker_file_in_place_of_a_study_says_so(write):

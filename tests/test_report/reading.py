@@ -53,7 +53,7 @@ def numbers_in(path: Path) -> set[float]:
 
     def gather(group: netCDF4.Dataset) -> None:
         for variable in group.variables.values():
-            if variable.dtype is not str:
+            if variable.dtype != "S1":
                 found.update(np.ravel(np.ma.filled(variable[...], 0)).astype(float).tolist())
         for inner in group.groups.values():
             gather(inner)

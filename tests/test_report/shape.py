@@ -85,14 +85,20 @@ def write(
     if "status" in dataset:
         dataset["status"].attrs.update(flag_values=np.arange(8, dtype="i1"), flag_meanings=NAMES)
         dataset["reason_text"] = ("reason_index", np.array(REASONS, dtype=object))
-    dataset.to_netcdf(path, engine="netcdf4")
+    dataset.to_netcdf(path, engine="netcdf4", encoding=as_characters(dataset))
     for group, columns in (tables or {}).items():
-        xr.Dataset(
+        table = xr.Dataset(
             {
                 k: ("row", np.asarray(v, dtype=object if np.asarray(v).dtype.kind == "U" else None))
                 for k, v in columns.items()
             }
-        ).to_netcdf(path, mode="a", group=group, engine="netcdf4")
+        )
+        table.to_netcdf(path, mode="a", group=group, engine="netcdf4", encoding=as_characters(table))
     if run is not None:
         path.with_name(f"{path.stem}.run.json").write_text(json.dumps(run))
     return path
+
+
+def as_characters(dataset: xr.Dataset) -> dict[str, dict[str, str]]:
+    """The encoding by which strings are written as in archives."""
+    return {str(name): {"dtype": "S1"} for name, column in dataset.variables.items() if column.dtype.kind in "OU"}
