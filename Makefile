@@ -7,7 +7,7 @@ READY := .venv/.ready
 COMPLETE := .venv/.complete
 WRITING := .venv/.writing
 # It takes packages from where pip would; of several indexes any may have what is locked, which its hash tells.
-UV = "$(PYTHON)" with_settings_of_pip.py $(BIN)/uv
+UV = "$(PYTHON)" .ci/with_settings_of_pip.py $(BIN)/uv
 INSTALL = $(UV) pip install --quiet --python $(BIN)/python --require-hashes --index-strategy unsafe-best-match \
   --constraint requirements.lock --requirement pyproject.toml
 TIER = not thorough and not soak

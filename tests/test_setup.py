@@ -53,9 +53,10 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "python").chmod(0o755)
     (tmp_path / "uv.py").write_text(UV)
 
-    (made := tmp_path / "project").mkdir()
-    for name in ("Makefile", "pyproject.toml", "requirements.lock", "with_settings_of_pip.py"):
-        shutil.copy(ROOT / name, made)
+    made = tmp_path / "project"
+    (made / ".ci").mkdir(parents=True)
+    for name in ("Makefile", "pyproject.toml", "requirements.lock", ".ci/with_settings_of_pip.py"):
+        shutil.copy(ROOT / name, made / name)
     return made
 
 

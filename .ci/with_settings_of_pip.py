@@ -1,4 +1,4 @@
-"""Run a command of uv where pip would look: `python with_settings_of_pip.py uv pip install …`.
+"""Run a command of uv where pip would look: `python .ci/with_settings_of_pip.py uv pip install …`.
 
 Indexes, proxies and certificates that pip is set to use, in its files or in the environment, reach uv in its
 environment. They may hold passwords: no list of processes shows them there, and nothing prints them.
