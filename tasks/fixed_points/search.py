@@ -25,13 +25,13 @@ _MERGE_CELL = 0.1
 #: Stance angles of the lattice, and its periods over the time in which the leg swings by itself: with straight legs,
 #: and with knees. Gaits of random walkers have periods of 0.5 to 1.8 swings.
 _ANGLES, _ANGLES_KNEED = 9, 7
-_PERIODS, _PERIODS_KNEED = (0.65, 0.8, 0.95, 1.1, 1.27, 1.6), (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42)
+_PERIODS, _PERIODS_KNEED = (0.5, 0.65, 0.8, 0.95, 1.1, 1.27, 1.6), (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42)
 #: Periods farther apart have another between them [sqrt(leg/g)]: a slow leg's steps nearly end upright.
 _LARGEST_GAP = 1.25
 #: Rates of kneed legs just before heelstrike, the swing leg's over the stance leg's: of long and of short gaits.
 _RATIOS = (0.8, 0.0)
 #: Periods of the lattice replaced by those in which point feet exchange places.
-_EXCHANGED = (1, 2)
+_EXCHANGED = (2, 3)
 #: Largest rate over angle of a guess.
 _MAX_RATE = 20.0
 #: Largest rate [sqrt(g/leg)] to which linear theory is of use, and the swing leg's over the angle of a guess beyond.
@@ -66,7 +66,7 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     lattices = []
     for i, slope in enumerate(slopes):
         top = np.log(min(2.0 * slope ** (1 / 3), 1.2))
-        bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
+        bottom = np.log(max(0.7 * slope, 0.02 * slope ** (1 / 3)))
         grid = np.meshgrid(np.linspace(bottom, top, angles), _periods(linear), *others, indexing="ij")
         lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))
 
