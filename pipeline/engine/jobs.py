@@ -176,11 +176,12 @@ class Jobs:
         else:
             results = [(self.store.outcome(need), need) for need in node.needs]
             inputs = [self.store.get(need)[1] for outcome, need in results if outcome and outcome.status == "ok"]
-        packing, alone = None, ("", "")
+        packing, alone = None, None
         if node.chunk:
             shape = Shape.of_rows(node.lines, node.chunk.per_line) if node.copies else node.chunk.shape
             packing = self._packing(shape, node.chunk.numbers if node.lines and not node.copies else None)
-            alone = layers["atlas"].task.function, layers["points"].task.function
+            if self.graph.method is not Method.PLANE:  # a line of a plane keeps its charts
+                alone = layers["atlas"].task.function, layers["points"].task.function
         function, params = self.graph.function(node), self.graph.params(node)
         return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
 
