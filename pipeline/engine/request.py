@@ -14,8 +14,8 @@ class Request:
 
     With `packing` it is a chunk of points, of one line or of `lines` side by side, which is divided if it fails; then
     `alone` names the functions of the atlas and the points of one line, unless the points of lines need no atlases, and
-    `most` how many points are computed at a time. `seconds` and `memory` [byte] limit one point, or a whole task. The process ends after waiting `idle` seconds
-    for another request.
+    `most` how many points are computed at a time. `seconds` and `memory` [byte] limit one point, or a whole task. The
+    process ends after waiting `idle` seconds for another request.
     """
 
     function: str

@@ -280,7 +280,7 @@ def _ranges(n: int, size: int) -> list[np.ndarray]:
 
 
 def _run_alone(request: Request, packing: Packing, place: int) -> tuple[Record, list[Atlas]]:
-    """A line without charts that failed beside others, or whose points are wanted a few at a time: atlas, then points."""
+    """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     (line,) = request.params["lines"]
     assert request.alone

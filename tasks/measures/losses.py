@@ -102,11 +102,15 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     turn = 0.5 * np.arctan2(2 * M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1])
     first = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     second = np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
-    losses = [
-        0.5 * (e[:, None, :] @ M @ e[:, :, None])[:, 0, 0] * (e * velocity).sum(axis=-1) ** 2 for e in (first, second)
-    ]
+    losses = [0.5 * _mass_along(M, e) * (e * velocity).sum(axis=-1) ** 2 for e in (first, second)]
     is_upright = np.abs(first[:, 1]) > np.abs(second[:, 1])
     return np.where(is_upright, losses[0], losses[1]), np.where(is_upright, losses[1], losses[0])
+
+
+def _mass_along(M: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """Contact mass (n,) along unit vectors (n, 2)."""
+    x, y = e.T
+    return x * (M[:, 0, 0] * x + M[:, 0, 1] * y) + y * (M[:, 1, 0] * x + M[:, 1, 1] * y)
 
 
 def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
@@ -27,11 +28,11 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
         gives it; then only the stance leg reaches the other's place.
     """
     by_angles, by_rates, start, rest = _exchange(walker, angle, period, slope)
-    lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
+    lack = -start - rest - matvec(by_angles, start - rest)
     if walker.point_foot:
         along = _rates_along(angle)
-        return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
-    return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
+        return along * lack[0] / total(by_rates[0] * along)
+    return np.linalg.solve(by_rates.transpose(2, 0, 1), lack.T[:, :, None])[:, :, 0].T
 
 
 def exchange_periods(walker: Walker, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -50,8 +51,8 @@ def exchange_periods(walker: Walker, angle: np.ndarray, slope: np.ndarray) -> np
     """
     by_angles, by_rates, start, rest = _exchange(walker, angle, _PERIODS, slope)
     # Of both legs, (2, periods, n): what they lack, and what a rate of the stance leg adds.
-    lack = (-start - rest)[:, None] - np.tensordot(by_angles, start - rest, 1).transpose(1, 0, 2)
-    by_rate = np.tensordot(by_rates, _rates_along(angle), 1).transpose(1, 0, 2)
+    lack = (-start - rest)[:, None] - matvec(by_angles[..., None], (start - rest)[:, None])
+    by_rate = matvec(by_rates[..., None], _rates_along(angle)[:, None])
     off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
     crosses = np.diff(np.sign(off), axis=0) != 0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -67,7 +68,7 @@ def _rates_along(angle: np.ndarray) -> np.ndarray:
 def _exchange(
     walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Linear motion in certain periods, (n, 2, 2), by angles and by rates; the first angles, and those at rest, (2, n).
+    """Linear motion in certain periods, (2, 2, n), by angles and by rates; the first angles, and those at rest, (2, n).
 
     Notes
     -----
@@ -86,7 +87,7 @@ def _exchange(
     inverse = np.linalg.inv(modes)
 
     def propagator(by_mode: np.ndarray) -> np.ndarray:
-        return np.einsum("ik,kn,kj->nij", modes, by_mode, inverse).real
+        return matvec((modes[:, :, None] * inverse)[..., None], by_mode).real
 
     free = growth == 0
     by_rates = np.where(free, period, np.sinh(growth * period) / np.where(free, 1, growth))
