@@ -13,7 +13,7 @@ from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.graph.graph import Node
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
-from gaitsweep.pipeline.grid.grid import Chunk, Shape
+from gaitsweep.pipeline.grid.grid import PLANE_POINTS, Chunk, Shape
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
@@ -176,13 +176,16 @@ class Jobs:
         else:
             results = [(self.store.outcome(need), need) for need in node.needs]
             inputs = [self.store.get(need)[1] for outcome, need in results if outcome and outcome.status == "ok"]
-        packing, alone = None, ("", "")
+        packing, alone, most = None, None, self.most
         if node.chunk:
             shape = Shape.of_rows(node.lines, node.chunk.per_line) if node.copies else node.chunk.shape
             packing = self._packing(shape, node.chunk.numbers if node.lines and not node.copies else None)
             alone = layers["atlas"].task.function, layers["points"].task.function
+        if self.graph.method is Method.PLANE:
+            alone = None  # lines keep their charts
+            most = most and max(most, PLANE_POINTS[0])  # a few points take as long as many
         function, params = self.graph.function(node), self.graph.params(node)
-        return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
+        return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, most)
 
     def _packing(self, shape: Shape, lines: np.ndarray | None) -> Packing:
         digests = None if lines is None else self.graph.digests(lines)

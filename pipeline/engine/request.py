@@ -13,9 +13,9 @@ class Request:
     """A task to run in a worker process.
 
     With `packing` it is a chunk of points, of one line or of `lines` side by side, which is divided if it fails; then
-    `alone` names the functions of the atlas and the points of one line, and `most` how many points are computed at a
-    time. `seconds` and `memory` [byte] limit one point, or a whole task. The process ends after waiting `idle` seconds
-    for another request.
+    `alone` names the functions of the atlas and the points of one line, unless the points of lines need no atlases, and
+    `most` how many points are computed at a time. `seconds` and `memory` [byte] limit one point, or a whole task. The
+    process ends after waiting `idle` seconds for another request.
     """
 
     function: str
@@ -25,7 +25,7 @@ class Request:
     memory: int
     idle: float | None = None
     packing: Packing | None = None
-    alone: tuple[str, str] = ("", "")
+    alone: tuple[str, str] | None = None
     most: int | None = None
 
     @property

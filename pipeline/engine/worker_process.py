@@ -5,6 +5,7 @@ chunk that fails is divided and tried again, down to the point responsible.
 """
 
 import contextlib
+import itertools
 import math
 import os
 import platform
@@ -221,39 +222,68 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list
     """
     params, slopes, packing = request.params, request.params["slope"], request.packing
     assert packing
-    size, outcome = 1 if places is None else len(places), ""
+    lines, outcome = 1 if places is None else len(places), ""
+    has_atlases = places is not None and request.alone is not None
+    is_point = lines * len(slopes) == 1 and not has_atlases
     parts: Any = None
-    is_point = places is None and len(slopes) == 1
-    if size * len(slopes) <= (request.most or math.inf):
+
+    if lines * len(slopes) <= (request.most or math.inf):
         outcome, parts = _ask(request, *(("timed_out", *_EXTERNAL) if is_point else ()))
     if outcome == "ok":
         head, payload, *atlases = parts
-        lines = [] if places is None else places.tolist()
-        return (head, payload), [(k, "ok", "", atlas) for k, atlas in zip(lines, atlases, strict=False)]
+        of_lines = [] if places is None else places.tolist()
+        return (head, payload), [(k, "ok", "", atlas) for k, atlas in zip(of_lines, atlases, strict=False)]
     if is_point:
         return pack(Points.of_ending(1, outcome, parts, params["want"]), packing), []
-    if places is not None and size == 1:
+    if places is not None and lines == 1 and has_atlases:
         return _run_alone(request, packing, int(places[0]))
-    whole, each = (len(slopes), 1) if places is None else (size, len(slopes))
-    pieces = max(_PIECES, math.ceil(whole / max(1, request.most // each)) if request.most else 0)
-    found, of_lines = list[Points](), list[Atlas]()
-    for piece in np.array_split(np.arange(whole), min(whole, pieces)):
-        if places is None:
-            part, shape, own = {"slope": slopes[piece]}, Shape.of_rows(1, len(piece)), None
-        else:
-            part = {"lines": [params["lines"][k] for k in piece.tolist()]}
-            shape, own = Shape.of_rows(len(piece), each), places[piece]
-        smaller = replace(packing, shape=shape, digests=None)
-        record, of_part = _run_part(replace(request, params={**params, **part}, packing=smaller), own)
+
+    if outcome:
+        sizes = _fewer(lines, len(slopes))
+    else:
+        assert request.most
+        sizes = _at_most(request.most, lines, len(slopes), has_atlases)
+    found, rows, found_atlases = list[Points](), list[np.ndarray](), list[Atlas]()
+    for some, at in itertools.product(_ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])):
+        part = {**params, "slope": slopes[at]}
+        if places is not None:
+            part["lines"] = [params["lines"][k] for k in some.tolist()]
+        smaller = replace(packing, shape=Shape.of_rows(len(some), len(at)), digests=None)
+        own = None if places is None else places[some]
+        record, atlases_of_part = _run_part(replace(request, params=part, packing=smaller), own)
         found.append(unpacked(*record))
-        of_lines += of_part
-    return pack(joined(found), packing), of_lines
+        rows.append((some[:, None] * len(slopes) + at).ravel())
+        found_atlases += atlases_of_part
+    return pack(joined(found).take(np.argsort(np.concatenate(rows))), packing), found_atlases
+
+
+def _fewer(lines: int, slopes: int) -> tuple[int, int]:
+    """Lines and slopes of each smaller part of one that failed: the lines are divided, or the slopes of one."""
+    return (math.ceil(lines / _PIECES), slopes) if lines > 1 else (1, math.ceil(slopes / _PIECES))
+
+
+def _at_most(most: int, lines: int, slopes: int, has_atlases: bool) -> tuple[int, int]:
+    """Lines and slopes of parts with so many points, or of single lines that have atlases.
+
+    A plane's lines remain side by side, if only at a few slopes: those without charts are followed together, by a
+    worker that remembers their branches for the next slopes.
+    """
+    if most >= slopes or has_atlases:
+        return max(1, most // slopes), slopes
+    together = min(lines, most)
+    return together, most // together
+
+
+def _ranges(n: int, size: int) -> list[np.ndarray]:
+    """Places of n things in parts of a size, the last perhaps smaller."""
+    return [np.arange(k, min(k + size, n)) for k in range(0, n, size)]
 
 
 def _run_alone(request: Request, packing: Packing, place: int) -> tuple[Record, list[Atlas]]:
     """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     (line,) = request.params["lines"]
+    assert request.alone
     atlas, points = request.alone
     alone = replace(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
     outcome, result = _ask(alone, *_EXTERNAL)

@@ -19,7 +19,8 @@ _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
 _TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
 _LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
-_PLANE_POINTS = 512, 4096  # points in a chunk of a plane, the latter about a quarter of a second of work
+#: Fewest and most points in a chunk of a plane, the latter about a quarter of a second of work.
+PLANE_POINTS = 512, 4096
 _PLANE_CHUNKS = 16  # chunks of a study over planes, so that workers share it and its first charts serve some
 
 
@@ -171,7 +172,7 @@ class Grid:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of one."""
         slopes = len(self.study.slope)
         if self.method is Method.PLANE and self.study.plane:
-            fewest, most = (points // slopes for points in _PLANE_POINTS)
+            fewest, most = (points // slopes for points in PLANE_POINTS)
             lines = max(_LINES, fewest, self.study.lines // _PLANE_CHUNKS)
             tile = _tile(self.study.plane.axes, min(lines, most))
             return {**dict.fromkeys(self.line_dims, 1), **tile, "slope": slopes}

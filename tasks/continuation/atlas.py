@@ -33,6 +33,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Point, Track, 
 from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
+from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance
 from gaitsweep.tasks.walkers.walker import Walker
@@ -166,7 +167,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         branch = branch.insert(side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0])
         branch = branch.ending(side, end.kind, end.error)
     # The node before an end may be that end: between them there is no polynomial.
-    twins = np.linalg.norm(np.diff(branch.Z), axis=0) < _TWIN
+    twins = norm(np.diff(branch.Z)) < _TWIN
     kept = np.ones(len(branch.q), bool)
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
@@ -221,7 +222,7 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
         point = yield from locate_root(branch, at, slope_rate)
         point = yield from sharpened_fold(point)
         # A node may equal the fold to all but the last digits: between them there is no polynomial.
-        if np.linalg.norm(branch.Z[:, at : at + 2] - point.Z, axis=0).min() > _TWIN:
+        if norm(branch.Z[:, at : at + 2] - point.Z).min() > _TWIN:
             branch = branch.insert(at + 1, point.Z[:, 0], point.direction[:, 0])
     return branch
 

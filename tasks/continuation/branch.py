@@ -10,6 +10,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, TOO_MANY
 from gaitsweep.tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE, NOT_A_STEP
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, Guesses
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.several_steps import from_largest
 
 #: Nodes of the shortest branch.
@@ -78,12 +79,12 @@ class Branch:
     @property
     def direction(self) -> np.ndarray:
         """Unit tangents of the branch at the nodes, shape (c, n)."""
-        return np.asarray(self.tangent / np.linalg.norm(self.tangent, axis=0))
+        return np.asarray(self.tangent / norm(self.tangent))
 
     def between(self, segment: np.ndarray) -> np.ndarray:
         """Return unit directions (c, k) of segments (k,): the means of those at their two nodes."""
         mean = self.direction[:, segment] + self.direction[:, segment + 1]
-        return np.asarray(mean / np.linalg.norm(mean, axis=0))
+        return np.asarray(mean / norm(mean))
 
     def ends_of(self, segment: np.ndarray) -> np.ndarray:
         """Return the segments' own coordinates (`axis`) at their two nodes, shape (2, k)."""
@@ -96,7 +97,7 @@ class Branch:
         left = np.clip(np.arange(n - 1) - 1, 0, n - count)
         window = self.window = left + np.arange(count)[:, None]
         Z, T = self.Z[:, window], self.tangent[:, window]
-        unit = np.abs(T) / np.linalg.norm(T, axis=0)
+        unit = np.abs(T) / norm(T)
         monotone = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
         worth = np.where(monotone, unit.min(axis=1), 0.0)
         # Prefer ln slope itself: locating a slope on the segment then needs no root finding.
@@ -167,7 +168,7 @@ class Branch:
         cuts : ndarray of int, shape (k,)
             Segments between the parts, rising.
         """
-        apart = np.linalg.norm(np.diff(self.Z), axis=0)
+        apart = norm(np.diff(self.Z))
 
         def worth(nodes: np.ndarray) -> tuple[bool, float]:
             # Not the number of nodes: a short part that bends has many.
@@ -195,8 +196,8 @@ class Branch:
 
         def along(a: np.ndarray | int, b: np.ndarray | int) -> np.ndarray:
             chord = Z[:, b] - Z[:, a]
-            length = np.linalg.norm(chord, axis=0)
-            least = np.minimum((chord * T[:, a]).sum(axis=0), (chord * T[:, b]).sum(axis=0))
+            length = norm(chord)
+            least = np.minimum(total(chord * T[:, a]), total(chord * T[:, b]))
             return np.asarray((least > 0.5 * length) | (length < _COINCIDENT))
 
         n = len(self.q)
@@ -229,9 +230,9 @@ class Branch:
         """
         a, b = self.Z[:, segment], self.Z[:, segment + 1]
         chord = b - a
-        length = np.linalg.norm(chord, axis=0)
-        along = ((Z - a) * chord).sum(axis=0) / length**2
-        return (along > 0) & (along < 1) & (np.linalg.norm(Z - a - along * chord, axis=0) < 0.5 * length)
+        length = norm(chord)
+        along = total((Z - a) * chord) / length**2
+        return (along > 0) & (along < 1) & (norm(Z - a - along * chord) < 0.5 * length)
 
     def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Evaluate the segments' polynomials.

@@ -14,6 +14,7 @@ from gaitsweep.tasks.continuation.defining import SCALARS, scalar
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER
 from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
+from gaitsweep.tasks.mechanics.sums import norm, total
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
@@ -78,9 +79,9 @@ def _failing(branch: Branch) -> Procedure[np.ndarray]:
         sides = branch.tangent[-1, [fold - 1, fold + 1]]
         failing[[fold - 1, fold]] |= sides.prod() > 0
     held_out = np.unique((n * (_GOLDEN * np.arange(1, _HELD_OUT + 1) % 1)).astype(int))
-    Z, chord = branch.at(held_out + _PLACE), np.linalg.norm(np.diff(branch.Z), axis=0)
+    Z, chord = branch.at(held_out + _PLACE), norm(np.diff(branch.Z))
     point = yield Call(correct, (Z, branch.between(held_out)))
-    moved = np.linalg.norm(point.Z - Z, axis=0)
+    moved = norm(point.Z - Z)
     failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING))
     # Nodes this close leave no room for another.
     failing[chord < _ROUNDING] = False
@@ -93,8 +94,8 @@ def _too_long(branch: Branch) -> np.ndarray:
     place = (np.arange(n)[:, None] + np.arange(1, _PARTS) / _PARTS).ravel()
     inner = branch.at(place).reshape(len(Z), n, -1)
     points = np.concatenate([Z[:, :-1, None], inner, Z[:, 1:, None]], axis=2)
-    length = np.linalg.norm(np.diff(points), axis=0).sum(axis=1)
-    chord = np.linalg.norm(np.diff(Z), axis=0)
+    length = total(norm(np.diff(points)).T)
+    chord = norm(np.diff(Z))
     return np.asarray(~(chord >= _MIN_CHORD * length))
 
 

@@ -18,6 +18,7 @@ from gaitsweep.tasks.continuation.joint import but_times
 from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
 from gaitsweep.tasks.continuation.root import OnCurve, bracketed_root, hermite
 from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import STRUCK
 from gaitsweep.tasks.step.simulate import stride as simulate_step
@@ -180,7 +181,7 @@ class _Followed(engine.Tracks):
         share, component = min(zip(shares.tolist(), (out - 2).tolist(), strict=True))
         if share < 1e-9:  # it begins there
             return True
-        length = np.linalg.norm(beyond.Z - self.Z, axis=0)
+        length = norm(beyond.Z - self.Z)
         guess = hermite((self.Z, self.tangent), (beyond.Z, tangent), length, share)
         guess[component] = edge[component]
         at = self.curve.correct(guess, np.eye(len(guess))[component])
@@ -272,7 +273,7 @@ def turning(curve: Curve, a: OnCurve, b: OnCurve, component: int) -> tuple[np.nd
     Z, tangent = turn.Z[:, 0], turn.direction[:, 0]
     derivative = curve.system(Z, 2 * DIFFERENCE)[1]
     coarse = np.linalg.svd(derivative)[2][-1]
-    coarse *= np.sign(coarse @ tangent)
+    coarse *= np.sign(total(coarse * tangent))
     off = abs(coarse[component] - tangent[component]) + abs(tangent[component])
     moved = off * length / abs(b[1][component] - a[1][component])
     moved += 1e-11 * length

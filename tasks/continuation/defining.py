@@ -19,6 +19,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import Newton, Point, bordere
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 
 #: Step of the central differences.
@@ -270,9 +271,9 @@ class _Vanishing:
         if grown.any():
             self.rows[:, lanes[grown]] = gradient(self.problem.some(lanes[grown]), self.kind, at.Z[:, grown])
             last = np.where(grown, 0.0, last)
-        value, square = scalar(self.kind, at, self.target[lanes]), (last**2).sum(axis=0)
+        value, square = scalar(self.kind, at, self.target[lanes]), total(last * last)
         self.rows[:, lanes] += last * (value / np.where(square > 0, square, np.inf))
-        size = np.linalg.norm(self.rows[:, lanes], axis=0)
+        size = norm(self.rows[:, lanes])
         return self.rows[:, lanes] / size, value / size
 
 
@@ -398,7 +399,7 @@ def slope_error(problem: Problem, kind: str, Z: np.ndarray) -> float:
     parameters = problem.parameters(np.exp(points[-1]), scale * units)
     parameters[2:, -2 * n - 1 :] *= 1 + varied
     at = Evaluation(points, problem.map(y, points[problem.m : -1], parameters, slope=True), problem)
-    off = by_values @ np.vstack([at.residual, scalar(kind, at)])
+    off = total(by_values[:, None] * np.vstack([at.residual, scalar(kind, at)]))
     rounded, by_constants = np.split(off[:-1], [_STATES * len(UNITS)])
     std = np.sqrt(rounded.reshape(_STATES, -1).var(axis=1, ddof=1).mean())
     constants = EPS / 2 * np.abs(np.diff(by_constants.reshape(2, n), axis=0) / (2 * _VARIED)).sum()

@@ -26,6 +26,7 @@ from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
 
@@ -232,7 +233,7 @@ def classify(
         rows=rows,
         error=error,
         log_froude=log_froude(Z, radius),
-        speed_error=np.abs(log_froude_by_Z(Z, radius)).sum(axis=0) * error + 8 * EPS,
+        speed_error=total(np.abs(log_froude_by_Z(Z, radius))) * error + 8 * EPS,
         walks=walks,
         long=(gait_ratio(at.stride) < LONG_BELOW) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,

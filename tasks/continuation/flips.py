@@ -16,8 +16,8 @@ from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.continuation.tracking import HALVED, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
-from gaitsweep.tasks.step.step_map import matvec
 
 #: Newton steps to the first gait beside a flip, where the derivative is nearly singular.
 _MAX_ITERATIONS = 15
@@ -122,7 +122,7 @@ def begun_at_flips(branch: Branch, flips: Sequence[Evaluation]) -> Branch:
         clear = np.flatnonzero(apart > min(_CLEAR, _CLEAR_SHARE * apart.max()))
         kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
         branch, node = branch.part(kept), branch.Z[:, kept[-side]]
-        along *= (1 - 2 * side) * np.sign((node - Z) @ along) / np.linalg.norm(along)
+        along *= (1 - 2 * side) * np.sign(total((node - Z) * along)) / np.linalg.norm(along)
         branch = branch.insert(side * len(branch.q), Z, along)
         branch = branch.ending(side, "branch_point", slope_error(flip.problem, "flip", flip.Z[:, 0]))
     return branch

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
-from gaitsweep.tasks.step.step_map import matvec
 
 
 @dataclass
@@ -117,12 +117,12 @@ def rounding_step(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
     ndarray, shape (n,)
     """
     stride, m, y = at.stride, at.m, np.abs(at.stride.y) / at.stride.y[0]
-    inverse = np.linalg.inv(matrix)[:, but_times(m)]
-    error = np.abs(inverse) @ np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))]).T[..., None]
+    inverse = np.linalg.inv(matrix)[:, but_times(m)].transpose(1, 2, 0)
+    error = matvec(np.abs(inverse), np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))]))
     # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
-    carried = stride.derivative[:, :m].transpose(2, 0, 1) + np.eye(len(stride.derivative), m)
-    error = error + np.abs(inverse[..., :-1] @ carried) @ y.T[..., None]
-    return 6 * EPS * np.nan_to_num(error).max(axis=(1, 2))
+    carried = stride.derivative[:, :m] + np.eye(len(stride.derivative), m)[..., None]
+    error = error + matvec(np.abs(matvec(inverse[:, :-1, None], carried)), y)
+    return np.asarray(6 * EPS * np.nan_to_num(error).max(axis=0))
 
 
 def but_times(m: int) -> list[int]:

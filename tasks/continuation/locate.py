@@ -19,6 +19,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem
@@ -171,7 +172,8 @@ def narrow_segment(
         alone = branch.part(np.array([segment, segment + 1]))
         # By all four nodes around; by its own two where the others mislead.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
-            x = float(part.ends_of(np.array(at)) @ [1 - share, share])
+            low, high = part.ends_of(np.array(at))
+            x = float(low * (1 - share) + high * share)
             guess = part.evaluate(np.array([at]), np.array([x]))[:, 0]
             point = yield from correct_at(part, at, x)
             chord = np.linalg.norm(part.Z[:, at + 1] - part.Z[:, at])
@@ -220,12 +222,12 @@ def sharpened_fold(point: Point) -> Procedure[Point]:
     derivative, stride = point.at.derivative[..., 0], point.at.stride
     # How far residuals of the joint equations, over the stance angle, move the ln slope of a fold.
     least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
-    by_residual = -least / (least @ derivative[:, -1])
+    by_residual = -least / total(least * derivative[:, -1])
     y, image = np.abs([stride.y[:, 0], stride.image[:, 0]])
     rounded = 3 * EPS * np.append(y + image, np.full(len(derivative) - len(y), 2 * y[0]))
-    if np.abs(by_residual) @ rounded / y[0] < _SHARP:
+    if total(np.abs(by_residual) * rounded) / y[0] < _SHARP:
         return point
     residual = yield Call(extended_precision.residual, (point.Z,))
     Z = point.Z.copy()
-    Z[-1, 0] += by_residual @ residual[:, 0]
+    Z[-1, 0] += total(by_residual * residual[:, 0])
     return replace(point, Z=Z)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.continuation.root import hermite, passes
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 
 #: Points beyond which a curve may have closed.
@@ -78,7 +79,7 @@ class Point:
 
     def oriented(self, direction: np.ndarray) -> Point:
         """Return the points with their tangents turned to the side of some directions (c, n)."""
-        sign = np.where((self.direction * direction).sum(axis=0) < 0, -1.0, 1.0)
+        sign = np.where(total(self.direction * direction) < 0, -1.0, 1.0)
         return replace(self, direction=sign * self.direction)
 
 
@@ -120,7 +121,7 @@ def _plane(Z: np.ndarray, normal: np.ndarray) -> Border:
     start = Z.copy()
 
     def equation(lanes: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
-        return normal[:, lanes], (normal[:, lanes] * (Z[:, lanes] - start[:, lanes])).sum(axis=0)
+        return normal[:, lanes], total(normal[:, lanes] * (Z[:, lanes] - start[:, lanes]))
 
     return equation
 
@@ -181,7 +182,7 @@ def bordered_newton(
         active = active[moving & ~done]
         if not len(active):
             break
-    length = np.linalg.norm(direction, axis=0)
+    length = norm(direction)
     length[length == 0] = 1.0  # in lanes that are lost
     return Point(Z, direction / length, ok, last_step, rounding, rows, at)
 
@@ -353,15 +354,15 @@ class Tracks(ABC):
         h, border = self.step[active], self.tangent[:, active].copy()
         guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
         point = self.correct(active, self._near(active, guess, border), border)
-        error = np.linalg.norm(point.Z - guess, axis=0)
-        cosine = (point.direction * border).sum(axis=0)
+        error = norm(point.Z - guess)
+        cosine = total(point.direction * border)
         fair, measure = self.judge(active, point, guess, error)
         fair = fair & point.ok & self.control.accepts(error, h, np.abs(cosine))
         new = active[fair]
         tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]
         Z = point.Z[:, fair]
         # The tangent keeps turning as over the last step.
-        chord = np.linalg.norm(Z - self.Z[:, new], axis=0)
+        chord = norm(Z - self.Z[:, new])
         self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
         for values, last in zip(self.before, (self.Z, self.tangent), strict=True):
             values[:, new] = last[:, new]
@@ -378,4 +379,4 @@ class Tracks(ABC):
         length = np.where(has_two, self.back[active], 1.0)
         a, b = lanes_of((self.before, (self.Z, self.tangent)), active)
         off = hermite(a, b, length, 1 + self.step[active] / length) - guess
-        return guess + np.where(has_two, off - border * (border * off).sum(axis=0), 0.0)
+        return guess + np.where(has_two, off - border * total(border * off), 0.0)

@@ -18,6 +18,7 @@ from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.polish import not_measured
 from gaitsweep.tasks.fixed_points.rounding import rounding, rounding_std
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import StepCheck, verify
@@ -99,7 +100,7 @@ def without_jumps(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     border = branch.direction
     point = yield Call(correct, (branch.Z, border), (("max_iterations", 1),))
     side = np.sign(branch_point_determinant(point, border))
-    jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(branch.Z), axis=0) > MAX_CROSSING_STEP)
+    jumps = (side[1:] * side[:-1] < 0) & (norm(np.diff(branch.Z)) > MAX_CROSSING_STEP)
     jumps[[0, -1]] &= np.array(branch.why) != "branch_point"
     return branch.part_of(gait, np.flatnonzero(jumps)) if jumps.any() else branch
 

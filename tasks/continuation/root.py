@@ -9,6 +9,8 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 
+from gaitsweep.tasks.mechanics.sums import norm, total
+
 _MAX_STEPS = 60
 #: A curve has closed if between two points it passes its start within this share of their distance.
 _CLOSED_WITHIN = 1e-2
@@ -107,8 +109,8 @@ def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> np.ndarray:
     ndarray of bool, shape () or (k,)
     """
     chord = b[0] - a[0]
-    length = np.linalg.norm(chord, axis=0)
-    share = ((start[0] - a[0]) * chord).sum(axis=0) / length**2
-    off = np.linalg.norm(hermite(a, b, length, share) - start[0], axis=0)
-    is_ahead = (start[1] * chord).sum(axis=0) > 0.5 * length
+    length = norm(chord)
+    share = total((start[0] - a[0]) * chord) / length**2
+    off = norm(hermite(a, b, length, share) - start[0])
+    is_ahead = total(start[1] * chord) > 0.5 * length
     return np.asarray((share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import Problem
 
 #: Rounds in which points are added where the spectral radius bends or stability changes.
@@ -128,8 +129,8 @@ def apart(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
     """
     along = end - start
-    part = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-    return np.linalg.norm(points - start - part[:, None] * along, axis=1)
+    part = np.clip(total(((points - start) * along).T) / max(float(along @ along), 1e-300), 0.0, 1.0)
+    return norm((points - start - part[:, None] * along).T)
 
 
 def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndarray:
@@ -158,7 +159,7 @@ def _with_radius(problem: Problem, branch: Branch, places: np.ndarray, tolerance
     segments = np.arange(len(places) - 1)
     for _ in range(_MAX_ROUNDS):
         # Points nearer than the tolerance show no bend, not even that of a corner.
-        segments = segments[np.linalg.norm(points[segments + 1] - points[segments], axis=1) > tolerance]
+        segments = segments[norm((points[segments + 1] - points[segments]).T) > tolerance]
         if not len(segments):
             break
         # Two places between any two: at one alone a corner and a bend may cancel.
@@ -167,7 +168,7 @@ def _with_radius(problem: Problem, branch: Branch, places: np.ndarray, tolerance
         Z = branch.at(middle.ravel())
         middle_radius = _radius(problem, Z).reshape(middle.shape)
         middle_points = plane(Z).reshape(*middle.shape, 3)
-        near, far = (np.linalg.norm(middle_points - points[pair + i], axis=2) for i in (0, 1))
+        near, far = (norm(np.moveaxis(middle_points - points[pair + i], 2, 0)) for i in (0, 1))
         with np.errstate(invalid="ignore"):
             line = (radius[pair] * far + radius[pair + 1] * near) / np.maximum(near + far, 1e-300)
             off = np.nan_to_num(np.abs(middle_radius - line) / np.maximum(1.0, middle_radius), nan=np.inf)

@@ -26,6 +26,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
 )
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.registry import SLOPES
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
@@ -140,7 +141,7 @@ def rate_of_steps(Z: np.ndarray, m: int, steps: int = 1) -> np.ndarray:
     Rates are in sqrt(g/leg); of steps shorter than pi, as of legs that swing fast, relative to those of their duration.
     """
     brevity = np.minimum(1.0, Z[-2] / (np.pi * steps))
-    return np.asarray(brevity * np.sqrt((Z[1:m] ** 2).sum(axis=0)))
+    return np.asarray(brevity * norm(Z[1:m]))
 
 
 def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:
@@ -200,7 +201,7 @@ def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.
         return np.ones(before.shape[1], bool)
     halves = [sections(Z[:-1], problem.m, problem.steps)[0] for Z in (before, after)]
     apart = [y - np.roll(y, problem.steps // 2, axis=0) for y in halves]
-    return (apart[0] * apart[1]).sum(axis=(0, 1)) > 0
+    return total((apart[0] * apart[1]).reshape(-1, before.shape[1])) > 0
 
 
 def points_along(problem: Problem, first: Point, direction: np.ndarray, step: float) -> Iterator[Point]:
@@ -296,7 +297,7 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
         Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
-    tangent = point.direction * np.sign((point.direction * direction).sum(axis=0))
+    tangent = point.direction * np.sign(total(point.direction * direction))
     return np.linalg.det(bordered_matrix(point.at.derivative, tangent))
 
 

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from gaitsweep.tasks.dynamics.walk import Walk, change
+from gaitsweep.tasks.mechanics.sums import matvec, norm
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
-from gaitsweep.tasks.step.step_map import matvec
 
 #: Longest period identified, and the name of an orbit with none up to it.
 LONGEST_PERIOD, WALKS_ON = 32, "walks on"
@@ -52,12 +52,12 @@ class Neighbourhoods:
         radius = np.abs(values).max(axis=1)
         good = (radius < 1) & (np.abs(np.linalg.det(vectors)) > _MIN_VOLUME)
         lanes, radius, values = lanes[good], radius[good], values[good]
-        vectors = vectors[good] * np.linalg.norm(y[:, lanes], axis=0)[:, None, None]
+        vectors = vectors[good] * norm(y[:, lanes])[:, None, None]
         self._coordinates[:, :, lanes] = np.moveaxis(np.linalg.inv(vectors), 0, -1)
         # Real and imaginary part stand for the vectors of a pair.
         real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
         sums = np.array(list(itertools.product((0, 1), repeat=m))[1:])
-        off = _NEAR * (real @ sums.T).transpose(1, 0, 2).reshape(m, -1)
+        off = _NEAR * matvec(real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]).swapaxes(1, 2).reshape(m, -1)
         each = np.repeat(lanes, len(sums))
         image = stride(problem.some(each), y[:, each] + off, slope[each], exact=False).image
         rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.mechanics.contact import total
+from gaitsweep.tasks.mechanics.sums import total
 
 
 def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 
@@ -122,8 +123,8 @@ def _leave(problem: Problem, saddle: Saddle, slope: float, y: np.ndarray) -> tup
     for taken in walk.steps(_MAX_STEPS):
         lanes = walk.lanes
         off = walk.y[:, lanes] - saddle.y[:, None]
-        along = saddle.along @ off
+        along = total(saddle.along[:, None] * off)
         leaves[lanes] = along / saddle.multiplier**taken
-        nearest[lanes] = np.minimum(nearest[lanes], np.sqrt((off**2).sum(axis=0)) / np.linalg.norm(saddle.y))
+        nearest[lanes] = np.minimum(nearest[lanes], norm(off) / np.linalg.norm(saddle.y))
         walk.lanes = lanes[(np.abs(along) < _LEFT) | (taken < _APPROACH)]
     return leaves, nearest

@@ -105,7 +105,7 @@ class Box:
         if not is_log.any():
             return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(is_log, origin + side * near * (far / near) ** (0.5 * (1 + side * unit)), linear)
+            return np.where(is_log, origin + side * near * np.exp(0.5 * (1 + side * unit) * np.log(far / near)), linear)
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.

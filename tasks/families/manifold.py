@@ -11,6 +11,7 @@ from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.step_map import SAMPLES
@@ -188,7 +189,7 @@ class Manifold:
             error[again] = self._error(further.last_step) + further.rounding
         points = classify(self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks)
         # Where the speed grows towards the other side of the point, it has a maximum before it.
-        points.faster = (log_froude_by_Z(Z, foot_radius(problem)) * step.direction).sum(axis=0) > 0
+        points.faster = total(log_froude_by_Z(Z, foot_radius(problem)) * step.direction) > 0
         return points, near
 
     def _error(self, size: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from gaitsweep.tasks.families.manifold import LEAST, Manifold, Region
 from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.fixed_points.multipliers import other_multipliers
 from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.statics import leg_moment
 from gaitsweep.tasks.walkers.walker import WalkerError
@@ -379,10 +380,10 @@ class _Extension:
         off = side * (self.vanishing(unit, axis) - u) if not self.maker.structure.kneed else np.full(len(u), np.nan)
         if not ((off > 0) & (off < _BESIDE)).all():
             return ()
-        sizes = np.log(np.linalg.norm(gradient(self.problem(unit), self.kind, Z), axis=0))
+        sizes = np.log(norm(gradient(self.problem(unit), self.kind, Z)))
         unit[:, axis] -= _FARTHER * side * off
         solved = solve(self.problem(unit), self.kind, Z, self.target)
-        farther = np.log(np.linalg.norm(gradient(self.problem(unit), self.kind, solved.Z), axis=0))
+        farther = np.log(norm(gradient(self.problem(unit), self.kind, solved.Z)))
         growth = np.vstack([solved.Z - Z, farther - sizes]) / (0.5 * np.log1p(_FARTHER))
         powers = np.round(np.median(growth, axis=1))
         if not solved.ok.all() or np.abs(growth - powers[:, None]).max() > _IRREGULAR or not powers[:-1].any():

@@ -13,6 +13,7 @@ from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, Guesses, Polished
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 
@@ -150,7 +151,7 @@ def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple
     """
     lipschitz, gradient = curvature(problem, w, q)
     variance = rounding_std(problem, w, q) ** 2
-    gradient, variance = (values.reshape(*values.shape[:-1], -1, each).mean(axis=-1) for values in (gradient, variance))
+    gradient, variance = (total(values[..., k::each] for k in range(each)) / each for values in (gradient, variance))
     return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+
+from gaitsweep.tasks.mechanics.sums import norm, polynomial
 
 #: Radius around an eigenvalue that is tried, over that which a linear change would need.
 _ROUCHE = 1.25
@@ -91,9 +95,10 @@ def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray
     at most sqrt(m), (m + 1) |J| (for m = 2, |J|) and |J|^2.
     """
     m = len(jacobian)
-    largest = np.sqrt((jacobian**2).sum(axis=(0, 1))) + error
+    largest = norm(jacobian.reshape(m * m, -1)) + error
     factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
-    return np.stack([factor * largest**k * error for k, factor in enumerate(factors)])
+    powers = [np.ones_like(largest), largest, largest * largest][:m]
+    return np.stack([factor * power * error for factor, power in zip(factors, powers, strict=True)])
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -112,12 +117,12 @@ def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
         Zero where eigenvalues are too near each other for that.
     """
     m = len(change)
+    alternating = change * (-1.0) ** np.arange(m)[:, None]
     moved = np.zeros(values.shape, complex)
     for i in range(m):
         z = values[:, i]
         gaps = np.array([z - values[:, k] for k in range(m) if k != i])
-        of_polynomial = sum((-1) ** k * change[k] * z ** (m - 1 - k) for k in range(m))
-        moved[:, i] = of_polynomial / gaps.prod(axis=0)
+        moved[:, i] = polynomial(alternating, z) / math.prod(gaps)
         moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
     moved.imag[values.imag == 0] = 0.0  # which rounds beside a complex pair
     return moved
@@ -146,15 +151,14 @@ def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
     product of the distances of the others.
     """
     m = len(error)
-    powers = np.arange(m)[::-1, None]
     worst = np.zeros(error.shape[1])
     for i in range(m):
         size = np.abs(values[:, i])
-        change = (error * size**powers).sum(axis=0)
+        change = polynomial(error, size)
         gaps = np.array([np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i])
-        radius = _ROUCHE * change / gaps.prod(axis=0)
-        on_circle = radius * (gaps - radius).prod(axis=0)
-        is_simple = (radius < gaps.min(axis=0)) & (on_circle >= (error * (size + radius) ** powers).sum(axis=0))
+        radius = _ROUCHE * change / math.prod(gaps)
+        on_circle = radius * math.prod(gaps - radius)
+        is_simple = (radius < gaps.min(axis=0)) & (on_circle >= polynomial(error, size + radius))
         worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
     return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
 

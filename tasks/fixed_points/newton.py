@@ -8,9 +8,9 @@ import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
 from gaitsweep.tasks.fixed_points.rounding import characteristic_scale, rounding
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.problem import Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
-from gaitsweep.tasks.step.step_map import matvec
 
 #: Mean durations of steps beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
@@ -78,9 +78,9 @@ def _deflated(step: np.ndarray, w: np.ndarray, known: np.ndarray) -> tuple[np.nd
     1 - s.grad ln M (Sherman-Morrison formula), at no extra evaluation.
     """
     offset = w[:, None] - known[:, :, None]
-    square = (offset**2).sum(axis=0)
-    growth = (-2 * offset * step[:, None]).sum(axis=0) / (square**2 + square)
-    return step / (1 - growth.sum(axis=0)), (square <= _BESIDE**2).any(axis=0)
+    square = total(offset * offset)
+    growth = total(-2 * offset * step[:, None]) / (square**2 + square)
+    return step / (1 - total(growth)), np.asarray((square <= _BESIDE**2).any(axis=0))
 
 
 def newton(
@@ -206,7 +206,7 @@ def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float)
         change = (stride.derivative - base.derivative) / h
         product = matvec(base.inverse[:, :, None], change[:, : len(w)])
         weighted = product * size[None] / size[:, None]
-        worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
+        worst = np.maximum(worst, total(np.abs(weighted).swapaxes(0, 1)).max(axis=0))
         gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
     # Multipliers near zero have no size of their own: then 1 is their scale.
     steepness = np.abs(gradient).max(axis=(0, 1)) * h / np.maximum(np.abs(polynomial).max(axis=0), 1.0)

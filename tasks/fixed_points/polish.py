@@ -17,12 +17,13 @@ from gaitsweep.tasks.fixed_points.rounding import (
     sensitivity,
 )
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.extended_precision import Start
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
-from gaitsweep.tasks.step.step_map import SAMPLES, matvec
+from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import strikes_fall_in_order
 
 #: Leg passes where the atlas has not shown that a point's step happens.
@@ -192,9 +193,9 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         leg_passes[lanes] = check.leg_passes
     # The derivative is that before the last step, and rounds on its way.
     distance = (np.abs(last) / relative).max(axis=0) + bound
-    of_state = (np.abs(gradient) * relative).sum(axis=1) * distance
+    of_state = total((np.abs(gradient) * relative).swapaxes(0, 1)) * distance
     unit = characteristic_scale(stride)
-    change = (gradient * last).sum(axis=1) * unit
+    change = total((gradient * last).swapaxes(0, 1)) * unit
     rounded = _EIGENVALUES * characteristic(np.abs(stride.jacobian), 1.0)
     error = (of_state + SAFETY_FACTOR * of_polynomial) * unit + rounded
     return Polished(y, state, times, scale, stride, bound, doubles, change, error, converged, step, leg_passes)

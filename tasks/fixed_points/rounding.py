@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
+from gaitsweep.tasks.mechanics.sums import matvec, norm, total
 from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
-from gaitsweep.tasks.step.step_map import matvec
 
 
 def reported(
@@ -68,10 +68,16 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
         d are the coordinates of a section.
     """
     m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
-    norm = np.sqrt(((stride.jacobian * (size[None, :d] / size[:d, None])) ** 2).sum(axis=(0, 1)))
-    by_time = np.sqrt(((stride.derivative[:m, m:-1] / size[:, None]) ** 2).sum(axis=(0, 1)))
+    length = norm(_flat(stride.jacobian * (size[None, :d] / size[:d, None])))
+    by_time = norm(_flat(stride.derivative[:m, m:-1] / size[:, None]))
     slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
-    return np.asarray(norm ** np.arange(1, d + 1)[:, None] * (1 + by_time / slowest))
+    powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
+    return np.asarray(powers * (1 + by_time / slowest))
+
+
+def _flat(matrices: np.ndarray) -> np.ndarray:
+    """Entries (i j, n) of matrices (i, j, n)."""
+    return matrices.reshape(-1, matrices.shape[-1])
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
@@ -133,9 +139,10 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
         # The sensitivity is the same in all units but for rounding: the last serves.
         by_image = sensitivity(stride, gait, by_unknowns)
         scale = np.vstack([by_image[:-1] * unit, by_image[-1:], characteristic_scale(stride)])
-        variances.append(np.var(values, axis=0, ddof=1) / scale**2)
+        off = values - total(values) / len(UNITS)
+        variances.append(total(off * off) / (len(UNITS) - 1) / scale**2)
     known = np.isfinite(variances)
-    return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))
+    return np.sqrt(total(np.where(known, variances, 0.0)) / known.sum(axis=0))
 
 
 def rounding(stride: AnyStride) -> np.ndarray:

@@ -18,6 +18,7 @@ from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.kinematics import step_length, travel
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import Strides, side_by_side
@@ -271,8 +272,8 @@ def _of_all_steps(measured: Arrays, steps: int) -> Arrays:
 #: What a gait has of its steps' values, shape (s, n).
 _OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "first": lambda values: values[0],
-    "sum": lambda values: values.sum(axis=0),
-    "mean": lambda values: values.mean(axis=0),
+    "sum": total,
+    "mean": lambda values: total(values) / len(values),
     "greatest": lambda values: values.max(axis=0),
     "least": lambda values: np.fmin.reduce(values),
     "any": lambda values: np.bitwise_or.reduce(values),

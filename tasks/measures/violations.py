@@ -10,7 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
-from gaitsweep.tasks.mechanics.contact import THIGH, Chain, total
+from gaitsweep.tasks.mechanics.contact import THIGH, Chain
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
 from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.walker import Walker
@@ -144,8 +145,8 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     """Items 4 to 6: motion of the leg just released."""
     q, rate = first.q[:, 0], first.rate[:, 0]
     rise = chain.rise(q)
-    velocity = (rise * rate).sum(axis=0)
-    is_still = np.abs(velocity) <= _ROUNDING * np.abs(rise * rate).sum(axis=0)
+    velocity = total(rise * rate)
+    is_still = np.abs(velocity) <= _ROUNDING * total(np.abs(rise * rate))
     down = np.where(is_still, chain.lift(q, rate, first.acceleration[:, 0]), velocity) < 0
     depth = -chain.height(first.q)
     depth[0] = 0.0
@@ -235,7 +236,7 @@ def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
     """Height of the foot at kneestrike if it falls before and rises after it, else NaN."""
     if not chain.kneed:
         return np.full(phases[0].q.shape[-1], np.nan)
-    before, after = ((chain.rise(p.q[:, k]) * p.rate[:, k]).sum(axis=0) for p, k in zip(phases, (-1, 0), strict=True))
+    before, after = (total(chain.rise(p.q[:, k]) * p.rate[:, k]) for p, k in zip(phases, (-1, 0), strict=True))
     return np.where((before < 0) & (after > 0), chain.height(phases[1].q[:, 0]), np.nan)
 
 

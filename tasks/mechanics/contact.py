@@ -10,32 +10,13 @@ both stance links move as one. Plain arrays, elementwise operations only: this m
 
 from __future__ import annotations
 
-import functools
-import operator
-from collections.abc import Iterable
-
 import numpy as np
 
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Row of the stance thigh among the links.
 THIGH = 1
-
-
-def total(terms: Iterable[np.ndarray]) -> np.ndarray:
-    """Sum of arrays, always added in the same order.
-
-    Parameters
-    ----------
-    terms : iterable of ndarray
-        Of one shape.
-
-    Returns
-    -------
-    ndarray
-        Of that shape.
-    """
-    return functools.reduce(operator.add, terms)
 
 
 class Chain:
@@ -68,13 +49,13 @@ class Chain:
         arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
         masses = np.array([np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)])
         #: First moments and products of the arms; a massless leg's own rows are those of a shank of unit mass.
-        self.S = np.einsum("k...,ki...->i...", masses, arms)
-        self.K = np.einsum("ki...,k...,kj...->ij...", arms.conj(), masses, arms)
+        self.S = total(masses[:, None] * arms)
+        self.K = total(arm.conj()[:, None] * mass * arm for arm, mass in zip(arms, masses, strict=True))
         for i, inertia in enumerate((I_s, I_t, I_t, I_s)):
             self.K[i, i] += inertia
         self.S_rows = self.S.copy()
         if self.massless:
-            self.K[2:] = np.einsum("i...,j...->ij...", arms[4].conj(), arms[4])[2:]
+            self.K[2:] = arms[4, 2:].conj()[:, None] * arms[4]
             self.K[3, 3] += (walker.r_s / leg) ** 2
             self.S_rows[2:] = arms[4, 2:]
 
@@ -265,7 +246,7 @@ class Chain:
         """
         e = np.exp(1j * q)
         turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate(self.to_foot))
-        return (self.rise(q) * acceleration).sum(axis=0) - turning
+        return total(self.rise(q) * acceleration) - turning
 
 
 def _group(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:

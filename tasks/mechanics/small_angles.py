@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.mechanics.lumped import lump
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
@@ -77,8 +78,8 @@ class SmallAngles:
         by_rates, lack = self._exchange(angle, period, slope)
         if self.point_foot:
             along = _rates_along(angle)
-            return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
-        return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
+            return along * lack[0] / total(by_rates[0] * along)
+        return np.linalg.solve(by_rates.transpose(2, 0, 1), lack.T[:, :, None])[:, :, 0].T
 
     def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Periods in which both legs exchange places, where their masses are at the feet.
@@ -92,11 +93,12 @@ class SmallAngles:
         ndarray, shape (2, n) [sqrt(leg/g)]
             The two shortest, by linear interpolation between periods 0.1 apart; NaN where there are fewer.
         """
-        motion = self.locked.after(_PERIODS)[:, :2]
-        # What both legs lack, and what a rate of the stance leg adds, (periods, 2, n).
-        lack = -np.array([angle, -angle]) - motion @ _known(angle, slope)
-        by_rate = motion[:, :, 2:4] @ _rates_along(angle)
-        off = lack[:, 1] * by_rate[:, 0] - lack[:, 0] * by_rate[:, 1]
+        motion = self.locked.after(_PERIODS)[:, :2].transpose(1, 2, 0)
+        # What both legs lack, and what a rate of the stance leg adds, (2, periods, n).
+        reached = total(motion[:, j, :, None] * known for j, known in enumerate(_known(angle, slope)))
+        lack = -np.array([angle, -angle])[:, None] - reached
+        by_rate = total(motion[:, 2 + j, :, None] * rate for j, rate in enumerate(_rates_along(angle)))
+        off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
 
         crosses = np.diff(np.sign(off), axis=0) != 0
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -139,11 +141,11 @@ class SmallAngles:
         return rate, kneestrike
 
     def _exchange(self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What rates after heelstrike add to the last angles of a step, (n, 2, 2), and what these lack, (2, n)."""
+        """What rates after heelstrike add to the last angles of a step, (2, 2, n), and what these lack, (2, n)."""
         periods, place = np.unique(period, return_inverse=True)
-        motion = self.locked.after(periods)[place, :2]
-        lack = -np.array([angle, -angle]) - np.einsum("nij,jn->in", motion, _known(angle, slope))
-        return motion[:, :, 2:4], lack
+        motion = self.locked.after(periods)[place, :2].transpose(1, 2, 0)
+        lack = -np.array([angle, -angle]) - matvec(motion, _known(angle, slope))
+        return motion[:, 2:4], lack
 
     def _start(self) -> np.ndarray:
         """State with a free knee just after heelstrike by (angle, old stance rate, old swing rate, 1, slope)."""

@@ -15,6 +15,7 @@ import numpy as np
 from gaitsweep.tasks.mechanics.equations import Symbols, system
 from gaitsweep.tasks.mechanics.kernel import prepare_compiler
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
+from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.symbols import end_of_step, lock_knee, start_of_step
@@ -209,7 +210,7 @@ def solved(start: Start, tier: int) -> Wide:
     before, size = 2.0, np.inf
     for _ in range(_MAX_STEPS):
         residual, impact = exact(wide, wide_times, parameters)
-        step = inverse @ np.array([float(v) for v in residual])
+        step = matvec(inverse, np.array([float(v) for v in residual]))
         size = float(np.max(np.abs(step / measure)))
         if not size <= 0.5 * before:
             if before < _ROUNDING[tier]:
@@ -220,7 +221,7 @@ def solved(start: Start, tier: int) -> Wide:
             # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
             derivatives += 1
             inverse = exact.inverse(wide, wide_times, parameters, residual)
-            step = inverse @ np.array([float(v) for v in residual])
+            step = matvec(inverse, np.array([float(v) for v in residual]))
             size = float(np.max(np.abs(step / measure)))
             if not size < _MAX_STEP:
                 before = size = np.inf

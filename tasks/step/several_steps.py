@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.step.step_map import Stride, StrideMap, matvec
+from gaitsweep.tasks.mechanics.sums import matvec
+from gaitsweep.tasks.step.step_map import Stride, StrideMap
 
 
 @dataclass

@@ -25,6 +25,7 @@ import numpy as np
 from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from gaitsweep.tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
 from gaitsweep.tasks.mechanics.lumped import Structure, general_structure, locked
+from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
@@ -116,24 +117,6 @@ class Stride:
         """Correct the states at the impacts to the fixed point."""
         self.impact = self.impact + matvec(self.impact_by_y, self.newton)
         self.knee = self.knee + matvec(self.knee_by_y, self.newton)
-
-
-def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Product A v of every lane, always added in the same order.
-
-    Parameters
-    ----------
-    A : ndarray, shape (i, j, n), or (i, j, 1, n) for a product of matrices
-    v : ndarray, shape (j, n), or (j, k, n)
-
-    Returns
-    -------
-    ndarray, shape (i, n), or (i, k, n)
-    """
-    total = A[:, 0] * v[0]
-    for j in range(1, A.shape[1]):
-        total = total + A[:, j] * v[j]
-    return total
 
 
 class StrideMap:

@@ -14,9 +14,10 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from conftest import ROOT, STUDY
+from conftest import GAITSWEEP, ROOT, STUDY
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.graph.plan import Plan
@@ -74,6 +75,49 @@ def test_two_hundred_random_kills(toy, whole, tell):
         f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} archives, "
         "all of equal bytes; no process left after 3 s"
     )
+
+
+#: A plane whose charts describe a part of it, lines side by side, and a long line, with all that is cheaply measured.
+REAL = {
+    "plane": ("A", "detuning = { from = 0.1, to = 0.6, n = 120 }\nslope = { from = 1e-3, to = 0.05, n = 40 }"),
+    "side": ("E", "R = [0.0, 0.05, 0.1, 0.15]\nslope = { from = 1e-3, to = 0.05, n = 60 }"),
+    "long": ("D", "slope = { from = 1e-4, to = 0.02, n = 4000 }"),
+}
+
+
+@pytest.mark.parametrize(
+    "times", [pytest.param(2, marks=pytest.mark.thorough), pytest.param(60, marks=pytest.mark.soak)]
+)
+def test_gaits_have_the_same_bits_however_they_are_divided(tmp_path, tell, resumed, times):
+    """Whatever number of points and of lanes is computed at a time, by how many workers, killed or not."""
+    for name, (walker, axes) in REAL.items():
+        (tmp_path / f"{name}.toml").write_text(f'name = "{name}"\nwalker = "{walker}"\n[axes]\n{axes}\n')
+
+    def run(dice=None):
+        options, environment = [], dict(os.environ)
+        if dice:
+            options += ["--jobs", str(dice.randint(1, 3))]
+            options += ["--chunk", str(int(np.exp(dice.uniform(np.log(100), np.log(9000)))))] * (dice.random() < 0.8)
+            environment["GAITSWEEP_LANES"] = dice.choice(["4", "8"])
+        command = [*GAITSWEEP, "run", ".", "--fresh", "--quiet", *options]
+        process = subprocess.Popen(command, cwd=tmp_path, env={**environment, "PYTHONPATH": str(ROOT)})
+        kills = 0
+        if dice and dice.random() < 0.8:  # once: charts, or branches, whose worker dies twice have failed
+            time.sleep(dice.uniform(1.0, 8.0))
+            workers = descendants(process.pid)
+            if workers:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(dice.choice(workers), signal.SIGKILL)
+                    kills += 1
+        assert process.wait(timeout=300) == 0
+        return kills, [(tmp_path / "data" / "archive" / f"{name}.nc").read_bytes() for name in REAL]
+
+    _, whole = run()
+    for number in resumed(times):
+        kills, archives = run(random.Random(number))
+        assert archives == whole, number
+        resumed.found["kills"] += kills
+    tell(f"{resumed.state} random divisions of real studies, {resumed.found['kills']} workers killed: equal bytes")
 
 
 def interpret(program, cwd=None):

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import math
+import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,8 +17,10 @@ import xarray as xr
 import gaitsweep
 from gaitsweep.pipeline import paths, serialize
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.engine.runner import _check_room
 from gaitsweep.pipeline.errors import DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
@@ -26,6 +30,7 @@ from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.file import CorruptStoreError
 from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.record import Packing
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study.model import about
 from gaitsweep.pipeline.study.parse import parse, read
@@ -282,6 +287,62 @@ def test_what_the_disk_can_hold_is_not_refused(tmp_path, monkeypatch):
 def test_two_workers_write_the_same_bytes(archive, tmp_path):
     other = run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=2)
     assert other.read_bytes() == archive.read_bytes()
+
+
+#: In place of a plane's task: more than a hundred points kill the worker, more than one of some lines raise an error.
+DEADLY = """
+import os, signal
+from gaitsweep.tasks import solve_planes
+
+def lines(params, inputs):
+    points = len(params["lines"]) * len(params["slope"])
+    if points > 100:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if points > 1 and params["lines"][0]["set"]["detuning"] < 0.22:
+        raise ValueError("too many points")
+    return solve_planes.lines(params, inputs)
+"""
+
+
+@pytest.fixture(scope="module")
+def whole_chunk(tmp_path_factory):
+    """The request of a chunk of a plane, and its record."""
+    text = STUDY.format(walker="A", axes="detuning = { from = 0.2, to = 0.4, n = 40 }")
+    text = text.replace("[0.008, 0.01]", "{ from = 0.001, to = 0.05, n = 9 }").replace("loss_normal", "multipliers")
+    study = read(written(tmp_path_factory.mktemp("whole"), text))
+    graph = Graph(study)
+    node = graph.chunk_node(graph.grid.chunk(0))
+    (charted,) = graph.charts_of(node.chunk, lambda _: [])
+    asked = graph.params(charted)
+    charts = solve_planes.charts({**asked, "plane": {**asked["plane"], "lines": 100}}, [])
+    assert not len(charts["alone/low"])
+
+    packing = Packing(node.chunk.shape, graph.grid.multipliers, study.gaits)
+    data = [serialize.dump(charts)]
+    request = Request(graph.function(node), graph.params(node), data, 60.0, 2 << 30, packing=packing)
+    _, answer = worker_process.run(0, request)
+    yield request, answer["record"]
+    worker_process.close_all()
+
+
+@pytest.mark.parametrize("most", [7, 30, 150])
+def test_a_plane_that_is_divided_keeps_its_charts_and_its_bits(whole_chunk, most):
+    request, whole = whole_chunk
+
+    _, answer = worker_process.run(0, replace(request, most=most))
+
+    assert answer["record"] == whole
+
+
+def test_a_plane_whose_parts_die_twice_keeps_its_charts_and_its_bits(whole_chunk, tmp_path, monkeypatch):
+    request, whole = whole_chunk
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    worker_process.close_all()
+
+    _, answer = worker_process.run(0, replace(request, function="deadly:lines"))
+
+    assert answer["record"] == whole
 
 
 def test_a_plane_holds_what_its_lines_hold(archive):

@@ -1,0 +1,73 @@
+"""Sums over the leading axes of arrays of lanes, always added in the same order.
+
+The order in which numpy's own reductions and products of matrices add depends on the number of lanes and on where they
+lie in memory, and with it the last bits of each; so does a power with an array of exponents.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Iterable
+
+import numpy as np
+
+
+def total(terms: Iterable[np.ndarray]) -> np.ndarray:
+    """Sum of arrays, or of an array over its first axis.
+
+    Parameters
+    ----------
+    terms : iterable of ndarray
+        Of one shape.
+
+    Returns
+    -------
+    ndarray
+        Of that shape.
+    """
+    return functools.reduce(operator.add, terms)
+
+
+def norm(vectors: np.ndarray) -> np.ndarray:
+    """Lengths of vectors.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (m, ...)
+
+    Returns
+    -------
+    ndarray, shape (...)
+    """
+    return np.asarray(np.sqrt(total(vectors * vectors)))
+
+
+def polynomial(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Values of polynomials, the coefficient of the highest power first.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (m, n)
+    x : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return functools.reduce(lambda value, coefficient: value * x + coefficient, coefficients)
+
+
+def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Product A v of every lane.
+
+    Parameters
+    ----------
+    A : ndarray, shape (i, j, n), or (i, j, 1, n) for a product of matrices
+    v : ndarray, shape (j, n), or (j, k, n)
+
+    Returns
+    -------
+    ndarray, shape (i, n), or (i, k, n)
+    """
+    return total(A[:, j] * v[j] for j in range(A.shape[1]))
