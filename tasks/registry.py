@@ -65,7 +65,7 @@ TASKS = {
         Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 20, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 13, needs=("atlas",)),
         Task("curve", "gaitsweep.tasks.follow_curves:curve", 18, needs=("atlas",)),
-        Task("design", "gaitsweep.tasks.map_designs:design", 24),
+        Task("design", "gaitsweep.tasks.map_designs:design", 25),
         Task("census", "gaitsweep.tasks.count_gaits:census", 15),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
