@@ -27,7 +27,7 @@ from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.resolve import resolve_many
-from gaitsweep.tasks.walkers.statics import is_tuned
+from gaitsweep.tasks.walkers.statics import are_tuned
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -191,8 +191,7 @@ def _solve(family: Family, landscape: Landscape, keys: np.ndarray, numbers: np.n
     points, accepted, flags = points_at(maker, landscape.manifolds, unit, rows.sought.window)
     accepted &= is_known(flags, landscape.patterns)
     if landscape.any_slope:
-        walkers = family.walkers(keys)
-        accepted &= np.array([is_tuned(walkers[i]) for i in range(len(keys))])
+        accepted &= are_tuned(family.walkers(keys))
     rows.store(maker.problem(unit), numbers, points, 0, landscape.any_slope, accepted)
     return accepted
 

@@ -11,11 +11,13 @@ from gaitsweep.tasks import status
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.dynamics.initial_states import labelled
 from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
+from gaitsweep.tasks.fixed_points.polish import are_same, settle, unmeasured
 from gaitsweep.tasks.fixed_points.search import search, starts
+from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.map_step import map_step
-from gaitsweep.tasks.measures.gaits import Wanted, describe
+from gaitsweep.tasks.measures.gaits import Wanted, describe, to_accuracy
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
 from gaitsweep.tasks.solve_points import atlas, points, spans
@@ -66,24 +68,21 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = Problem(walker)
     branches = atlases.survey(problem, COARSE)
     point = points(request, [atlases.to_arrays(branches)])
-    gaits = _converged(point)
-    non_anthropomorphic: list[dict[str, Any]] = []
+    found = _converged(point)
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
     nodes = sum(len(branch.q) for branch in branches)
     log.append(f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {nodes} points")
-    if params.get("all") or not gaits:
-        others, nearest = _search_slope(problem, request, gaits)
+    if params.get("all") or not found:
+        found, others, nearest = _search_slope(problem, request, branches, found)
         log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
-        gaits += [other for other in others if other["passes"] == 1]
-        non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
-        if not gaits:
+        if not found:
             log += [*point["reasons"][[status.NO_LONG, status.NO_SHORT]].tolist(), nearest]
-    angle, ratio = (
-        np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio")
-    )
-    place = places(angle, ratio)[:, 0]
-    records = [_record(_name(place[i]), slope, gaits[i], walker) for i in np.argsort(place)]
-    records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in non_anthropomorphic]
+    else:
+        others = []
+        log += _left_out(point)
+    records = [_record(_name(place), slope, found[place], walker) for place in sorted(found)]
+    if params.get("all"):
+        records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in others]
     return _answer(records, walker.si, log, _absent(branches, point, slope, [record["gait"] for record in records]))
 
 
@@ -98,9 +97,16 @@ def _absent(branches: list[Branch], point: Mapping[str, Any], slope: float, labe
     ]
 
 
-def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Variables of each gait that converged at the only slope."""
-    return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
+def _converged(point: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+    """Variables of each gait that converged at the only slope, by the place of its label."""
+    solved = np.flatnonzero(np.isin(point["status"][0], status.SOLVED)).tolist()
+    return {g: {k: point[k][0, g] for k in _WANT} for g in solved}
+
+
+def _left_out(point: Mapping[str, Any]) -> list[str]:
+    """What is said where branches have more gaits than there are labels."""
+    has_more = (point["reason"] == status.UNLABELLED).any()
+    return [str(point["reasons"][status.UNLABELLED])] if has_more else []
 
 
 def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str], absent: Sequence[str] = ()) -> dict[str, Any]:
@@ -111,14 +117,13 @@ def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str], absent: 
 def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
     point, slope = points(request, [atlas(request, [])]), float(request["slope"][0])
-    labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
     records = []
-    for label, gait in zip(labels, _converged(point), strict=True):
+    for place, gait in _converged(point).items():
         state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         # The heelstrike is at another angle than the one before.
         end = map_step({**request["line"], "slope": slope, "state": state})["state"][0]
-        records.append(_record(label, slope, gait, walker, float(end)))
-    log = [] if records else [str(point["reasons"][status.NO_LONG])]
+        records.append(_record(GAITS[place], slope, gait, walker, float(end)))
+    log = _left_out(point) if records else [str(point["reasons"][status.NO_LONG])]
     return _answer(records, walker.si, log)
 
 
@@ -128,32 +133,54 @@ def _name(place: int) -> str:
 
 
 def _search_slope(
-    problem: Problem, request: Mapping[str, Any], gaits: list[dict[str, Any]]
-) -> tuple[list[dict[str, Any]], str]:
-    """Gaits that a search at the only slope finds besides the known ones, and its nearest miss in words."""
+    problem: Problem, request: Mapping[str, Any], branches: list[Branch], found: dict[int, dict[str, Any]]
+) -> tuple[dict[int, dict[str, Any]], list[dict[str, Any]], str]:
+    """What a search at the only slope adds to the gaits that branches have there.
+
+    Returns
+    -------
+    anthropomorphic : dict of dict
+        Variables of all gaits by the places of their labels, anew: those `found` on branches, and others.
+    others : list of dict
+        Variables of gaits whose legs pass more than once.
+    nearest : str
+        The nearest miss in words.
+    """
     (slope,), wanted = request["slope"].tolist(), Wanted.of(request)
     w, _, verdict = search(problem, slope)
     if verdict is None:
-        return [], "Nearest miss: no initial guess led to a solution of the step's equations."
+        return found, [], "Nearest miss: no initial guess led to a solution of the step's equations."
     slopes = np.full(w.shape[1], slope)
-    at = settle(problem, unmeasured(problem, w, slopes), accuracy=wanted.accuracy)
-    solved = describe(problem, at, slopes, _WANT, wanted.limits)
-    others = []
-    for lane in np.nonzero(verdict.step)[0]:
-        angle = solved["stance_angle"][lane]
-        if any(abs(angle - g["stance_angle"]) < 1e-8 * abs(angle) for g in gaits) or not np.isfinite(angle):
-            continue
-        others.append({**{k: solved[k][lane] for k in _WANT if k in solved}, "passes": verdict.leg_passes[lane]})
-    misses = np.nonzero(~verdict.step)[0]
-    nearest = (
-        "Nearest miss: none."
-        if not len(misses)
-        else (
+    # What is one gait, and its label, are decided by all digits, whatever the accuracy wanted.
+    at = settle(problem, unmeasured(problem, w, slopes))
+    is_new, gaits = verdict.step & at.converged, []
+    for _, place, known in labelled(problem, branches, np.array([slope])):
+        has_label = np.isin(place, list(found))
+        is_new &= ~are_same(at, known)[:, has_label].any(axis=1)
+        angle, ratio = known.w[0], gait_ratio(known.stride)
+        gaits += [(angle[lane], ratio[lane], found[int(place[lane])]) for lane in np.flatnonzero(has_label)]
+
+    measured = describe(problem, at, slopes, _WANT, wanted.limits)
+    measured = {name: measured[name] for name in _WANT if name in measured}
+    to_accuracy({name: values[:, None] for name, values in measured.items()}, wanted.accuracy)
+    others, ratio = [], gait_ratio(at.stride)
+    for lane in np.flatnonzero(is_new).tolist():
+        gait = {name: values[lane] for name, values in measured.items()} | {"passes": verdict.leg_passes[lane]}
+        if gait["passes"] == 1:
+            gaits.append((at.w[0, lane], ratio[lane], gait))
+        else:
+            others.append(gait)
+
+    angle, ratio = (np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in (0, 1))
+    labels = places(angle, ratio)[:, 0].tolist()
+    misses = np.flatnonzero(~verdict.step)
+    nearest = "Nearest miss: none."
+    if len(misses):
+        nearest = (
             f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} that is not a step: an event "
             "occurs too early."
         )
-    )
-    return others, nearest
+    return {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)}, others, nearest
 
 
 def _record(

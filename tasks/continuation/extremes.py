@@ -29,6 +29,7 @@ from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
+from gaitsweep.tasks.walkers.statics import are_tuned
 
 #: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
 _PARTS = 8
@@ -37,7 +38,7 @@ _BLOCK = 4096
 _NEAR_ZERO = 0.3
 #: A special point is at an end of stability if the magnitudes of its other multipliers are below this.
 _STABLE = 1 - 1e-9
-#: Kind of a point from which a branch continues to vanishing slopes: an end below such a slope [rad].
+#: Kind of a point from which a tuned walker's branch continues to vanishing slopes: an end below such a slope [rad].
 ANY_SLOPE, _VANISHING = "any slope", 1e-12
 
 
@@ -295,7 +296,7 @@ def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -
     nodes = _Nodes(problem, surveyed, targets)
     guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]
     guesses += [_at_edge(nodes, edge) for edge in window]
-    guesses += _turns_and_ends(nodes, window[0])
+    guesses += _turns_and_ends(nodes, are_tuned(problem.every_walker), window[0])
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
     points: Points = join_lanes(parts)
     return points
@@ -360,12 +361,18 @@ def _at_edge(nodes: _Nodes, edge: float) -> tuple[str, np.ndarray, np.ndarray, n
     return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
 
 
-def _turns_and_ends(nodes: _Nodes, low: float) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """The folds and the ends of the branches, which are nodes; `low` is the least ln slope of the window."""
+def _turns_and_ends(
+    nodes: _Nodes, tuned: np.ndarray, low: float
+) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    """The folds and the ends of the branches, which are nodes.
+
+    `tuned` says of each line whether its walker is; `low` is the least ln slope of the window.
+    """
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         for kind, node, _ in turns_and_ends(branch):
-            is_any = kind != "fold" and branch.q[node] <= np.log(_VANISHING) and branch.q.max() >= low
+            vanishes = kind != "fold" and branch.q[node] <= np.log(_VANISHING)
+            is_any = vanishes and tuned[nodes.line[first]] and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
     return [
         (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))

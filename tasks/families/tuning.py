@@ -14,9 +14,11 @@ from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.walkers.statics import leg_moment
 from gaitsweep.tasks.walkers.walker import WalkerError
 
-#: Places along a key beside which walkers may be tuned, how far outside they count, and the slope at which they are
-#: balanced, over others'.
-_PLACES, _NEAR, _TUNED = np.linspace(-1, 1, 9), 1.25, 1e-9
+#: Places along a key beside which walkers may be tuned, and how far outside they count.
+_PLACES, _NEAR = np.linspace(-1, 1, 9), 1.25
+#: A face lies where walkers are tuned if the slope at which its own are balanced, over the largest of the box, is less
+#: than this: the place may be a root, found to about so much. It says how a box is divided, not who is tuned.
+_AT_FACE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Tuning:
 
     def at_faces(self) -> tuple[bool, bool]:
         """Return whether the walkers at the lower and at the upper face are tuned."""
-        low, high = np.abs(self.slopes[[0, -1]]) < _TUNED * self.largest
+        low, high = np.abs(self.slopes[[0, -1]]) < _AT_FACE * self.largest
         return bool(low), bool(high)
 
     def inside(self) -> float | None:

@@ -94,6 +94,31 @@ class Polished:
         return np.vstack([np.log(self.y[:1] * self.scale), self.y[1:] / self.y[0], self.times])
 
 
+def are_same(a: Polished, b: Polished) -> np.ndarray:
+    """Which of the gaits of two sets at one slope are one gait, as far as their error bounds can tell.
+
+    Parameters
+    ----------
+    a, b : Polished
+        Of i and of j lanes.
+
+    Returns
+    -------
+    ndarray of bool, shape (i, j)
+    """
+    m = len(a.y)
+    first, second = a.w[:, :, None], b.w[:, None, :]
+    # Bounds are of angle, rates and period; from these all other times follow.
+    bounded = [*range(m), -1]
+    sizes = np.maximum(relative_sizes(first, m), relative_sizes(second, m))[bounded]
+    first, second = first[bounded], second[bounded]
+
+    # A rate over the angle has the errors of both.
+    within = 2 * (a.bound[:, None] + b.bound[None]) * sizes
+    rounding_of_w = 4 * EPS * np.maximum(np.abs(first), np.abs(second))
+    return np.asarray((np.abs(first - second) <= within + rounding_of_w).all(axis=0))
+
+
 @dataclass(frozen=True)
 class Guesses:
     """Guesses of n gaits, with what the atlas knows of the steps around them.

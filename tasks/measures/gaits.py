@@ -104,7 +104,7 @@ class Part:
 
 
 def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
-    """Store gaits by label.
+    """Store gaits by label; where there are more gaits than labels, the reason of the last label's says so.
 
     Parameters
     ----------
@@ -125,7 +125,8 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
     for k, part in enumerate(parts):
         angle[k, part.index], ratio[k, part.index] = part.angle, part.ratio
     is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
-    for part, place in zip(parts, places(angle, ratio), strict=True):
+    place_of_part = places(angle, ratio)
+    for part, place in zip(parts, place_of_part, strict=True):
         slot = np.minimum(place[part.index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
         row, slot = part.index[keep], slot[keep]
@@ -137,6 +138,10 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
                 raise LookupError(f"Nothing computes the variable `{name}`.")
             solved = part.solved[name]
             values[where] = solved if len(keep) == len(solved) else solved[keep]
+
+    last = len(GAITS) - 1
+    has_more = (place_of_part > last).any(axis=0) & (out["status"][:, last] == status.CONVERGED)
+    out["reason"][has_more, last] = status.UNLABELLED
 
 
 def to_accuracy(out: Arrays, accuracy: float) -> None:

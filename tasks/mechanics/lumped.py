@@ -16,6 +16,7 @@ import numpy as np
 from heyoka import real128
 
 from gaitsweep.tasks.mechanics.vector import Vector
+from gaitsweep.tasks.walkers.statics import lies_on_line
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -42,22 +43,17 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
         `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and `_im`; kneed walkers
         also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
     """
-    return {name: value[0] for name, value in _lump_all([walker], number).items()}
+    return {name: value[0] for name, value in _lump_all(WalkerArray.of([walker]), number).items()}
 
 
 # Constants of invalid walkers, which an array may hold, are NaN.
 @np.errstate(divide="ignore", invalid="ignore")
-def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str, np.ndarray]:
+def _lump_all(walkers: WalkerArray, number: type) -> dict[str, np.ndarray]:
     """Lumped constants of several walkers, all with or all without knees, as `lump` has them, in arrays (n,)."""
-    key: dict[str, Any]
-    if isinstance(walkers, WalkerArray):
-        key = {k: np.broadcast_to(np.asarray(getattr(walkers, k), number), len(walkers)) for k in NUMBERS}
-        massless = np.full(len(walkers), walkers.massless_leg)
-    else:
-        key = {k: np.array([getattr(walker, k) for walker in walkers], number) for k in NUMBERS}
-        massless = np.array([walker.massless_leg for walker in walkers])
+    key: dict[str, Any] = {k: np.broadcast_to(np.asarray(getattr(walkers, k), number), len(walkers)) for k in NUMBERS}
+    massless = walkers.massless_legs
     zero, one, two, half = (np.full(len(walkers), number(x)) for x in (0.0, 1.0, 2.0, 0.5))
-    bent, knees = key["eps_T"] != 0, walkers[0].knees
+    bent, knees = key["eps_T"] != 0, walkers.knees
     sin_T, cos_T = np.sin(key["eps_T"]), np.cos(key["eps_T"])
     d = key["l_s"] - key["R"]
     # sin eps_S = l_t sin eps_T / d closes the leg.
@@ -104,9 +100,10 @@ def _power(x: np.ndarray, exponent: np.ndarray) -> np.ndarray:
 
 def _aligned(v: Vector) -> Vector:
     """Vector with parts that are only rounding set to zero: tuned to within doubles is tuned."""
-    x, y = (np.abs(part.astype(float)) for part in (v.x, v.y))
-    size = 4e-16 * np.maximum(x, y)
-    return Vector(np.where(x > size, v.x, v.x - v.x), np.where(y > size, v.y, v.y - v.y))
+    return Vector(
+        np.where(lies_on_line(v.x, v.y), v.x - v.x, v.x),
+        np.where(lies_on_line(v.y, v.x), v.y - v.y, v.y),
+    )
 
 
 def _pair(name: str, v: Vector) -> dict[str, Any]:
@@ -169,7 +166,7 @@ def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     structures = [general_structure(walker.knees) for walker in walkers]
     special = [i for i, walker in enumerate(walkers) if _is_special(walker)]
     if special:
-        constants = _lump_all([walkers[i] for i in special], float)
+        constants = _lump_all(WalkerArray.of([walkers[i] for i in special]), float)
         for i, row in zip(special, np.array(list(constants.values())).T.tolist(), strict=True):
             structures[i] = _structure(walkers[i], dict(zip(constants, row, strict=True)))
     return structures
@@ -202,12 +199,12 @@ def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Str
     return Structure(False, walker.point_foot, tuple(k for k in constants if k not in dict(units)), units)
 
 
-def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) -> np.ndarray:
+def constants_of(walkers: WalkerArray, structure: Structure) -> np.ndarray:
     """Values of the structure's runtime constants, each rounded only once.
 
     Parameters
     ----------
-    walkers : sequence of Walker, or WalkerArray
+    walkers : WalkerArray
         Of that structure.
     structure : Structure
         Names the constants and their order.
@@ -221,12 +218,11 @@ def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) 
     values = np.array([constants[k] for k in structure.constants], float).reshape(-1, len(walkers))
     # Offsets of nearly tuned legs are differences, of which long double leaves too few digits.
     near = np.zeros(len(walkers), bool)
-    for name in ("S_a", "S_b", "S_c", "H") if walkers[0].knees else ("S_a", "S_b"):
+    for name in ("S_a", "S_b", "S_c", "H") if walkers.knees else ("S_a", "S_b"):
         small, large = np.sort(np.abs([constants[f"{name}_re"], constants[f"{name}_im"]]), axis=0)
         near |= (small > 0) & (small < _NEARLY_TUNED * large)
     lanes = np.flatnonzero(near).tolist()
     if lanes:
-        some = walkers.some(np.array(lanes)) if isinstance(walkers, WalkerArray) else [walkers[i] for i in lanes]
-        constants = _lump_all(some, real128)
+        constants = _lump_all(walkers.some(np.array(lanes)), real128)
         values[:, lanes] = np.array([constants[k] for k in structure.constants], real128).astype(float)
     return values

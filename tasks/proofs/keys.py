@@ -13,13 +13,12 @@ from flint import arb, ctx, fmpq
 from gaitsweep.tasks.proofs.body import Number
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.resolve import resolve, split, straight
+from gaitsweep.tasks.walkers.statics import TUNED_TO
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 
 #: Bits of derived keys: more than any proof's.
 KEY_BITS = 1024
 Numbers = dict[str, Number]
-#: A centre of mass off its line by less than this part of its distance from the pivot is meant to lie on it.
-TUNED_TO = 4e-16
 #: Characters of a number that is read exactly, of a zero's exponent, and digits of a decimal number that is quoted.
 MAX_CHARACTERS, MAX_EXPONENT, MAX_DIGITS = 1000, 5, 10000
 #: Keys that are no numbers.
@@ -163,7 +162,7 @@ def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
     with ctx.workprec(KEY_BITS):
         for key, offset, size in _tuning(keys, kneed):
             apart = abs(arb(keys[key]) - offset)
-            if apart != 0 and apart < TUNED_TO * size:
+            if apart != 0 and apart <= TUNED_TO * size:
                 keys[key] = offset
     return keys, kneed
 
@@ -175,10 +174,9 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
     knees the leg's is that of thigh and of the shank as a point at the knee.
     """
     k = {name: arb(value) for name, value in keys.items()}
-    if keys["eps_T"] == 0:
-        return
     sine_T, cosine_T = k["eps_T"].sin(), k["eps_T"].cos()
-    sine = k["l_t"] * sine_T / (k["l_s"] - k["R"])
+    # A straight leg may end at its foot's centre: then the shank has no length to lean with.
+    sine = k["l_t"] * sine_T / (k["l_s"] - k["R"]) if keys["eps_T"] != 0 else arb(0)
     cosine = (1 - sine * sine).sqrt()
     along = k["c_s"] * cosine + k["w_s"] * sine
     if kneed:

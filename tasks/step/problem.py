@@ -30,7 +30,7 @@ class Problem:
 
     def __init__(self, walker: Walker, steps: int = 1):
         structure = structure_of(walker)
-        self.walker, self.constants = walker, constants_of([walker], structure)
+        self.walker, self.constants = walker, constants_of(WalkerArray.of([walker]), structure)
         self._set(structure, steps)
 
     def _set(self, structure: Structure, steps: int) -> None:
@@ -174,18 +174,19 @@ class Lanes(Problem):
 
     Parameters
     ----------
-    walkers : sequence of Walker, or WalkerArray
-        Lane i has walker i.
+    walkers : WalkerArray or sequence of Walker
+        Lane i has walker i; they are kept as an array.
     structure : Structure, optional
         By default the first walker's.
     """
 
     lanes: np.ndarray
 
-    def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
-        self.walkers, self.walker = walkers, walkers[0]
-        self._set(structure or structure_of(walkers[0]), 1)
-        self.constants = constants_of(walkers, self.structure)
+    def __init__(self, walkers: WalkerArray | Sequence[Walker], structure: Structure | None = None):
+        self.walkers = walkers if isinstance(walkers, WalkerArray) else WalkerArray.of(walkers)
+        self.walker = walkers[0]
+        self._set(structure or structure_of(self.walker), 1)
+        self.constants = constants_of(self.walkers, self.structure)
         self.lanes = np.arange(len(walkers))
 
     def some(self, lanes: np.ndarray | slice) -> Lanes:
@@ -201,8 +202,7 @@ class Lanes(Problem):
 
     @property
     def every_walker(self) -> WalkerArray:
-        """The walkers of all lanes as an array, of a problem that was given one."""
-        assert isinstance(self.walkers, WalkerArray)
+        """The walkers of all lanes."""
         return self.walkers.some(self.lanes)
 
     def walker_of(self, lane: int) -> Walker:

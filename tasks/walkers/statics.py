@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Keys on which the conditions depend.
 CONDITIONED = ("l_t", "w_t", "m_t", "c_t", "l_s", "w_s", "m_s", "c_s", "R", "eps_T")
-#: Largest residuals, over the leg's length, of a tuned walker, and of a walker found by the search for one.
-_TUNED, _FOUND = 1e-14, 1e-12
+#: A centre of mass lies on its line if it is off it by no more than this part of its distance from the pivot. No double
+#: is the offset that puts it there: rounding leaves up to 1.1e-16, and computing it in doubles as much again twice or
+#: so. What is farther off is meant to be: such a walker has a smallest slope, with knees of the order of its offset.
+#: The step map sets what is within to 0, and proofs take the exact offset for it, so that all mean the same walker.
+TUNED_TO = 4e-16
 #: Steps of the search, the change after which it has ended, and the corrections of what rounding has left.
-_MAX_STEPS, _ENOUGH, _CORRECTIONS = 60, 1e-14, 2
+_MAX_STEPS, _ENOUGH, _CORRECTIONS = 60, 1e-14, 6
 
 
 def statics(walker: Walker) -> dict[str, float]:
@@ -40,9 +44,48 @@ def leg_moment(walker: Walker) -> Any:
     return walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)
 
 
+def lies_on_line(off: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Whether centres of mass lie on a line through their pivots, to within what doubles can say.
+
+    Parameters
+    ----------
+    off, along : ndarray, shape (n,)
+        Components across and along the line, or moments of these, of any type of number.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    return np.asarray(np.abs(off.astype(float)) <= TUNED_TO * np.abs(along.astype(float)))
+
+
 def is_tuned(walker: Walker) -> bool:
-    """Whether both static conditions hold to rounding."""
-    return all(abs(x) < _TUNED * walker.leg for x in statics(walker).values())
+    """Whether a walker meets both static conditions to within what doubles can say: it may walk at any slope."""
+    return bool(are_tuned(WalkerArray.of([walker]))[0])
+
+
+def are_tuned(walkers: WalkerArray) -> np.ndarray:
+    """Return which walkers meet the static conditions, as `is_tuned` does, shape (n,)."""
+    keys = {key: np.asarray(getattr(walkers, key), np.longdouble) for key in CONDITIONED}
+    return np.broadcast_to(_meet_conditions(keys, walkers.knees), len(walkers))
+
+
+# A walker that cannot be is not tuned.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _meet_conditions(key: dict[str, np.ndarray], knees: bool) -> np.ndarray:
+    """Whether walkers, by keys in long double, meet the static conditions.
+
+    With knees these are conditions of the shank, and of the thigh with the shank's mass at the knee: together they are
+    those of shank and leg.
+    """
+    sine, cosine = _lean(key)
+    sine_T, cosine_T = np.sin(key["eps_T"]), np.cos(key["eps_T"])
+    shank_off, shank_along = key["w_s"] * cosine - key["c_s"] * sine, key["c_s"] * cosine + key["w_s"] * sine
+    off = key["m_t"] * (key["w_t"] * cosine_T + key["c_t"] * sine_T) + key["m_s"] * key["l_t"] * sine_T
+    along = key["m_t"] * (key["c_t"] * cosine_T - key["w_t"] * sine_T) + key["m_s"] * key["l_t"] * cosine_T
+    if knees:
+        return lies_on_line(shank_off, shank_along) & lies_on_line(off, along)
+    return lies_on_line(off + key["m_s"] * shank_off, along + key["m_s"] * shank_along)
 
 
 # A walker that cannot be leaves NaN.
@@ -99,7 +142,7 @@ def nearest(walker: Walker, free: Sequence[str]) -> tuple[dict[str, np.ndarray],
         return np.where(finite, moved, np.nan)
 
     change = np.zeros(scale.shape, np.longdouble)
-    off = ~(np.abs(at(change, np.arange(len(leg)))[0]) < _TUNED).all(axis=0)
+    off = ~_meet_conditions(start, walker.knees)
     active = np.flatnonzero(off)
     for _ in range(_MAX_STEPS):
         if not len(active):
@@ -110,9 +153,7 @@ def nearest(walker: Walker, free: Sequence[str]) -> tuple[dict[str, np.ndarray],
     for _ in range(_CORRECTIONS if off.any() else 0):
         change[:, off] += step(np.flatnonzero(off), searching=False)
     values = {key: np.asarray(start[key] + scale[k] * change[k], float) for k, key in enumerate(free)}
-    last = (values[key].astype(np.longdouble) / scale[k] - start[key] / scale[k] for k, key in enumerate(free))
-    residual, _ = at(np.array([*last]), np.arange(len(leg)))
-    found = (np.abs(residual) < _FOUND).all(axis=0)
+    found = _meet_conditions(start | {key: value.astype(np.longdouble) for key, value in values.items()}, walker.knees)
     return {key: np.where(found, value, np.nan) for key, value in values.items()}, np.asarray(change, float), found
 
 
@@ -121,10 +162,8 @@ def _conditions(
 ) -> tuple[np.ndarray, list[dict[str, np.ndarray]]]:
     """Residuals of the leg and, with knees, the shank, over given lengths and masses, (c, n), and their derivatives."""
     sine_T, cosine_T, d = np.sin(key["eps_T"]), np.cos(key["eps_T"]), key["l_s"] - key["R"]
-    # The sine of eps_S, at which the shank leans, and its derivatives.
     over = np.where(d == 0, 0.0, 1 / np.where(d == 0, 1, d))
-    sine = key["l_t"] * sine_T * over
-    cosine = np.sqrt(1 - sine * sine)
+    sine, cosine = _lean(key)
     sine_by = {"l_t": sine_T * over, "eps_T": key["l_t"] * cosine_T * over, "l_s": -sine * over, "R": sine * over}
     thigh = key["w_t"] * cosine_T + key["c_t"] * sine_T
     knee, shank = key["l_t"] * sine_T, key["w_s"] * cosine - key["c_s"] * sine
@@ -143,3 +182,11 @@ def _conditions(
         residuals.append(shank / leg)
         by.append({name: value / leg for name, value in shank_by.items()})
     return np.array(residuals), by
+
+
+def _lean(key: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine of eps_S, by which the shank leans on the line from hip to foot centre."""
+    d = key["l_s"] - key["R"]
+    sine = key["l_t"] * np.sin(key["eps_T"]) / np.where(d == 0, 1, d)
+    sine = np.where(d == 0, 0.0, sine)
+    return sine, np.sqrt(1 - sine * sine)

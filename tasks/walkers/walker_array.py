@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
-from gaitsweep.tasks.walkers.walker import KEYS, Walker
+from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, Walker
 
 
 class WalkerArray(Walker):
@@ -20,6 +21,21 @@ class WalkerArray(Walker):
 
     def __post_init__(self) -> None:
         """Check nothing."""
+
+    @classmethod
+    def of(cls, walkers: Sequence[Walker]) -> WalkerArray:
+        """Return walkers as an array.
+
+        Parameters
+        ----------
+        walkers : sequence of Walker
+            All with or all without knees.
+        """
+        numbers: dict[str, Any] = {
+            key: np.array([getattr(walker, key) for walker in walkers], float) for key in NUMBERS
+        }
+        units: Any = np.array([walker.units for walker in walkers])
+        return cls(**numbers, knees=walkers[0].knees, units=units)
 
     @functools.cached_property
     def _size(self) -> int:

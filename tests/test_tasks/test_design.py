@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.continuation import extremes
+from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.extremes import Points, Sought, find
+from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.map_designs import _Rows, _walkers, design
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, solved
 
 
@@ -110,6 +113,17 @@ def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
         window = (np.log(low), np.log(0.2))
         points = find(Lanes(_walkers("D", {}, 1), problem.structure), [below], Sought(window))
         assert (extremes.best(points, 1, window)["smallest_slope"][0] >= 0) == number
+
+
+def test_a_walker_slightly_off_its_line_does_not_walk_at_any_slope():
+    """Its branches reach the least slope that is followed, as a tuned walker's do, but have a smallest slope."""
+    for w_s, vanishes in ((0.0, True), (3e-15, False)):
+        walker = resolve("E", {"w_s": w_s})
+
+        points = find(Lanes([walker]), [survey(Problem(walker), COARSE)], Sought((np.log(1e-4), np.log(0.1))))
+
+        assert (extremes.ANY_SLOPE in points.kind) is vanishes
+        assert "window" in points.kind[points.walks]
 
 
 def test_an_end_that_samples_locate_has_their_error():

@@ -35,6 +35,7 @@ from gaitsweep.tasks.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
 #: The angle alone, to three digits.
@@ -129,7 +130,7 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
     for i in range(20):
         one = resolve(walker, {key: float(v[i]) for key, v in values.items()})
         assert many[i] == one
-        assert np.array_equal(constants_of(many, structure)[:, i], constants_of([one], structure)[:, 0])
+        assert np.array_equal(constants_of(many, structure)[:, i], constants_of(WalkerArray.of([one]), structure)[:, 0])
         assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
 
 

@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import ROOT
-from gaitsweep.tasks import solve_at_slope
+from gaitsweep.tasks import solve_at_slope, status
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE
 from gaitsweep.tasks.dynamics.initial_states import gaits_at
 from gaitsweep.tasks.fixed_points.labels import places
 from gaitsweep.tasks.follow_branches import branch as follow
+from gaitsweep.tasks.measures.gaits import Part, nothing_solved, store
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.solve_points import atlas, points
 from gaitsweep.tasks.trace_motion import trace
@@ -186,6 +187,76 @@ def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch)
         key=lambda found: found["stance_angle"],
     )
     assert (short["gait"], short["branch"]) == ("short", 0) and (long["gait"], long["branch"]) == ("long", None)
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope"), [("D", 0.009), ("A", 0.003), ("physical", 0.0195), ("physical", 0.01912294048)]
+)
+def test_solve_lists_every_gait_once_whatever_the_accuracy(walker, slope):
+    """Gaits in few digits were not those that the search found again, and came twice, as other1 and other2 too."""
+    asked = {"walker": walker, "slope": slope, "all": True}
+
+    exact = solve_at_slope.solve_one(asked)["gaits"]
+    rounded = solve_at_slope.solve_one({**asked, "accuracy": 1e-3})["gaits"]
+
+    assert len(exact) >= 2
+    assert [one["gait"] for one in rounded] == [one["gait"] for one in exact]
+    for one, other in zip(rounded, exact, strict=True):
+        assert one["error_bound"] <= 1e-3 and one["status"] == "converged"
+        within = one["error_bound"] + other["error_bound"]
+        assert one["stance_angle"] == pytest.approx(other["stance_angle"], rel=within)
+        assert one["period"] == pytest.approx(other["period"], rel=within)
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_the_label_of_a_gait_does_not_depend_on_the_accuracy(everything):
+    """A ratio of 0.49995 is 0.5 in few digits, which is short."""
+    for accuracy in (0.0, 1e-2):
+        asked = {"walker": "A", "slope": 0.4453, "accuracy": accuracy, "all": everything}
+
+        found = solve_at_slope.solve_one(asked)["gaits"]
+
+        assert [one["gait"] for one in found] == ["long", "short"]
+
+
+def some_parts(count):
+    """Parts of one gait each at the second of three slopes, with falling angles, and of one long gait at all."""
+    names = ("status", "reason", "stance_angle")
+    parts = []
+    for k in range(count):
+        angle = np.array([0.3 - 0.01 * k])
+        solved = dict(zip(names, (np.zeros(1, int), np.full(1, status.SETTLED), angle), strict=True))
+        parts.append(Part(np.array([1]), angle, np.full(1, 0.1), solved))
+    angle = np.full(3, 0.2)
+    solved = dict(zip(names, (np.zeros(3, int), np.full(3, status.SETTLED), angle), strict=True))
+    return [*parts, Part(np.arange(3), angle, np.full(3, 0.1), solved)]
+
+
+@pytest.mark.parametrize(("count", "has_more"), [(2, False), (3, True), (6, True)])
+def test_a_point_with_more_gaits_than_labels_says_so(count, has_more):
+    out = nothing_solved(("status", "reason", "stance_angle"), 3, kneed=False)
+
+    store(out, some_parts(count), set(GAITS))
+
+    sentence = status.reasons("", "")[out["reason"][1, -1]]
+    assert ("more gaits than labels" in sentence) is has_more
+    assert (out["reason"][[0, 2]] != status.UNLABELLED).all()
+    assert (out["reason"][1, :-1] != status.UNLABELLED).all()
+
+
+def test_solve_says_that_gaits_have_no_label(monkeypatch):
+    def crowded(*asked):
+        """More gaits than labels, as the points of a line tell it."""
+        found = points(*asked)
+        found["reason"][0, -1] = status.UNLABELLED
+        return found
+
+    monkeypatch.setattr(solve_at_slope, "points", crowded)
+
+    for steps, slope in ((1, 0.009), (2, 0.016)):
+        said = solve_at_slope.solve_one({"walker": "D", "slope": slope, "steps": steps})["search"]
+
+        assert sum("left out" in sentence for sentence in said) == 1
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -10,6 +10,7 @@ from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 from oracle import Oracle, SimplestWalker
 
 #: Asymmetric on purpose: every constant of the lumped equations is there.
@@ -166,7 +167,7 @@ def test_the_offset_of_a_nearly_tuned_leg_has_all_its_digits(name, detuning):
         mass = 2 * (k["m_t"] + k["m_s"]) + k.get("m_h", 0)
         offset = float(-(k["m_t"] * thigh + k["m_s"] * shank) / mass / leg)
     structure = structure_of(walker)
-    alone = constants_of([walker], structure)[:, 0]
+    alone = constants_of(WalkerArray.of([walker]), structure)[:, 0]
     found = alone[structure.constants.index("S_a_re")]
     assert found == pytest.approx(offset, rel=2.3e-16, abs=0) and found != 0
     # The same in an array of walkers, of which some are nearly tuned.

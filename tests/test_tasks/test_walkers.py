@@ -12,6 +12,8 @@ from scipy.optimize import minimize
 
 from gaitsweep.tasks.measures.losses import velocity_ratio
 from gaitsweep.tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
+from gaitsweep.tasks.proofs.body import body
+from gaitsweep.tasks.proofs.keys import doubles
 from gaitsweep.tasks.solve_at_slope import solve_one
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -20,6 +22,7 @@ from gaitsweep.tasks.walkers.resolve import check, from_table, owned, resolve, r
 from gaitsweep.tasks.walkers.statics import is_tuned, nearest, statics
 from gaitsweep.tasks.walkers.tuning import tune, untuned
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 from lines import some
 from soak.bounds import RANDOM
 from soak.stress import random_walker
@@ -52,6 +55,36 @@ def test_exactly_tuned_offsets():
 )
 def test_statics_tell_who_can_walk_at_vanishing_slope(name, tuned):
     assert is_tuned(CATALOGUE[name]) is tuned
+
+
+@pytest.mark.parametrize("name", ["A", "C", "E", "physical-straight"])
+def test_the_step_map_the_proofs_and_the_statics_mean_the_same_walkers_by_tuned(name):
+    """Each had a threshold of its own: C with its shank off by 3e-15 of the leg was tuned, and has no gait at 1e-17."""
+    walker, _, found = nearest(CATALOGUE[name], ["w_t", "w_s"] if CATALOGUE[name].knees else ["w_s"])
+    tuned = replace(
+        CATALOGUE[name], w_s=float(walker["w_s"][0]), w_t=float(walker.get("w_t", [CATALOGUE[name].w_t])[0])
+    )
+    offsets = [0.0, *(sign * 10.0**k for k in np.arange(-17, -13, 0.25) for sign in (-1, 1))]
+    walkers = [replace(tuned, w_s=tuned.w_s + offset * tuned.leg) for offset in offsets]
+
+    by_statics = [is_tuned(one) for one in walkers]
+    lumped = [lump(one, real128) for one in walkers]
+    by_step_map = [all(constants.get(key, 0) == 0 for key in ("S_b_re", "S_c_re")) for constants in lumped]
+    proved = [body(*doubles(one.table())) for one in walkers]
+    links = [(one.thigh, one.shank) if tuned.knees else (one.leg,) for one in proved]
+    by_proofs = [all(moment.x.contains(0) for moment, _ in pair) for pair in links]
+
+    assert found.all() and by_statics[0] and not by_statics[-1]
+    assert by_statics == by_step_map == by_proofs
+
+
+def test_a_shank_slightly_off_its_line_is_not_tuned():
+    """Maps of designs said of it that it walks at any slope, with error 0."""
+    tuned = CATALOGUE["C"]
+
+    slightly = replace(tuned, w_s=tuned.w_s + 3e-15 * tuned.leg)
+
+    assert is_tuned(tuned) and not is_tuned(slightly)
 
 
 def test_tune_finds_the_exact_offsets_from_the_printed_ones():
@@ -567,8 +600,10 @@ def test_constants_of_several_walkers_are_those_of_each():
     assert structures == [structure_of(walker) for walker in walkers]
     for structure in dict.fromkeys(structures):
         alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
-        constants = constants_of(alike, structure)
-        np.testing.assert_array_equal(constants, np.hstack([constants_of([walker], structure) for walker in alike]))
+        constants = constants_of(WalkerArray.of(alike), structure)
+        np.testing.assert_array_equal(
+            constants, np.hstack([constants_of(WalkerArray.of([walker]), structure) for walker in alike])
+        )
         # Once rounded.
         exact = [lump(walker, real128) for walker in alike]
         expected = np.reshape(
