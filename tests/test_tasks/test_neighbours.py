@@ -44,7 +44,7 @@ from gaitsweep.tasks.measures.gaits import describe, measured_multipliers, to_ac
 from gaitsweep.tasks.measures.kinematics import travel
 from gaitsweep.tasks.measures.losses import contact_mass, heelstrike_losses
 from gaitsweep.tasks.measures.smooth import Smooth
-from gaitsweep.tasks.mechanics.small_angles import exchange_periods, exchange_rates
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.solve_points import atlas
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
@@ -161,7 +161,7 @@ def of_steps(s):
 
 def of_search(s):
     walker, angle = s.problem.walker, np.exp(s.moved[0][0])
-    return [exchange_rates(walker, angle, 2 + angle, s.slope), exchange_periods(walker, angle, s.slope)]
+    return [SmallAngles(walker).exchange_rates(angle, 2 + angle, s.slope), SmallAngles(walker).exchange_periods(angle, s.slope)]
 
 
 def of_charts(s):
