@@ -40,7 +40,8 @@ def opened(path, wanted=None, **options):
     """What a run into an archive says before its first byte; empty if it goes on."""
     errors = []
     run = runner.StudyRun(wanted or study(), path, runner.Options(**options), errors.append)
-    run.open()
+    with run._guarded():
+        run._open()
     run.close()
     return str(errors[0]) if errors else ""
 

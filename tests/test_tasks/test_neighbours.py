@@ -161,7 +161,10 @@ def of_steps(s):
 
 def of_search(s):
     walker, angle = s.problem.walker, np.exp(s.moved[0][0])
-    return [SmallAngles(walker).exchange_rates(angle, 2 + angle, s.slope), SmallAngles(walker).exchange_periods(angle, s.slope)]
+    return [
+        SmallAngles(walker).exchange_rates(angle, 2 + angle, s.slope),
+        SmallAngles(walker).exchange_periods(angle, s.slope),
+    ]
 
 
 def of_charts(s):
