@@ -201,7 +201,7 @@ def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.
         return np.ones(before.shape[1], bool)
     halves = [sections(Z[:-1], problem.m, problem.steps)[0] for Z in (before, after)]
     apart = [y - np.roll(y, problem.steps // 2, axis=0) for y in halves]
-    return total((apart[0] * apart[1]).reshape(-1, before.shape[1])) > 0
+    return total(np.concatenate(apart[0] * apart[1])) > 0
 
 
 def points_along(problem: Problem, first: Point, direction: np.ndarray, step: float) -> Iterator[Point]:

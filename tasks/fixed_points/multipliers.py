@@ -95,7 +95,7 @@ def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray
     at most sqrt(m), (m + 1) |J| (for m = 2, |J|) and |J|^2.
     """
     m = len(jacobian)
-    largest = norm(jacobian.reshape(m * m, -1)) + error
+    largest = norm(np.concatenate(jacobian)) + error
     factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
     powers = [np.ones_like(largest), largest, largest * largest][:m]
     return np.stack([factor * power * error for factor, power in zip(factors, powers, strict=True)])

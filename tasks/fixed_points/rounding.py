@@ -68,16 +68,11 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
         d are the coordinates of a section.
     """
     m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
-    length = norm(_flat(stride.jacobian * (size[None, :d] / size[:d, None])))
-    by_time = norm(_flat(stride.derivative[:m, m:-1] / size[:, None]))
+    length = norm(np.concatenate(stride.jacobian * (size[None, :d] / size[:d, None])))
+    by_time = norm(np.concatenate(stride.derivative[:m, m:-1] / size[:, None]))
     slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
     powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
     return np.asarray(powers * (1 + by_time / slowest))
-
-
-def _flat(matrices: np.ndarray) -> np.ndarray:
-    """Entries (i j, n) of matrices (i, j, n)."""
-    return matrices.reshape(-1, matrices.shape[-1])
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
