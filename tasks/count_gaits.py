@@ -86,7 +86,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         walks = anthropomorphic = np.zeros(0, bool)
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
-            walks, anthropomorphic = verdict.step, verdict.anthropomorphic
+            walks = verdict.step & ~verdict.doubt
+            anthropomorphic = walks & verdict.anthropomorphic
             section = np.multiply(*problem.section(w))
             columns = (
                 np.full(len(walks), slope),

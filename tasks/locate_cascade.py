@@ -298,7 +298,8 @@ def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: f
             ends = (before.Z, before.direction), (after.Z, after.direction)
             guess = hermite(*ends, length, a / (a - b))
             solved = solve(problem, kind, guess)
-            if not solved.ok[0]:
+            # What lies between two points is nearer to its guess than they are to each other.
+            if not solved.ok[0] or np.linalg.norm(solved.Z - guess) > length:
                 return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
             error = slope_error(problem, kind, solved.Z[:, 0])
             event = _Event(kind, evaluate(problem, solved.Z), error, (before, after))

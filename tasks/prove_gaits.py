@@ -23,7 +23,8 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
+        `gaits`, a list with one dict a gait; `search`, sentences on how they were sought; and `others`, which gaits
+        there are if none has the label, else empty.
 
     Raises
     ------
@@ -36,10 +37,16 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     solved = solve_one({"walker": walker, "slope": float(params["slope"]), "set": numbers})
     keys, kneed = exact(params["walker"], params.get("set"))
     setting = Setting(keys, kneed, decimal(params["slope"]))
-    gaits = [g for g in solved["gaits"] if params.get("gait") in (None, g["gait"])]
+    wanted, labels = params.get("gait"), [g["gait"] for g in solved["gaits"]]
+    gaits = [g for g in solved["gaits"] if wanted in (None, g["gait"])]
+    others = ""
+    if labels and not gaits:
+        are = "are" if len(labels) > 1 else "is"
+        others = f"There is no {wanted} gait at slope {float(params['slope']):g}; there {are} {', '.join(labels)}."
     return {
         "gaits": [
             record(setting, g["gait"], g, prove(setting, guess(g), params["accuracy"], g["gait"])) for g in gaits
         ],
         "search": solved["search"],
+        "others": others,
     }

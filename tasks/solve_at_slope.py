@@ -153,7 +153,7 @@ def _search_slope(
     slopes = np.full(w.shape[1], slope)
     # What is one gait, and its label, are decided by all digits, whatever the accuracy wanted.
     at = settle(problem, unmeasured(problem, w, slopes))
-    is_new, gaits = verdict.step & at.converged, []
+    is_new, gaits = at.step & at.converged, []
     for _, place, known in labelled(problem, branches, np.array([slope])):
         has_label = np.isin(place, list(found))
         is_new &= ~are_same(at, known)[:, has_label].any(axis=1)
@@ -173,13 +173,12 @@ def _search_slope(
 
     angle, ratio = (np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in (0, 1))
     labels = places(angle, ratio)[:, 0].tolist()
-    misses = np.flatnonzero(~verdict.step)
+    misses = np.flatnonzero(~at.step)
     nearest = "Nearest miss: none."
     if len(misses):
-        nearest = (
-            f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} that is not a step: an event "
-            "occurs too early."
-        )
+        where = f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} that"
+        is_known = not at.doubt[misses[0]]
+        nearest = f"{where} is not a step: an event occurs too early." if is_known else f"{where} may be no step."
     return {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)}, others, nearest
 
 

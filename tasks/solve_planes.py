@@ -222,7 +222,7 @@ def _known_to_end(block: Block) -> np.ndarray:
                 points = np.column_stack([np.full(len(lines), (-1.0, 1.0)[k]), block.unit[lines]])
                 problem = Lanes(block.walkers.some(lines), block.cell.structure)
                 _, check = verify_steps(problem, patch.gaits(points), end[lines])
-                known[lines] &= ~(beyond[lines] & check.step[:, None])
+                known[lines] &= ~(beyond[lines] & (check.step | check.doubt)[:, None])
     return known.ravel()
 
 

@@ -13,7 +13,7 @@ CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
 SOLVED = (CONVERGED, LESS_ACCURATE)
 
 #: Places of the sentences among `reasons`.
-SETTLED, NO_LONG, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, NO_SHORT, TOO_COARSE, UNLABELLED = range(8)
+SETTLED, NO_LONG, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, NO_SHORT, TOO_COARSE, UNLABELLED, UNVERIFIED = range(9)
 
 
 def ranges(pieces: Sequence[tuple[float, float]]) -> str:
@@ -94,4 +94,5 @@ def reasons(long: str, short: str) -> list[str]:
         "Converged to a step, but its error bound exceeds the accuracy wanted.",
         "Converged, and verified to be a step. This slope has more gaits than labels: those of smaller stance angles "
         "are left out.",
+        "The solution was not verified to be a step: a guard comes nearer to zero than samples of the motion can tell.",
     ]

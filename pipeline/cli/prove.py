@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             print(_shown(gait), flush=True)
     if not gaits:
-        print("\n".join(answer["search"]) or "The archive holds no gait.", file=sys.stderr)
+        print(answer["others"] or "\n".join(answer["search"]) or "The archive holds no gait.", file=sys.stderr)
     if options.json:
         print(json.dumps(gaits))
     return 0 if gaits and all(gait["proved"] for gait in gaits) else 1
@@ -77,7 +77,7 @@ def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
     parallel = Parallel(n_jobs=min(options.jobs, max(1, len(wanted))), return_as="generator", batch_size=1)
     proofs = parallel(delayed(ask)("prove_stored", gait) for gait in wanted)
     found = ({"at": gait["at"], **proof} for gait, proof in zip(wanted, proofs, strict=True))
-    return {"gaits": found, "search": ()}
+    return {"gaits": found, "search": (), "others": ""}
 
 
 def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:

@@ -24,7 +24,8 @@ from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
-#: A point that moves farther than this is another one.
+#: A point that moves farther than this is another one. Whoever guesses better, as between nodes of a branch, must look
+#: more closely: a predictor along a manifold errs by nearly as much, and leads to the right point.
 _MAX_MOVE = 0.5
 _NEWTON = Newton(max_iterations=12, max_step=_MAX_MOVE, small=1e-7, shrinking=0.3)
 _ONE_STEP = Newton(max_iterations=1, max_step=np.inf, small=0.0, shrinking=1.0)

@@ -51,6 +51,8 @@ _NOT_OF = {
 #: Costs are of the points that have the speed asked for: of all, and of the stable ones.
 COSTS = ("least_cost", "least_stable_cost")
 QUANTITIES = (*_NOT_OF, *COSTS)
+#: Distance up to which a located point is the one guessed, or lies on its branch's polynomials.
+_NEAR = 1e-2
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
 
@@ -393,8 +395,17 @@ def _located(
     walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
     if kind in SCALARS:
         solved = solve(own, kind, guess, target)
+        # Where a scalar is far from linear, Newton's steps are long: they may lead along the branch, but not off it.
+        far = solved.ok & (np.abs(solved.Z - guess).max(axis=0) > _NEAR)
+        off = [i for i in np.flatnonzero(far) if not _lies_on(nodes.branches[nodes.branch[node[i]]], solved.Z[:, i])]
+        solved.ok[off], solved.Z[:, off] = False, guess[:, off]
         at = evaluate(own, solved.Z)
         return classify(kind, at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
     at, branch = evaluate(own, guess), nodes.branch[node]
     located = [nodes.branches[b].end_errors[int(n > nodes.first[b])] for b, n in zip(branch, node, strict=True)]
     return classify(kind, at, line, guess, np.full_like(guess, np.nan), 1e-9 + np.array(located), walks)
+
+
+def _lies_on(branch: Branch, Z: np.ndarray) -> bool:
+    """Whether a point (c,) lies on a branch."""
+    return any(np.abs(on[:, 0] - Z).max() < _NEAR for _, on, _ in branch.guesses(Z[-1:]))

@@ -354,6 +354,8 @@ class _Maker(Maker):
                 edges = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d)))
                 points = np.column_stack([np.full(len(edges), (-1.0, 1.0)[k]), edges])
                 _, check = verify_steps(self.problem(edges), patch.gaits(points), patch.span.log_slope(points))
+                if check.doubt.any():
+                    raise Refused("samples do not tell whether gaits at a piece's end are steps")
                 if not (check.step == (kind == "cut")).all():
                     raise Refused(
                         "a piece ends before it is cut" if kind == "cut" else "walking goes on beyond its end"

@@ -71,6 +71,8 @@ class Polished:
         their errors.
     converged, step : ndarray of bool, shape (n,)
         Whether Newton converged, and to a step that happens.
+    doubt : ndarray of bool, shape (n,)
+        Whether it may be a step but could not be verified to be one: it counts as none.
     leg_passes : ndarray of int, shape (n,)
         How often the swing leg passes the stance leg.
     """
@@ -86,6 +88,7 @@ class Polished:
     error: np.ndarray
     converged: np.ndarray
     step: np.ndarray
+    doubt: np.ndarray
     leg_passes: np.ndarray
 
     @property
@@ -209,12 +212,13 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         better.one.impact = stride.one.impact[..., unsure]
         replace_lanes(stride, unsure, better)
         last[:, unsure] = 0.0
-    step = strikes_fall_in_order(stride.closing, times)
+    step, doubt = strikes_fall_in_order(stride.closing, times), np.zeros(len(slope), bool)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
         known = lanes_of(stride, lanes) if sampled else None
         _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), known)
-        step[lanes], leg_passes = check.step, leg_passes.copy()
+        step[lanes], doubt[lanes] = check.step & ~check.doubt, check.step & check.doubt
+        leg_passes = leg_passes.copy()
         leg_passes[lanes] = check.leg_passes
     # The derivative is that before the last step, and rounds on its way.
     distance = (np.abs(last) / relative).max(axis=0) + bound
@@ -223,7 +227,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     change = total((gradient * last).swapaxes(0, 1)) * unit
     rounded = _EIGENVALUES * characteristic(np.abs(stride.jacobian), 1.0)
     error = (of_state + SAFETY_FACTOR * of_polynomial) * unit + rounded
-    return Polished(y, state, times, scale, stride, bound, doubles, change, error, converged, step, leg_passes)
+    return Polished(y, state, times, scale, stride, bound, doubles, change, error, converged, step, doubt, leg_passes)
 
 
 def _curvature_at_points(

@@ -12,6 +12,8 @@ from gaitsweep.tasks.step.verify_step import StepCheck, verify
 
 #: A gait is long if its ratio just before heelstrike (`gait_ratio`) lies below this.
 LONG_BELOW = 0.5
+#: Samples of each phase where fewer leave a doubt.
+_FINER = (16 * SAMPLES, 256 * SAMPLES)
 
 
 def verified(stride: AnyStride) -> StepCheck:
@@ -23,7 +25,7 @@ def verified(stride: AnyStride) -> StepCheck:
 def verify_steps(
     problem: Problem, w: np.ndarray, log_slope: np.ndarray, sampled: AnyStride | None = None
 ) -> tuple[AnyStride, StepCheck]:
-    """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely.
+    """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely, twice.
 
     Parameters
     ----------
@@ -39,12 +41,15 @@ def verify_steps(
     stride : Stride
         The sampled steps.
     check : StepCheck
+        Where a doubt is left, the finest samples do not tell whether a guard only comes near zero.
     """
     stride = sampled or problem.stride(w, log_slope, samples=SAMPLES)[0]
     check = verified(stride)
-    lanes = np.nonzero(check.doubt)[0]
-    if len(lanes):
-        fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
+    for samples in _FINER:
+        lanes = np.flatnonzero(check.doubt)
+        if not len(lanes):
+            break
+        fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=samples)
         replace_lanes(check, lanes, verified(fine))
     return stride, check
 

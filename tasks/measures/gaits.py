@@ -233,7 +233,11 @@ def describe(
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
-        "reason": np.where(at.converged, np.where(at.step, status.SETTLED, status.NOT_A_STEP), status.NEWTON_LOST),
+        "reason": np.select(
+            [~at.converged, at.step, at.doubt],
+            [status.NEWTON_LOST, status.SETTLED, status.UNVERIFIED],
+            status.NOT_A_STEP,
+        ),
         "residual": np.abs(stride.residual / residual_sizes(stride.y, problem.phases)).max(axis=0),
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),

@@ -67,14 +67,22 @@ def _half_knee_loss(paper: Paper) -> float:
 
 @memoize
 def mass_limit(paper: Paper) -> float:
-    """Find the largest foot mass ratio whose long step is stable at a vanishing slope."""
+    """Find the largest foot mass ratio whose long step is stable at a vanishing slope.
+
+    Raises
+    ------
+    ArithmeticError
+        If Newton's method loses that step.
+    """
     gaits, q = paper.line("E"), np.array([np.log(VANISHING)])
     long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[:, 0]))
     w = long[:-1]
 
     def solve(ratio: float, guess: np.ndarray) -> tuple[np.ndarray, float]:
         problem = Problem(resolve("E", {"foot_mass_ratio": ratio}))
-        solution, _ = newton(problem, guess, q)
+        solution, converged = newton(problem, guess, q)
+        if not converged.all():
+            raise ArithmeticError(f"Newton's method does not converge at a foot mass ratio of {ratio:g}")
         return solution, float(np.abs(multipliers(problem.stride(solution, q)[0].jacobian, problem.m)).max() - 1)
 
     # At vanishing slopes Newton's basin is narrow: small steps from E's own foot mass.

@@ -66,16 +66,39 @@ def _chord_error_bound(g: np.ndarray) -> np.ndarray:
     return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
 
 
+def _cubic_error_bound(rate: np.ndarray) -> np.ndarray:
+    """Largest distance of a guard from its cubic between samples, by its rates per interval, shape (intervals, n).
+
+    |g - cubic| <= h^4/384 max|g|, with g from third differences of the rates around, doubled. Infinite where
+    there are too few samples for these.
+    """
+    if len(rate) < 4:
+        return np.full(rate[1:].shape, np.inf)
+    third = np.abs(np.diff(rate, 3, axis=0))
+    padded = np.vstack([third[:1], third[:1], third, third[-1:], third[-1:]])
+    return 2.0 / 384.0 * np.maximum.reduce([padded[:-2], padded[1:-1], padded[2:]])
+
+
 def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.ndarray:
     """Intervals in which a guard could touch zero undetected, shape (intervals, n).
 
-    It could where it comes nearer zero than the samples resolve, unless its rate keeps its sign: then the samples'
-    signs show every crossing.
+    It could where it comes nearer zero than the samples resolve, unless the samples' signs show every crossing. They do
+    where its rate keeps its sign; and where its rate falls all the time, or grows, if both ends of the rate have one
+    sign, or if a sample lies on the side to which the guard bends: so they do at strikes that are nearly tangential.
     """
     low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
-    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > _chord_error_bound(rate) + margin
-    steady &= np.signbit(rate[:-1]) == np.signbit(rate[1:])
-    return (low < _chord_error_bound(g) + margin) & ~steady
+    least_rate, change = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])), np.diff(rate, axis=0)
+    bends = np.abs(change) > 4 * _chord_error_bound(rate) + 2 * margin
+    is_one_sign = np.signbit(rate[:-1]) == np.signbit(rate[1:])
+    steady = is_one_sign & (least_rate > np.where(bends, 0.0, _chord_error_bound(rate)) + margin)
+    above, below = np.maximum(g[:-1], g[1:]) >= margin, np.minimum(g[:-1], g[1:]) <= -margin
+    arches = bends & np.where(change < 0, above, below)
+    return (low < _chord_error_bound(g) + margin) & ~steady & ~arches
+
+
+def _to_strike(g: np.ndarray) -> np.ndarray:
+    """A guard up to the strike solved for, where it is 0: the last sample differs from that by rounding."""
+    return np.vstack([g[:-1], np.zeros_like(g[:1])])
 
 
 # Where the integration failed the guards have no values.
@@ -210,13 +233,19 @@ def _behind(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Whether a guard that falls in some intervals does so with a negative stance angle, shape (intervals, n).
 
-    Both are given with their rates per interval. Also returned is whether in one of them that angle changes its
-    sign, shape (n,): finer samples tell better.
+    Both are given with their rates per interval. Also returned is whether in one of them that angle is so near zero as
+    the guard falls that finer samples tell better, shape (n,).
     """
     ahead = stance[0] >= 0
     passes, behind = falls & (ahead[:-1] != ahead[1:]), falls & (stance[0][1:] < 0)
-    behind[passes] = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes))) < 0
-    return behind, np.asarray((passes & ahead[:-1]).any(axis=0))
+    at_zero = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes)))
+    behind[passes] = at_zero < 0
+    # Both cubics err, that of the guard by a time.
+    share = _cubic_error_bound(guard[1])[passes] / np.abs(guard[0][1:] - guard[0][:-1])[passes]
+    angle = np.abs(stance[0][1:] - stance[0][:-1])[passes]
+    late = passes & ahead[:-1]
+    late[passes] &= ~(np.abs(at_zero) > _cubic_error_bound(stance[1])[passes] + share * angle)
+    return behind, np.asarray(late.any(axis=0))
 
 
 # Where a strike is tangential to the last digit its rate has no value.
@@ -292,7 +321,7 @@ def verify(
     falls, late = _behind(falls, (guard, intervals[-1] * (da + db)), (a, intervals[-1] * da))
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, height) & ~falls.any(axis=0) & (a[-1] < 0)
-    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late | np.isnan(a[0])
+    doubt = (behind & _unclear(_to_strike(guard), da + db, margin)).any(axis=0) | late | np.isnan(a[0])
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
         half = phase.shape[1] // 2
@@ -319,6 +348,6 @@ def verify(
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: the guard's first zero is no strike.
-        unclear = _unclear(flexion, rate, margin)
+        unclear = _unclear(_to_strike(flexion), rate, margin)
         doubt |= unclear[1:].any(axis=0) | ((rate[0] > 0) & unclear[0])
     return StepCheck(step, leg_passes, doubt & np.isfinite(closing).all(axis=0), hyperextends)

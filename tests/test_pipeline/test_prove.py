@@ -45,6 +45,21 @@ def archive(kept, tmp_path):
     return path
 
 
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (("D", "0.009", "other1"), "There is no other1 gait at slope 0.009; there are long, short.\n"),
+        (("physical", "0.25", "short"), "There is no short gait at slope 0.25; there is long.\n"),
+    ],
+)
+def test_of_a_label_that_no_gait_has_it_is_said_which_gaits_there_are(capsys, asked, said):
+    walker, slope, label = asked
+
+    code, out, err = run(capsys, "--walker", walker, "--slope", slope, "--gait", label)
+
+    assert (code, out, err) == (1, "", said)
+
+
 def test_gaits_of_a_walker_are_proved(capsys):
     code, out, _ = run(capsys, "--walker", "D", "--slope", "0.009", "--json")
     gaits = json.loads(out)

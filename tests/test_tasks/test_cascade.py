@@ -64,6 +64,21 @@ def test_a_cascade_tells_why_it_stopped():
     assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
 
 
+def test_a_flip_that_does_not_lie_between_its_points_is_not_taken(monkeypatch):
+    solve = locate_cascade.solve
+
+    def astray(*asked):
+        point = solve(*asked)
+        point.Z[1] += 0.4
+        return point
+
+    monkeypatch.setattr(locate_cascade, "solve", astray)
+
+    found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
+
+    assert found["accumulation/stopped"][0].startswith("No flip of period 1: the next one could not be located")
+
+
 def test_a_cascade_tells_what_it_could_not_begin_with():
     absent = doublings("physical-straight", 0.005, 0.01, steps=0)
     assert absent["accumulation/stopped"].tolist() == ["No long gait at slopes from 0.005 to 0.01."]

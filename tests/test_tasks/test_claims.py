@@ -9,7 +9,7 @@ import pytest
 
 from gaitsweep.tasks.check_claims import claims
 from gaitsweep.tasks.paper import claim as rule
-from gaitsweep.tasks.paper import kneed_chaos, lines
+from gaitsweep.tasks.paper import kneed_chaos, lines, zero_slope
 from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from gaitsweep.tasks.paper.lines import paper_of
 from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, LANDMARKS, changed, interval, place, sensitivities
@@ -165,6 +165,20 @@ def test_transition_of_light_feet():
 def test_light_feet_alone_are_stable_at_vanishing_slope():
     # As the slope vanishes: 0.0950 of the total mass.
     assert mass_limit(PAPER) == pytest.approx(0.0950, abs=5e-5)
+
+
+def test_a_step_that_newton_loses_is_no_limit_of_stability(monkeypatch):
+    """Whatever Newton's method ended with counted as the long step."""
+
+    def lost(problem, guess, log_slope):
+        return guess, np.zeros(guess.shape[1], bool)
+
+    monkeypatch.setattr(zero_slope, "newton", lost)
+    forgotten = {key: value for key, value in PAPER.memory.items() if key[0].__name__ != "mass_limit"}
+    monkeypatch.setattr(PAPER, "memory", forgotten)
+
+    with pytest.raises(ArithmeticError, match="does not converge at a foot mass ratio of 0.0995"):
+        mass_limit(PAPER)
 
 
 @pytest.mark.parametrize(

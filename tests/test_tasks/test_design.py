@@ -126,6 +126,24 @@ def test_a_walker_slightly_off_its_line_does_not_walk_at_any_slope():
         assert "window" in points.kind[points.walks]
 
 
+def test_a_special_point_off_the_branch_is_not_one_of_its_points(monkeypatch):
+    """Newton's method may lead to another branch: a point up to 0.5 from its guess was taken."""
+    problem, found = branches("D")
+    lanes, window = Lanes(_walkers("D", {}, 1), problem.structure), (np.log(1e-3), np.log(0.2))
+    flips = find(lanes, [found], Sought(window)).kind == "flip"
+
+    def astray(*asked):
+        point = extremes_solve(*asked)
+        point.Z[1] += 0.1
+        return point
+
+    extremes_solve = extremes.solve
+    monkeypatch.setattr(extremes, "solve", astray)
+    points = find(lanes, [found], Sought(window))
+
+    assert flips.any() and not points.walks[points.kind == "flip"].any()
+
+
 def test_an_end_that_samples_locate_has_their_error():
     """Ends without equations of their own had an error of 1e-9, whatever that of the branch's end."""
     problem, found = branches("physical-straight")

@@ -7,11 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gaitsweep.tasks import status
 from gaitsweep.tasks.continuation import locate
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import locate_root, settle_on_branches
 from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.fixed_points import polish
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
+from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.measures.gaits import describe
 from gaitsweep.tasks.mechanics.lumped import lump
 from gaitsweep.tasks.registry import GAITS, STATUSES
 from gaitsweep.tasks.solve_points import lines
@@ -114,6 +118,35 @@ def test_a_point_beside_an_end_settles_by_both_roads(name):
         angles.append((found["stance_angle"], found["error_bound"]))
     (one, bound), (other, other_bound) = angles
     assert abs(one - other) <= (bound + other_bound) * one
+
+
+@pytest.mark.parametrize("name", ["upright_with_the_foot_down", "tangential_strike_in_more_digits"])
+def test_no_doubt_is_left_beside_an_end(name):
+    """The foot falls as the leg is upright; the knee strikes almost tangentially: samples left a doubt."""
+    problem, guess = guesses(name)
+    gaits = settle(problem, guess)
+
+    _, check = verify_steps(problem, gaits.w, np.log(guess.slope))
+
+    assert check.step.all() and not check.doubt.any()
+
+
+def test_what_samples_leave_in_doubt_has_not_converged_and_says_so(monkeypatch):
+    """It counted as a step."""
+
+    def in_doubt(*asked):
+        stride, check = verify_steps(*asked)
+        check.doubt[:] = True
+        return stride, check
+
+    problem, guess = guesses("upright_with_the_foot_down")
+    monkeypatch.setattr(polish, "verify_steps", in_doubt)
+
+    gaits = settle(problem, guess)
+    out = describe(problem, gaits, guess.slope, ("stance_angle",))
+
+    assert (out["status"] == STATUSES["not_converged"]).all() and np.isnan(out["stance_angle"]).all()
+    assert "was not verified" in status.reasons("", "")[out["reason"][0]]
 
 
 @pytest.mark.parametrize(
