@@ -1,7 +1,9 @@
-"""Run a command of uv where pip would look: `python .ci/with_settings_of_pip.py uv pip install …`.
+"""Run a command of uv where pip would look: `python .ci/with_settings_of_pip.py uv pip
+install …`.
 
-Indexes, proxies and certificates that pip is set to use, in its files or in the environment, reach uv in its
-environment. They may hold passwords: no list of processes shows them there, and nothing prints them.
+Indexes, proxies and certificates that pip is set to use, in its files or in the
+environment, reach uv in its environment. They may hold passwords: no list of processes
+shows them there, and nothing prints them.
 """
 
 import ast
@@ -19,20 +21,28 @@ _NAMES = {
     "client-cert": ["SSL_CLIENT_CERT"],
     "proxy": ["HTTP_PROXY", "HTTPS_PROXY"],
 }
-#: Sections of pip's files and its environment, as `pip install` reads them: the last wins.
+#: Sections of pip's files and its environment, as `pip install` reads them: the last
+#: wins.
 _SECTIONS = ["global", "install", ":env:"]
 
 
 def settings() -> dict[str, str]:
     """Settings of pip by their names."""
-    listed = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        [sys.executable, "-m", "pip", "config", "list"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     found: dict[str, dict[str, str]] = {section: {} for section in _SECTIONS}
     for line in listed.stdout.splitlines():
         name, _, value = line.partition("=")
         section, _, key = name.rpartition(".")
         if section in found and key in _NAMES:
             found[section][key] = str(ast.literal_eval(value))
-    return {key: value for section in _SECTIONS for key, value in found[section].items()}
+    return {
+        key: value for section in _SECTIONS for key, value in found[section].items()
+    }
 
 
 def environment() -> dict[str, str]:

@@ -1,4 +1,6 @@
-"""The site of the documentation, which `make docs` builds: the pages as they lie here, with the scripts executed."""
+"""The site of the documentation, which `make docs` builds: the pages as they lie here,
+with the scripts executed.
+"""
 
 import shutil
 import subprocess
@@ -13,9 +15,24 @@ ROOT = Path(__file__).resolve().parent.parent
 project = "gaitsweep"
 root_doc = "README"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "percent"}
-include_patterns = ["*.md", "docs/*.md", "docs/reference.rst", "docs/tutorial.py", "docs/gallery/*.py"]
+include_patterns = [
+    "*.md",
+    "docs/*.md",
+    "docs/reference.rst",
+    "docs/tutorial.py",
+    "docs/gallery/*.py",
+]
 # Where no pages are looked for.
-exclude_patterns = [".*", "build", "data", "gaitsweep", "pipeline", "reports", "tasks", "tests"]
+exclude_patterns = [
+    ".*",
+    "build",
+    "data",
+    "gaitsweep",
+    "pipeline",
+    "reports",
+    "tasks",
+    "tests",
+]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 3
 default_role = "code"  # as names are written in docstrings
@@ -28,8 +45,18 @@ html_css_files = ["site.css"]
 html_copy_source = html_show_copyright = html_use_index = html_domain_indices = False
 
 TREE = {
-    "Use": ["tutorial", "python", "reference", "studies", "archive", "your-own-walker", "cluster"],
-    "Gallery": [f"gallery/{script.stem}" for script in sorted(ROOT.glob("docs/gallery/*.py"))],
+    "Use": [
+        "tutorial",
+        "python",
+        "reference",
+        "studies",
+        "archive",
+        "your-own-walker",
+        "cluster",
+    ],
+    "Gallery": [
+        f"gallery/{script.stem}" for script in sorted(ROOT.glob("docs/gallery/*.py"))
+    ],
     "Why it can be trusted": ["capabilities", "trust", "physics", "proofs", "inside"],
     "Development": ["extending", "/CONTRIBUTING", "/CHANGELOG"],
 }
@@ -39,8 +66,12 @@ def add_tree(app, name, source):
     """The pages of the site, which the README lists as other viewers show them."""
     if name == root_doc:
         for caption, pages in TREE.items():
-            paths = "\n".join(page if page[0] == "/" else f"docs/{page}" for page in pages)
-            source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{paths}\n```\n"
+            paths = "\n".join(
+                page if page[0] == "/" else f"docs/{page}" for page in pages
+            )
+            source[0] += (
+                f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{paths}\n```\n"
+            )
 
 
 class Executed(MystParser):
@@ -49,7 +80,11 @@ class Executed(MystParser):
     supported = ("percent",)
 
     def parse(self, inputstring, document):
-        command = [sys.executable, str(ROOT / "docs" / "percent.py"), document["source"]]
+        command = [
+            sys.executable,
+            str(ROOT / "docs" / "percent.py"),
+            document["source"],
+        ]
         with tempfile.TemporaryDirectory() as folder:
             done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode:

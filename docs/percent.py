@@ -1,4 +1,6 @@
-"""A script in percent format as Markdown, with what its cells print and draw: `python docs/percent.py SCRIPT.py`."""
+"""A script in percent format as Markdown, with what its cells print and draw: `python
+docs/percent.py SCRIPT.py`.
+"""
 
 import base64
 import contextlib
@@ -13,7 +15,9 @@ import matplotlib.pyplot as plt
 def executed(script):
     plt.switch_backend("agg")
     names = {"__name__": "__main__"}
-    marks = re.split(r"^# %%(.*)\n", Path(script).read_text(encoding="utf-8"), flags=re.M)
+    marks = re.split(
+        r"^# %%(.*)\n", Path(script).read_text(encoding="utf-8"), flags=re.M
+    )
     for kind, cell in zip(marks[1::2], marks[2::2], strict=True):
         if "markdown" in kind:
             yield re.sub(r"^# ?", "", cell, flags=re.M)
@@ -30,7 +34,11 @@ def executed(script):
 def drawn(figure):
     picture = io.BytesIO()
     figure.savefig(picture, dpi=150)
-    alt = [a.get_title() or " against ".join(filter(None, (a.get_ylabel(), a.get_xlabel()))) for a in figure.axes]
+    alt = [
+        a.get_title()
+        or " against ".join(filter(None, (a.get_ylabel(), a.get_xlabel())))
+        for a in figure.axes
+    ]
     data = base64.b64encode(picture.getvalue()).decode()
     return f"```{{image}} data:image/png;base64,{data}\n:alt: {'; '.join(alt)}\n```"
 

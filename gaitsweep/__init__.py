@@ -1,8 +1,9 @@
 """Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
 
-`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study, `load` opens its archive, `report` and
-`figure` show it; `schema` describes studies to editors. The code is in the folders `pipeline`, which runs, keeps and
-shows, and `tasks`, which computes.
+`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study, `load`
+opens its archive, `report` and `figure` show it; `schema` describes studies to editors.
+The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
+computes.
 """
 
 import importlib
@@ -27,12 +28,23 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_ERRORS = "ArchiveError", "BusyError", "DiskFullError", "GaitsweepError", "StoppedError", "StudyError", "WorkerError"
-#: Module of each name; it is imported on use, so that a command loads only what it needs.
+_ERRORS = (
+    "ArchiveError",
+    "BusyError",
+    "DiskFullError",
+    "GaitsweepError",
+    "StoppedError",
+    "StudyError",
+    "WorkerError",
+)
+#: Module of each name; it is imported on use, so that a command loads only what it
+#: needs.
 _HOMES = {
     **dict.fromkeys(("figure", "report"), "gaitsweep.pipeline.api.reports"),
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
-    **dict.fromkeys(("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"),
+    **dict.fromkeys(
+        ("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"
+    ),
     "schema": "gaitsweep.pipeline.study.schema",
     "Plot": "gaitsweep.pipeline.study.plot",
     "Variable": "gaitsweep.tasks.registry",

@@ -1,7 +1,7 @@
 """What other packages add by entry points: walkers, measures and figures.
 
-A name that is not gaitsweep's own is looked up where it is asked for, never at import; gaitsweep's own come first.
-docs/extending.md shows a package.
+A name that is not gaitsweep's own is looked up where it is asked for, never at import;
+gaitsweep's own come first. docs/extending.md shows a package.
 """
 
 from functools import cache
@@ -31,7 +31,8 @@ def names(group: str) -> list[str]:
 
 
 def find(group: str, name: str, kind: type) -> Any:
-    """What a package adds under a name, an object of some kind; None if there is no such name.
+    """What a package adds under a name, an object of some kind; None if there is no
+    such name.
 
     Raises
     ------
@@ -41,14 +42,20 @@ def find(group: str, name: str, kind: type) -> Any:
     points = _points(group).get(name, [])
     if not points:
         return None
-    packages = " and ".join(sorted(point.dist.name if point.dist else "?" for point in points))
+    packages = " and ".join(
+        sorted(point.dist.name if point.dist else "?" for point in points)
+    )
     about = f"`{name}`, which {packages} adds to {group},"
     if len(points) > 1:
         raise ExtensionError(f"{about} is added twice")
     try:
         found = points[0].load()
     except Exception as error:  # whatever a module may raise
-        raise ExtensionError(f"{about} cannot be loaded: {type(error).__name__}: {error}") from error
+        raise ExtensionError(
+            f"{about} cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
     if not isinstance(found, kind):
-        raise ExtensionError(f"{about} must be a {kind.__name__}; it is a {type(found).__name__}")
+        raise ExtensionError(
+            f"{about} must be a {kind.__name__}; it is a {type(found).__name__}"
+        )
     return found

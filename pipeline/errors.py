@@ -8,26 +8,40 @@ import re
 from pathlib import Path
 
 _LITTLE = 1 << 20  # fits on any disk that is not full [byte]
-#: Errors of a process that is out of files, processes or memory, whatever file it was opening.
+#: Errors of a process that is out of files, processes or memory, whatever file it was
+#: opening.
 _LIMITS = (errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM)
 
 
 class GaitsweepError(Exception):
-    """An error a user can act on; `str` is one sentence on one line and `exit_code` what the command ends with."""
+    """An error a user can act on; `str` is one sentence on one line and `exit_code`
+    what the command ends with.
+    """
 
     exit_code = 2
 
     def __init__(self, message: str = ""):
         # Names in foreign files may contain line ends or terminal control characters.
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
+        super().__init__(
+            "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message)
+        )
 
     def _render_traceback_(self) -> list[str]:
-        """What a notebook shows instead of all frames: the line that called gaitsweep, and the sentence."""
+        """What a notebook shows instead of all frames: the line that called gaitsweep,
+        and the sentence.
+        """
         import traceback
 
         frames = traceback.extract_tb(self.__traceback__)
-        inside = (f"{Path(__file__).parent.parent}{os.sep}", contextlib.__file__)  # the latter decorates functions
-        own = list(itertools.takewhile(lambda frame: not frame.filename.startswith(inside), frames))
+        inside = (
+            f"{Path(__file__).parent.parent}{os.sep}",
+            contextlib.__file__,
+        )  # the latter decorates functions
+        own = list(
+            itertools.takewhile(
+                lambda frame: not frame.filename.startswith(inside), frames
+            )
+        )
         return [*traceback.format_list(own[-1:]), f"{type(self).__name__}: {self}"]
 
 
@@ -58,7 +72,9 @@ class DiskFullError(GaitsweepError):
 
 
 def described(error: BaseException) -> str:
-    """Name and message of any exception on one line without a full stop, the same in every process."""
+    """Name and message of any exception on one line without a full stop, the same in
+    every process.
+    """
     try:
         text = " ".join(str(error).split())
     except Exception:
@@ -73,7 +89,9 @@ def is_disk_full(error: BaseException) -> bool:
 
 
 def reached_limit(error: BaseException) -> OSError | None:
-    """The error of the system if `error` says that there are no more threads or no more memory."""
+    """The error of the system if `error` says that there are no more threads or no more
+    memory.
+    """
     if isinstance(error, MemoryError):
         return OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
     if isinstance(error, RuntimeError) and "start new thread" in str(error):
@@ -82,10 +100,12 @@ def reached_limit(error: BaseException) -> OSError | None:
 
 
 def shortage(error: BaseException, *files: Path) -> OSError | None:
-    """The system's error for lack of space, files, threads or memory, if that caused `error` in writing to `files`.
+    """The system's error for lack of space, files, threads or memory, if that caused
+    `error` in writing to `files`.
 
-    Libraries do not say why they cannot write, and free space does not show quotas and limits of a file's size: a MiB
-    is written to a file in the same folder, behind as many bytes as the largest of them has.
+    Libraries do not say why they cannot write, and free space does not show quotas and
+    limits of a file's size: a MiB is written to a file in the same folder, behind as
+    many bytes as the largest of them has.
     """
     import tempfile
 
@@ -115,11 +135,19 @@ def unread(path: Path, error: OSError) -> GaitsweepError:
 
 
 def unwritten(path: Path, error: OSError, use: str = "written") -> GaitsweepError:
-    """Error for a file or folder that cannot be written: the one that the system names, or else `path`."""
+    """Error for a file or folder that cannot be written: the one that the system names,
+    or else `path`.
+    """
     if error.errno in _LIMITS:
         place = f" at {path}" if path.name else ""
-        return WorkerError(f"A limit of the system is reached{place}: {error.strerror}.")
-    kind = DiskFullError if is_disk_full(error) or error.errno == errno.EFBIG else ArchiveError
+        return WorkerError(
+            f"A limit of the system is reached{place}: {error.strerror}."
+        )
+    kind = (
+        DiskFullError
+        if is_disk_full(error) or error.errno == errno.EFBIG
+        else ArchiveError
+    )
     return kind(f"{error.filename or path} cannot be {use}: {error.strerror}.")
 
 

@@ -1,4 +1,6 @@
-"""What the statuses of a point's gaits mean for the point; loads nothing of `tasks`, so that a report may use it."""
+"""What the statuses of a point's gaits mean for the point; loads nothing of `tasks`, so
+that a report may use it.
+"""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -16,11 +18,18 @@ def count_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
         code = code * base + column
     occurrences = np.bincount(code)
     powers = base ** np.arange(status.shape[1])[::-1]
-    return {tuple((c // powers % base).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
+    return {
+        tuple((c // powers % base).tolist()): int(occurrences[c])
+        for c in np.flatnonzero(occurrences)
+    }
 
 
-def count(rows: Mapping[tuple[int, ...], int], names: Mapping[int, str]) -> Counter[str]:
-    """Count points, given by their rows of statuses, by outcome: a failure of any gait, else the best answer of any."""
+def count(
+    rows: Mapping[tuple[int, ...], int], names: Mapping[int, str]
+) -> Counter[str]:
+    """Count points, given by their rows of statuses, by outcome: a failure of any gait,
+    else the best answer of any.
+    """
     counts = Counter[str]()
     for row, n in rows.items():
         known = [names.get(code, str(code)) for code in sorted(row)]

@@ -1,4 +1,6 @@
-"""Files beside an archive: journal, lock, records; drafts of files, and how these are replaced."""
+"""Files beside an archive: journal, lock, records; drafts of files, and how these are
+replaced.
+"""
 
 import contextlib
 import os
@@ -9,7 +11,8 @@ from pathlib import Path
 
 from gaitsweep.pipeline.errors import ArchiveError
 
-#: Files that a run writes beside an archive, and how the content of each begins; a journal is looked at page by page.
+#: Files that a run writes beside an archive, and how the content of each begins; a
+#: journal is looked at page by page.
 _BEGINNINGS = {
     ".journal-lock": rb'{"pid": \d+, "host": "',
     ".events.jsonl": rb'{"time": \d+[.\d]*, "event": "',
@@ -18,7 +21,14 @@ _BEGINNINGS = {
 }
 _HEAD = 1024  # read of a file to recognise it [byte]
 #: What is no regular file, by the letter with which `ls -l` shows it.
-_KINDS = {"d": "a directory", "l": "a link", "p": "a named pipe", "s": "a socket", "c": "a device", "b": "a device"}
+_KINDS = {
+    "d": "a directory",
+    "l": "a link",
+    "p": "a named pipe",
+    "s": "a socket",
+    "c": "a device",
+    "b": "a device",
+}
 
 
 def sidecar_path(path: Path, suffix: str) -> Path:
@@ -27,7 +37,8 @@ def sidecar_path(path: Path, suffix: str) -> Path:
 
 
 def check_sidecars(path: Path) -> None:
-    """Check that the files of a run beside an archive are this program's, those that are there.
+    """Check that the files of a run beside an archive are this program's, those that
+    are there.
 
     Raises
     ------
@@ -45,7 +56,8 @@ def check_own(path: Path, beginning: bytes) -> None:
     ----------
     path : Path
     beginning : bytes
-        Pattern of the beginning of its content. An empty file, or zeros that a power failure left, are nobody's.
+        Pattern of the beginning of its content. An empty file, or zeros that a power
+        failure left, are nobody's.
 
     Raises
     ------
@@ -54,7 +66,9 @@ def check_own(path: Path, beginning: bytes) -> None:
     """
     with contextlib.suppress(FileNotFoundError):
         if kind := kind_of(path.lstat().st_mode):
-            raise ArchiveError(f"{path} is {kind}, not a file of gaitsweep; move it away.")
+            raise ArchiveError(
+                f"{path} is {kind}, not a file of gaitsweep; move it away."
+            )
         with open(path, "rb") as file:
             head = file.read(_HEAD).strip(b"\0")
         if head and not re.match(beginning, head):
@@ -75,7 +89,9 @@ def of(file: Path, secret: str = SECRET) -> Path:
 
 
 def publish(file: Path, data: bytes, secret: str = SECRET) -> None:
-    """Replace a file at once: a reader sees the old content or the new. Errors name the file, not its draft."""
+    """Replace a file at once: a reader sees the old content or the new. Errors name the
+    file, not its draft.
+    """
     draft = of(file, secret)
     try:
         draft.write_bytes(data)
@@ -89,7 +105,9 @@ def publish(file: Path, data: bytes, secret: str = SECRET) -> None:
 
 def discard(file: Path, secret: object = SECRET) -> None:
     """Remove the draft of a file, if there is one, and the files of SQLite beside it."""
-    if isinstance(secret, str) and re.fullmatch("[0-9a-f]{32}", secret):  # a damaged lock may hold anything
+    if isinstance(secret, str) and re.fullmatch(
+        "[0-9a-f]{32}", secret
+    ):  # a damaged lock may hold anything
         for suffix in ("", "-wal", "-shm"):
             draft = of(file, secret)
             with contextlib.suppress(OSError):

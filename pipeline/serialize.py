@@ -1,7 +1,7 @@
 """Nested data and arrays as bytes, for the journal.
 
-Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then the bytes of the arrays. Untrusted bytes
-can raise only ValueError.
+Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then the
+bytes of the arrays. Untrusted bytes can raise only ValueError.
 """
 
 import json
@@ -15,7 +15,8 @@ _ALIGN = 16
 
 
 def dump(tree: Any) -> bytes:
-    """Pack nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes.
+    """Pack nested dicts, lists, strings, numbers and arrays. Equal trees give equal
+    bytes.
 
     Raises
     ------
@@ -59,13 +60,25 @@ def load(data: bytes) -> Any:
                 return x
             text, shape = x[""]
             dtype = np.dtype(str(text))
-            if dtype.kind not in "fiubU" or not all(isinstance(n, int) and n >= 0 for n in shape):
+            if dtype.kind not in "fiubU" or not all(
+                isinstance(n, int) and n >= 0 for n in shape
+            ):
                 raise ValueError("unknown array")
             count = math.prod(shape)
-            values = np.frombuffer(data, dtype, count, offset) if count else np.empty(0, dtype)
+            values = (
+                np.frombuffer(data, dtype, count, offset)
+                if count
+                else np.empty(0, dtype)
+            )
             offset += values.nbytes + -values.nbytes % _ALIGN
             return values.reshape(shape)
 
         return json.loads(data[4 : 4 + size], object_hook=restore)
-    except (struct.error, KeyError, TypeError, RecursionError, UnicodeDecodeError) as error:
+    except (
+        struct.error,
+        KeyError,
+        TypeError,
+        RecursionError,
+        UnicodeDecodeError,
+    ) as error:
         raise ValueError(f"not packed data: {error}") from error

@@ -4,7 +4,13 @@ from gaitsweep.pipeline import outcomes
 from gaitsweep.tasks.registry import STATUSES
 
 #: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.
-ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}
+ENDINGS = {
+    "worker_died": 4,
+    "timed_out": 5,
+    "out_of_memory": 6,
+    "not_attempted": 7,
+    "raised": 8,
+}
 #: Every value of `status`.
 ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
 STATUS_NAMES = {code: name for name, code in ALL_STATUSES.items()}

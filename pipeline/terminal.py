@@ -1,4 +1,6 @@
-"""Standard output and standard error, either of which may be closed or full, and words of what is written there."""
+"""Standard output and standard error, either of which may be closed or full, and words
+of what is written there.
+"""
 
 import contextlib
 import io
@@ -7,9 +9,11 @@ import sys
 
 
 def prepare() -> None:
-    """Open closed standard streams on the null device, so that no other file takes their place.
+    """Open closed standard streams on the null device, so that no other file takes
+    their place.
 
-    Letters that the encoding of standard output lacks are printed by number, as on standard error.
+    Letters that the encoding of standard output lacks are printed by number, as on
+    standard error.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
@@ -22,7 +26,9 @@ def prepare() -> None:
 
 
 def is_terminal() -> bool:
-    """Whether standard error is a terminal; a Python process may have none, or another object in its place."""
+    """Whether standard error is a terminal; a Python process may have none, or another
+    object in its place.
+    """
     return bool(getattr(sys.stderr, "isatty", bool)())
 
 
@@ -49,7 +55,9 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def silence(stream: int) -> None:
-    """Discard what is written to a standard stream from now on, and what is still in its buffer."""
+    """Discard what is written to a standard stream from now on, and what is still in
+    its buffer.
+    """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     os.close(nowhere)

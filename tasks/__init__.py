@@ -1,1 +1,3 @@
-"""What is true at a grid point: walkers, mechanics, gaits, measures and fits. Arrays in, arrays out."""
+"""What is true at a grid point: walkers, mechanics, gaits, measures and fits. Arrays
+in, arrays out.
+"""

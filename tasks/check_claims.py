@@ -17,7 +17,10 @@ from gaitsweep.tasks.tables import Arrays, table
 _TABLES: dict[str, dict[str, Callable[[Paper], list[dict[str, Any]]]]] = {
     "P1": {"rounding": published_tables.rounding},
     "T1": {"figure9": published_tables.figure9},
-    "Z6": {"figure10": published_tables.figure10, "figure10_cells": published_tables.figure10_cells},
+    "Z6": {
+        "figure10": published_tables.figure10,
+        "figure10_cells": published_tables.figure10_cells,
+    },
     "T7": {"offsets": tuned_walkers.offsets},
 }
 
@@ -30,16 +33,16 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `ids`, names of claims; `lines` of the study.
     inputs : list
-        One dict a line, with its atlas and the tables of the study's own task; what a claim needs beyond them is
-        computed in place.
+        One dict a line, with its atlas and the tables of the study's own task; what a
+        claim needs beyond them is computed in place.
 
     Returns
     -------
     dict
-        Table `claims`: id, printed, quotation, source, computed, value, printed_value, printed_half_unit,
-        interval, interval_low, interval_high, verdict, figure,
-        command, shape (claims,); with claim P1 `rounding`, with T1 `figure9`, with Z6 `figure10` and
-        `figure10_cells`, with T7 `offsets`.
+        Table `claims`: id, printed, quotation, source, computed, value, printed_value,
+        printed_half_unit, interval, interval_low, interval_high, verdict, figure,
+        command, shape (claims,); with claim P1 `rounding`, with T1 `figure9`, with Z6
+        `figure10` and `figure10_cells`, with T7 `offsets`.
 
     Raises
     ------
@@ -74,20 +77,29 @@ def check(params: Mapping[str, Any]) -> list[dict[str, Any]]:
         If there is no such claim.
     """
     rows = _rows(params["ids"] or CLAIMS, paper_of([], []))
-    return [{name: None if value != value else value for name, value in row.items()} for row in rows]
+    return [
+        {name: None if value != value else value for name, value in row.items()}
+        for row in rows
+    ]
 
 
 def _rows(ids: Iterable[str], paper: Paper) -> list[dict[str, Any]]:
     """Rows of some claims, by family and number."""
     unknown = [name for name in ids if name not in CLAIMS]
     if unknown:
-        raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
-    wanted = sorted((CLAIMS[name] for name in ids), key=lambda c: (c.id[0], int(c.id[1:])))
+        raise ValueError(
+            f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}"
+        )
+    wanted = sorted(
+        (CLAIMS[name] for name in ids), key=lambda c: (c.id[0], int(c.id[1:]))
+    )
     return [_row(claim, backed(claim.id, _check(claim, paper))) for claim in wanted]
 
 
 def _check(claim: Claim, paper: Paper) -> ClaimResult:
-    """Result of a claim's function; a claim whose gaits are lost is not checkable, and says why."""
+    """Result of a claim's function; a claim whose gaits are lost is not checkable, and
+    says why.
+    """
     try:
         with np.errstate(all="ignore"):
             return claim.find(paper)
@@ -105,7 +117,9 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
         "value": result.value,
         "printed_value": float(claim.number.number),
         "printed_half_unit": float(claim.number.half_unit),
-        "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
+        "interval": f"{result.low:.12g} to {result.high:.12g}"
+        if result.low <= result.high
+        else "",
         "interval_low": result.low,
         "interval_high": result.high,
         "verdict": result.verdict,

@@ -1,4 +1,6 @@
-"""The task `census`: gaits found by Newton's method from initial guesses over the whole admissible section."""
+"""The task `census`: gaits found by Newton's method from initial guesses over the whole
+admissible section.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,23 @@ from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
-#: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
+#: Largest admissible stance angle [rad], and the smallest one over the slope: half that
+#: of the linear law.
 _MAX_ANGLE, _MIN_ANGLE_RATIO = 1.0, 0.5
-#: Stance rate from barely crossing the vertical, over the angle to it, to much faster, over the stance angle.
+#: Stance rate from barely crossing the vertical, over the angle to it, to much faster,
+#: over the stance angle.
 _SLOWEST, _FASTEST = -0.7, -4.0
-#: Largest swing rate over the stance rate, of a leg that swings in pi sqrt(leg/g); of faster ones in proportion.
+#: Largest swing rate over the stance rate, of a leg that swings in pi sqrt(leg/g); of
+#: faster ones in proportion.
 _SWING_RATIO = 1.6
-#: Solutions closer than this in similarity coordinates are the same, and after a coarse iteration.
+#: Solutions closer than this in similarity coordinates are the same, and after a coarse
+#: iteration.
 _SAME, _SAME_COARSE = 1e-5, 1e-3
-#: Newton steps of a guess, by the number of phases of a step: with a free knee they are dear, and few converge late.
+#: Newton steps of a guess, by the number of phases of a step: with a free knee they are
+#: dear, and few converge late.
 _MAX_STEPS = {1: 25, 2: 15}
-#: Deflated Newton: iterations of a guess, passes over all guesses, and largest last step of a converging guess.
+#: Deflated Newton: iterations of a guess, passes over all guesses, and largest last
+#: step of a converging guess.
 _MAX_ITERATIONS, _PASSES, _CONVERGING = 15, 3, 1e-3
 _GAIT_COLUMNS = (
     "slope",
@@ -45,39 +53,47 @@ _GAIT_COLUMNS = (
 
 
 def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Search a line for period-one gaits by Newton's method from initial guesses spread over its section.
+    """Search a line for period-one gaits by Newton's method from initial guesses spread
+    over its section.
 
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts`, initial guesses at each slope.
+        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts`,
+        initial guesses at each slope.
     inputs : list
         Empty.
 
     Returns
     -------
     dict
-        Tables `census` (a row per distinct gait, in the walker's units: slope, gait, anthropomorphic, passes,
-        stance_angle, stance_rate, period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged,
-        gaits, anthropomorphic, non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
+        Tables `census` (a row per distinct gait, in the walker's units: slope, gait,
+        anthropomorphic, passes, stance_angle, stance_rate, period, spectral_radius,
+        hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
+        non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
 
     Notes
     -----
     Guesses fill the section in stance angle (uniformly in its logarithm), stance rate between bounds for that angle,
-    and swing rate over stance rate by an additive recurrence. The step from each guess is simulated to its strikes,
-    whose times are guesses too. `unseen` is the Good-Turing estimate of the fraction of converging guesses that would
-    lead to a gait not found: solutions found exactly once, over guesses that converged (at least one is assumed, so it
-    is never zero). Then all guesses that strike are used again (`deflated`, counted each time) with the residual
-    multiplied by 1 + 1/r^2, r the distance to each known solution (deflation; Farrell, Birkisson and Funke, SIAM J.
-    Sci. Comput. 37, 2015), which repels them from known solutions and leads some to others (`found_deflated`; such a
-    gait has no `hits`). A guess that never strikes is not used: its gait, if any, is not covered.
+    and swing rate over stance rate by an additive recurrence. The step from each guess
+    is simulated to its strikes, whose times are guesses too. `unseen` is the
+    Good-Turing estimate of the fraction of converging guesses that would lead to a gait
+    not found: solutions found exactly once, over guesses that converged (at least one
+    is assumed, so it is never zero). Then all guesses that strike are used again
+    (`deflated`, counted each time) with the residual multiplied by 1 + 1/r^2, r the
+    distance to each known solution (deflation; Farrell, Birkisson and Funke, SIAM J.
+    Sci. Comput. 37, 2015), which repels them from known solutions and leads some to
+    others (`found_deflated`; such a gait has no `hits`). A guess that never strikes is
+    not used: its gait, if any, is not covered.
     """
     walker = walker_of_line(params["line"])
     problem = Problem(walker)
     parts: list[list[np.ndarray]] = []
     cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float):
-        y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
+        y = starts(
+            problem, float(slope), int(registry.options("census", params)["starts"])
+        )
         first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
         struck = first.outcome == STRUCK
         guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])[:, struck]
@@ -95,7 +111,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 anthropomorphic.astype(int),
                 verdict.leg_passes.astype(int),
                 np.exp(w[0]),
-                problem.start(section, np.full(len(walks), slope))[1] / walker.time_unit,
+                problem.start(section, np.full(len(walks), slope))[1]
+                / walker.time_unit,
                 w[-1] * walker.time_unit,
                 np.abs(multipliers(at.jacobian, problem.m)).max(axis=1),
                 hits,
@@ -138,7 +155,8 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     unit = r_sequence(problem.m, count)
     low, high = np.log(_MIN_ANGLE_RATIO * slope), np.log(_MAX_ANGLE)
     angle = np.exp(low + (high - low) * unit[0])
-    # The vertical lies nearer than the ground's normal by the slope: steep gaits are slow for their angle.
+    # The vertical lies nearer than the ground's normal by the slope: steep gaits are
+    # slow for their angle.
     fastest, slowest = _FASTEST * angle, _SLOWEST * np.maximum(angle - slope, 0.0)
     rate = fastest + (slowest - fastest) * unit[1]
     if problem.m == 2:
@@ -147,20 +165,36 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     return np.vstack([angle, rate, -rate * largest * (2 * unit[2] - 1)])
 
 
-def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Distinct fixed points, how many guesses led to each, and how many converged at all."""
+def _solve(
+    problem: Problem, w: np.ndarray, slope: float
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Distinct fixed points, how many guesses led to each, and how many converged at
+    all.
+    """
     q = np.log(slope)
     # All guesses are iterated coarsely, and only distinct results exactly.
-    w, near = newton(problem, w, np.full(w.shape[1], q), coarse=True, max_iterations=_MAX_STEPS[problem.phases])
+    w, near = newton(
+        problem,
+        w,
+        np.full(w.shape[1], q),
+        coarse=True,
+        max_iterations=_MAX_STEPS[problem.phases],
+    )
     w, hits = _merge(w[:, near], np.ones(near.sum(), int), _SAME_COARSE)
     w, converged = newton(problem, w, np.full(w.shape[1], q))
     return *_merge(w[:, converged], hits[converged], _SAME), int(near.sum())
 
 
 def _deflate(
-    problem: Problem, guesses: np.ndarray, known: np.ndarray, hits: np.ndarray, slope: float
+    problem: Problem,
+    guesses: np.ndarray,
+    known: np.ndarray,
+    hits: np.ndarray,
+    slope: float,
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Known solutions with those that deflation adds, their hits, the number of guesses, and of solutions added."""
+    """Known solutions with those that deflation adds, their hits, the number of
+    guesses, and of solutions added.
+    """
     first, tried = known.shape[1], 0
     for _ in range(_PASSES):
         before = known.shape[1]
@@ -177,7 +211,9 @@ def _deflate(
     return known, hits, tried, known.shape[1] - first
 
 
-def deflated(problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray]:
+def deflated(
+    problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Improve guesses at one slope that known solutions repel.
 
     Parameters
@@ -194,10 +230,22 @@ def deflated(problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: fl
         Whether each is near another solution.
     """
     q = np.full(guesses.shape[1], np.log(slope))
-    return newton(problem, guesses, q, coarse=True, enough=_CONVERGING, max_iterations=_MAX_ITERATIONS, known=known)
+    return newton(
+        problem,
+        guesses,
+        q,
+        coarse=True,
+        enough=_CONVERGING,
+        max_iterations=_MAX_ITERATIONS,
+        known=known,
+    )
 
 
-def _merge(w: np.ndarray, hits: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Merge columns of w closer than a tolerance, in order of their angle, and add up their hits."""
+def _merge(
+    w: np.ndarray, hits: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Merge columns of w closer than a tolerance, in order of their angle, and add up
+    their hits.
+    """
     kept, same = distinct(w, np.zeros(w.shape[1], int), tolerance)
     return w[:, kept], np.bincount(same, hits, len(kept)).astype(int)

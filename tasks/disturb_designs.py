@@ -1,4 +1,6 @@
-"""Fate of walkers near their long gait at one slope: attractors, and steps of the ground they survive."""
+"""Fate of walkers near their long gait at one slope: attractors, and steps of the
+ground they survive.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.step.problem import Lanes, sizes
 from gaitsweep.tasks.step.simulate import STRUCK, step_onto
 
-#: Relative displacement of initial states from the gait, and steps after which the period of their orbits is told.
+#: Relative displacement of initial states from the gait, and steps after which the
+#: period of their orbits is told.
 _DISPLACED, _DROPPED = 1e-3, 2000
 #: Resolution of steps of the ground, over the leg, and how many are tried at once.
 STEP_RESOLUTION, _AT_ONCE = 1e-3, 8
@@ -31,7 +34,8 @@ def attractors_beside(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray
     Returns
     -------
     ndarray of str, shape (n,)
-        `period k`, with k up to 32, `chaotic` for all that repeats less often, or `falls`.
+        `period k`, with k up to 32, `chaotic` for all that repeats less often, or
+        `falls`.
     """
     slopes = np.full(y.shape[1], slope)
     walk = Walk(problem, y * (1 + _DISPLACED), slopes)
@@ -41,8 +45,11 @@ def attractors_beside(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray
     return found
 
 
-def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> np.ndarray:
-    """Find the largest steps of the ground, down and up, that walkers survive at their stable gaits.
+def largest_steps(
+    problem: Lanes, y: np.ndarray, slope: float, limit: float
+) -> np.ndarray:
+    """Find the largest steps of the ground, down and up, that walkers survive at their
+    stable gaits.
 
     Parameters
     ----------
@@ -57,21 +64,31 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
     Returns
     -------
     ndarray, shape (2, n)
-        Over the leg: a thousandth less than the smallest step, in thousandths, that is not survived, or `limit`.
+        Over the leg: a thousandth less than the smallest step, in thousandths, that is
+        not survived, or `limit`.
 
     Notes
     -----
     A step of the gait ends on ground that is lower or higher than its plane, and those after it on ground parallel to
-    that. It is survived if after 200 steps the walker is back within a thousandth of its gait.
+    that. It is survived if after 200 steps the walker is back within a thousandth of
+    its gait.
     """
     n, most = y.shape[1], int(np.ceil(round(limit / STEP_RESOLUTION, 6)))
     largest, home = np.full((2, n), most), Neighbourhoods(problem, y, np.full(n, slope))
     for row, sign in zip(largest, (-1, 1), strict=True):
         left = np.arange(n)
         for first in range(1, most + 1, _AT_ONCE):
-            heights = np.minimum(STEP_RESOLUTION * np.arange(first, min(first + _AT_ONCE, most + 1)), limit)
+            heights = np.minimum(
+                STEP_RESOLUTION * np.arange(first, min(first + _AT_ONCE, most + 1)),
+                limit,
+            )
             each = np.repeat(left, len(heights))
-            survived = _survive(problem.some(each), home.some(each), slope, sign * np.tile(heights, len(left)))
+            survived = _survive(
+                problem.some(each),
+                home.some(each),
+                slope,
+                sign * np.tile(heights, len(left)),
+            )
             survived = survived.reshape(len(left), -1)
             failed = ~survived.all(axis=1)
             row[left[failed]] = first - 1 + survived[failed].argmin(axis=1)
@@ -81,7 +98,9 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
     return np.minimum((largest * STEP_RESOLUTION).round(9), limit)
 
 
-def _survive(problem: Lanes, home: Neighbourhoods, slope: float, height: np.ndarray) -> np.ndarray:
+def _survive(
+    problem: Lanes, home: Neighbourhoods, slope: float, height: np.ndarray
+) -> np.ndarray:
     """Whether walkers survive steps of the ground (k,), over the leg, at their gaits."""
     walkers, slopes = problem.every_walker, np.full(len(height), slope)
     after = step_onto(problem, home.y, slopes, height * walkers.leg / walkers.l)

@@ -13,12 +13,20 @@ from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.tables import Arrays, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
-#: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
+#: A piece of a branch, by the numbers of both, and those of its points over which the
+#: local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
-#: Factor of the smallest abscissa within which a law begins there: the first points of a plateau may be left out.
+#: Factor of the smallest abscissa within which a law begins there: the first points of
+#: a plateau may be left out.
 _NEAR = 2.0
-#: Columns of a law that are not called as in `PowerLaw`, and the entries where there is no plateau.
-_COLUMNS = {"low": "exponent_low", "high": "exponent_high", "x_from": "from", "x_to": "to"}
+#: Columns of a law that are not called as in `PowerLaw`, and the entries where there is
+#: no plateau.
+_COLUMNS = {
+    "low": "exponent_low",
+    "high": "exponent_high",
+    "x_from": "from",
+    "x_to": "to",
+}
 _NO_LAW = power_law.PowerLaw(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
 #: The laws fitted: name, abscissa, ordinate.
 _QUANTITIES = (
@@ -29,7 +37,8 @@ _QUANTITIES = (
 
 
 def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Fit power laws to both gaits of every line, at vanishing and at larger slopes (section 6.2 of the paper).
+    """Fit power laws to both gaits of every line, at vanishing and at larger slopes
+    (section 6.2 of the paper).
 
     Each law is fitted on one piece of one branch, never across branches or folds.
 
@@ -38,14 +47,15 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `lines`.
     inputs : list
-        One dict a line: `slope` (n,) [rad]; `stance_angle`, `speed`, `power`, `branch`, `piece`, shape (n, gaits), in
-        the walker's units.
+        One dict a line: `slope` (n,) [rad]; `stance_angle`, `speed`, `power`, `branch`,
+        `piece`, shape (n, gaits), in the walker's units.
 
     Returns
     -------
     dict
-        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch and piece of the fit; where
-        there is no plateau the numbers are NaN, `n` is 0 and branch and piece are -1.
+        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch
+        and piece of the fit; where there is no plateau the numbers are NaN, `n` is 0
+        and branch and piece are -1.
     """
     rows: list[dict[str, Any]] = []
     for line, data in zip(params["lines"], inputs, strict=True):
@@ -54,13 +64,22 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 x = data["slope"] if abscissa == "slope" else data[abscissa][:, g]
                 y = data[ordinate][:, g]
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-                curves = {key: _sort(x[points], y[points]) for key, points in _curves(data, g, good).items()}
-                rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
+                curves = {
+                    key: _sort(x[points], y[points])
+                    for key, points in _curves(data, g, good).items()
+                }
+                rows += _laws(
+                    {**_coordinates(line), "gait": gait, "quantity": quantity}, curves
+                )
     return table("fits/scaling", rows)
 
 
-def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
-    """Masks of a gait's good points on each piece of a branch, by the numbers of branch and piece."""
+def _curves(
+    data: Arrays, g: int, good: np.ndarray
+) -> dict[tuple[int, int], np.ndarray]:
+    """Masks of a gait's good points on each piece of a branch, by the numbers of branch
+    and piece.
+    """
     branch, piece = data["branch"][:, g], data["piece"][:, g]
     keys = sorted(set(zip(branch[good].tolist(), piece[good].tolist(), strict=True)))
     return {key: good & (branch == key[0]) & (piece == key[1]) for key in keys}
@@ -72,21 +91,33 @@ def _sort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _laws(
-    head: dict[str, Any], curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+    head: dict[str, Any],
+    curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]],
 ) -> list[dict[str, Any]]:
-    """The law at the smallest abscissae, and that at the largest if it differs, each of one curve."""
+    """The law at the smallest abscissae, and that at the largest if it differs, each of
+    one curve.
+    """
     small = min(_plateaus(curves, power_law.FLATNESS), key=_start, default=None)
-    # Above the transition the law only approximates a power, so the tolerance is larger there.
+    # Above the transition the law only approximates a power, so the tolerance is larger
+    # there.
     large = max(_plateaus(curves, 5 * power_law.FLATNESS), key=_start, default=None)
     if (
         small
         and large
         and small[0] == large[0]
-        and (_start(large) < small[1][-1] or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1)
+        and (
+            _start(large) < small[1][-1]
+            or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1
+        )
     ):
         large = None
-    if large and not small and _start(large) < _NEAR * min(x[0] for x, _ in curves.values()):
-        # A law that is flat to the larger tolerance only, but holds from the smallest abscissae on.
+    if (
+        large
+        and not small
+        and _start(large) < _NEAR * min(x[0] for x, _ in curves.values())
+    ):
+        # A law that is flat to the larger tolerance only, but holds from the smallest
+        # abscissae on.
         small, large = large, None
     rows = []
     for regime, run in (("small", small), ("large", large)):
@@ -94,11 +125,15 @@ def _laws(
         law = fitted or _NO_LAW
         branch, piece = run[0] if run and fitted else (-1, -1)
         numbers = {_COLUMNS.get(name, name): value for name, value in vars(law).items()}
-        rows.append({**head, "regime": regime, "branch": branch, "piece": piece, **numbers})
+        rows.append(
+            {**head, "regime": regime, "branch": branch, "piece": piece, **numbers}
+        )
     return rows
 
 
-def _plateaus(curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], flatness: float) -> Iterator[_Run]:
+def _plateaus(
+    curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], flatness: float
+) -> Iterator[_Run]:
     for key, (x, y) in curves.items():
         for first, last in power_law.plateaus(x, y, flatness):
             yield key, x[first : last + 1], y[first : last + 1]
@@ -108,27 +143,33 @@ def _start(run: _Run) -> float:
     return float(run[1][0])
 
 
-def _exponent(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> float:
+def _exponent(
+    x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray
+) -> float:
     return float(np.log(y[-1] / y[0]) / np.log(x[-1] / x[0]))
 
 
 def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Locate the transition of light feet's short step from slope to slope^(1/3), as a function of foot mass.
+    """Locate the transition of light feet's short step from slope to slope^(1/3), as a
+    function of foot mass.
 
     Parameters
     ----------
     params : mapping
         `lines`, each with a `foot_mass_ratio` (or walkers E and F).
     inputs : list
-        One dict a line: `slope` (n,) [rad]; `stance_angle` [rad], `branch`, `piece`, shape (n, gaits).
+        One dict a line: `slope` (n,) [rad]; `stance_angle` [rad], `branch`, `piece`,
+        shape (n, gaits).
 
     Returns
     -------
     dict
-        Table `fits/transition`, a row per ratio, heaviest first, from the piece of a branch that reaches the smallest
-        slope: numbers of branch and piece, amplitude of the linear law, crossing of the exact asymptotes, crossing of
-        fitted lines, the asymptotic formula, and the local exponent d ln slope_transition / d ln ratio towards the next
-        lighter foot. With ratios 0.1 and 0.05, table `fits/transition_ratio` compares them.
+        Table `fits/transition`, a row per ratio, heaviest first, from the piece of a
+        branch that reaches the smallest slope: numbers of branch and piece, amplitude
+        of the linear law, crossing of the exact asymptotes, crossing of fitted lines,
+        the asymptotic formula, and the local exponent d ln slope_transition / d ln
+        ratio towards the next lighter foot. With ratios 0.1 and 0.05, table
+        `fits/transition_ratio` compares them.
 
     Notes
     -----
@@ -142,7 +183,11 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if not (walker.point_foot and ratio > 0):
             continue
         curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
-        (branch, piece), points = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
+        (branch, piece), points = min(
+            curves.items(),
+            key=lambda c: data["slope"][c[1]].min(),
+            default=((-1, -1), []),
+        )
         slope, angle = _sort(data["slope"][points], data["stance_angle"][points, g])
         if len(slope) < 4:
             continue
@@ -161,15 +206,27 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 "amplitude_cube_root": laws.CUBE_ROOT,
                 "slope_transition": exact,
                 "slope_transition_fitted": fitted.slope,
-                **{f"fitted_{name}": value for name, value in vars(fitted).items() if name != "slope"},
+                **{
+                    f"fitted_{name}": value
+                    for name, value in vars(fitted).items()
+                    if name != "slope"
+                },
                 "asymptotic": float(laws.asymptotic(np.array(ratio))),
             }
         )
     rows.sort(key=lambda r: -r["foot_mass_ratio"])
-    for name, key in (("local_exponent", "slope_transition"), ("local_exponent_fitted", "slope_transition_fitted")):
+    for name, key in (
+        ("local_exponent", "slope_transition"),
+        ("local_exponent_fitted", "slope_transition_fitted"),
+    ):
         for row in rows:
-            lighter = [r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]][:1]
-            x, y = ([r[column] for r in (*lighter, row)] for column in ("foot_mass_ratio", key))
+            lighter = [
+                r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]
+            ][:1]
+            x, y = (
+                [r[column] for r in (*lighter, row)]
+                for column in ("foot_mass_ratio", key)
+            )
             row[name] = _exponent(x, y) if lighter else np.nan
     fitted_laws = table("fits/transition", rows)
     by_ratio = {round(r["foot_mass_ratio"], 12): r for r in rows}
@@ -182,8 +239,10 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     "pair": "E / F",
                     "foot_mass_ratios": "0.1 / 0.05",
                     "predicted": 2**1.5,
-                    "exact_asymptotes": heavy["slope_transition"] / light["slope_transition"],
-                    "fitted_lines": heavy["slope_transition_fitted"] / light["slope_transition_fitted"],
+                    "exact_asymptotes": heavy["slope_transition"]
+                    / light["slope_transition"],
+                    "fitted_lines": heavy["slope_transition_fitted"]
+                    / light["slope_transition_fitted"],
                 }
             ],
         )

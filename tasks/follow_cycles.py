@@ -1,4 +1,6 @@
-"""Branches of gaits that repeat after n steps: from the flips of gaits of n/2 steps, and from a search."""
+"""Branches of gaits that repeat after n steps: from the flips of gaits of n/2 steps,
+and from a search.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,13 @@ from gaitsweep.tasks.continuation.tracking import MAX_MULTIPLIER, follow
 from gaitsweep.tasks.locate_cascade import search_cycles
 from gaitsweep.tasks.step.problem import Problem
 
-#: Slopes of the search for gaits that no flip begins, over the slope of the first flip, and initial states at each.
+#: Slopes of the search for gaits that no flip begins, over the slope of the first flip,
+#: and initial states at each.
 _SEARCHED, _STARTS = np.linspace(0.8, 1.4, 9), 300
 #: First step along a branch that a search finds.
 _FIRST_STEP = 2e-3
-#: Length in ln slope that a doubled branch is taken to have: its first point is near enough to its flip for a cubic.
+#: Length in ln slope that a doubled branch is taken to have: its first point is near
+#: enough to its flip for a cubic.
 _EXPECTED = 5e-4
 
 
@@ -42,7 +46,8 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     Returns
     -------
     list of Branch
-        By their lowest slopes. Nothing is measured on them but whether they walk: what points need is measured there.
+        By their lowest slopes. Nothing is measured on them but whether they walk: what
+        points need is measured there.
     """
     single = [flip for branch in branches for flip in flips(problem, branch)]
     steps = n // (n & -n)  # the odd part
@@ -60,27 +65,44 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
 
 
 def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
-    return [flip for branch in branches for flip in flips(problem.of_steps(branch.steps), branch)]
+    return [
+        flip
+        for branch in branches
+        for flip in flips(problem.of_steps(branch.steps), branch)
+    ]
 
 
-def _along(problem: Problem, gait: Point, step: float, begins: Sequence[Evaluation]) -> list[Branch]:
+def _along(
+    problem: Problem, gait: Point, step: float, begins: Sequence[Evaluation]
+) -> list[Branch]:
     """The branch through a gait, followed both ways, in parts that walk."""
     ((down, up),) = follow(problem, gait.Z, step)
     return run(problem, branches_along(problem, down, up, COARSE, begins))
 
 
 def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
-    """Slopes at which gaits have doubled already, as those of heavy feet at vanishing slopes, shape (n,) [rad]."""
-    doubled = [b.q[(scalar("flip", corrected(problem, b).at) < 0) & (b.leg_passes == 1)] for b in branches]
+    """Slopes at which gaits have doubled already, as those of heavy feet at vanishing
+    slopes, shape (n,) [rad].
+    """
+    doubled = [
+        b.q[(scalar("flip", corrected(problem, b).at) < 0) & (b.leg_passes == 1)]
+        for b in branches
+    ]
     return np.array([np.exp(np.median(q)) for q in doubled if len(q)])
 
 
 def _searched(
-    problem: Problem, branches: list[Branch], n: int, flips: list[Evaluation], known: list[Branch]
+    problem: Problem,
+    branches: list[Branch],
+    n: int,
+    flips: list[Evaluation],
+    known: list[Branch],
 ) -> list[Branch]:
-    """Branches of gaits of n steps that a search near the first flip of one step finds besides the known ones.
+    """Branches of gaits of n steps that a search near the first flip of one step finds
+    besides the known ones.
 
-    If there is no flip, gaits of two steps are searched for at slopes at which those of one step have doubled.
+    If there is no flip, gaits of two steps are searched for at slopes at which those of
+    one step have doubled.
     """
     followed: list[Branch] = []
     several, slopes = problem.of_steps(n), np.zeros(0)
@@ -90,6 +112,8 @@ def _searched(
         slopes = _beyond_flips(problem, branches)
     for slope in slopes:
         for gait in search_cycles(problem, branches, float(slope), n, _STARTS):
-            if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known([*known, *followed], gait.Z[:, 0]):
+            if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known(
+                [*known, *followed], gait.Z[:, 0]
+            ):
                 followed += _along(several, gait, _FIRST_STEP, [])
     return followed

@@ -1,4 +1,6 @@
-"""The task `cascade`: gaits of period 1, 2, 4, ... and of other periods, from folds through period doublings."""
+"""The task `cascade`: gaits of period 1, 2, 4, ... and of other periods, from folds
+through period doublings.
+"""
 
 from __future__ import annotations
 
@@ -27,33 +29,52 @@ from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.several_steps import distance, distances_of_steps, joined, sections
+from gaitsweep.tasks.step.several_steps import (
+    distance,
+    distances_of_steps,
+    joined,
+    sections,
+)
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, nothing, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
-#: Orbits that locate the loss of walking, their relative distance from the last gait (chaos separates them), and how
-#: far beyond the accumulation they search, relative to its distance from the first flip.
+#: Orbits that locate the loss of walking, their relative distance from the last gait
+#: (chaos separates them), and how far beyond the accumulation they search, relative to
+#: its distance from the first flip.
 _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
-#: First step along a branch over the window, and the longest interval to the next flip, in ln slope, that is expected:
-#: the first intervals of a cascade need not follow Feigenbaum's law.
+#: First step along a branch over the window, and the longest interval to the next flip,
+#: in ln slope, that is expected: the first intervals of a cascade need not follow
+#: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Largest step of Newton's method by which a guess is not lost.
 _MAX_STEP = 1.0
 #: Most points of a branch on which no event is found.
 _MAX_POINTS = 400
-#: Distances of a gait's sections from each other, over the first angle, beyond which it does not repeat sooner, and
-#: from another gait's up to which they are the same.
+#: Distances of a gait's sections from each other, over the first angle, beyond which it
+#: does not repeat sooner, and from another gait's up to which they are the same.
 _APART, _SAME = 1e-5, 1e-6
 #: Columns of the tables.
-_CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", *RATES, "walks")
+_CASCADE = (
+    "family",
+    "period",
+    "kind",
+    "slope",
+    "error_bound",
+    "ratio",
+    "stance_angle",
+    *RATES,
+    "walks",
+)
 _ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
 _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 
 @dataclass(frozen=True)
 class _Event:
-    """A fold or flip of a family, the relative error of its slope, and the gaits between which it lies."""
+    """A fold or flip of a family, the relative error of its slope, and the gaits
+    between which it lies.
+    """
 
     kind: str
     gait: Evaluation
@@ -72,27 +93,31 @@ class _Event:
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Locate the flips and folds of a line's families of period-n gaits within a window of slopes.
+    """Locate the flips and folds of a line's families of period-n gaits within a window
+    of slopes.
 
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
-        periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
-        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located). Without
-        slopes nothing is located. `near` may name another line, whose atlas is given, from whose gaits the first of
-        this one's are sought.
+        `line`; `slope`, ndarray [rad], whose ends are the window and whose values are
+        searched for families of other periods than one; and the study's options:
+        `periods`, the longest; `families`, first periods; `starts`, initial conditions
+        of the search at each slope; `steps`, that walking must last (0: its end is not
+        located). Without slopes nothing is located. `near` may name another line, whose
+        atlas is given, from whose gaits the first of this one's are sought.
     inputs : list
         The line's atlas.
 
     Returns
     -------
     dict
-        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, stance_rate, thigh_rate,
-        shank_rate, walks), a row for each fold and flip, in the walker's units, `accumulation` (family, flips, slope,
-        low, high, ratio, stopped: why no further flip was located), and `lost` (family, low, high, starts, strides,
-        reason): the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one
-        gait; `reason` says why one of them is NaN.
+        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle,
+        stance_rate, thigh_rate, shank_rate, walks), a row for each fold and flip, in
+        the walker's units, `accumulation` (family, flips, slope, low, high, ratio,
+        stopped: why no further flip was located), and `lost` (family, low, high,
+        starts, strides, reason): the slopes [rad] between which the chaos beyond a
+        family's doublings ends, in falls or a period-one gait; `reason` says why one of
+        them is NaN.
     """
     options = registry.options("cascade", params)
     walker = walker_of_line(params["line"])
@@ -108,13 +133,24 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for number in options["families"]:
         families: list[list[_Event]] = []
         reasons: list[str] = []
-        for start in _first_gaits(problem, near, inputs[0], slope, int(number), int(options["starts"])):
-            family, stopped = _follow_family(problem, start, slope, int(options["periods"]), families)
+        for start in _first_gaits(
+            problem, near, inputs[0], slope, int(number), int(options["starts"])
+        ):
+            family, stopped = _follow_family(
+                problem, start, slope, int(options["periods"]), families
+            )
             if stopped is not None:
                 families.append(family)
                 reasons.append(stopped)
         if not families:
-            missing.append(over("long gait" if number == 1 else f"gait of period {number} was found", slope))
+            missing.append(
+                over(
+                    "long gait"
+                    if number == 1
+                    else f"gait of period {number} was found",
+                    slope,
+                )
+            )
             limits.append((f"{number}", 0, *[np.nan] * 4, missing[-1]))
         for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
@@ -137,24 +173,54 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 )
                 rows.append(values)
             value, low, high = scaling.accumulation(flips)
-            limits.append((name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan, stopped))
+            limits.append(
+                (
+                    name,
+                    len(flips),
+                    value,
+                    low,
+                    high,
+                    float(ratios[-1]) if len(ratios) else np.nan,
+                    stopped,
+                )
+            )
             if int(options["steps"]) and np.isfinite(value):
-                end = float(np.clip(value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]))
-                low, high = lost(problem, _spread_around(family[-1]), value, end, int(options["steps"]))
+                end = float(
+                    np.clip(
+                        value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]
+                    )
+                )
+                low, high = lost(
+                    problem,
+                    _spread_around(family[-1]),
+                    value,
+                    end,
+                    int(options["steps"]),
+                )
                 reason = _unbracketed(low, high, value, end)
-                bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
+                bracket = (
+                    (low, high) if value > flips[0] else (high, low)
+                )  # doublings may lead to smaller slopes
                 ends.append((name, *bracket, _ORBITS, int(options["steps"]), reason))
     tables = (
-        table("cascade", rows, _CASCADE) | table("accumulation", limits, _ACCUMULATION) | table("lost", ends, _LOST)
+        table("cascade", rows, _CASCADE)
+        | table("accumulation", limits, _ACCUMULATION)
+        | table("lost", ends, _LOST)
     )
     return tables if len(missing) < len(limits) else tables | nothing(" ".join(missing))
 
 
 def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:
-    """Why the loss of an attractor has no slope on one of its sides; empty where it has both."""
+    """Why the loss of an attractor has no slope on one of its sides; empty where it has
+    both.
+    """
     if np.isnan(low):
         return f"Orbits are lost at the accumulation point already, at slope {accumulation:.6g}."
-    return f"Orbits persist to slope {end:.6g}, where the search ends." if np.isnan(high) else ""
+    return (
+        f"Orbits persist to slope {end:.6g}, where the search ends."
+        if np.isnan(high)
+        else ""
+    )
 
 
 def _spread_around(event: _Event) -> np.ndarray:
@@ -170,20 +236,43 @@ def _is_same(a: _Event, b: _Event) -> bool:
     """Whether two folds are one."""
     if a.kind != b.kind or abs(a.q - b.q) >= 1e-9:
         return False
-    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, a.gait.problem.steps) < 1e-3
+    return (
+        distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, a.gait.problem.steps) < 1e-3
+    )
 
 
-def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Point]:
-    """A gait of each family of period n, sought from those of a walker `near` and its atlas."""
+def _first_gaits(
+    problem: Problem,
+    near: Problem,
+    atlas: Arrays,
+    slope: np.ndarray,
+    n: int,
+    starts: int,
+) -> list[Point]:
+    """A gait of each family of period n, sought from those of a walker `near` and its
+    atlas.
+    """
     if n == 1:
         branches = atlases.from_arrays(atlas)
-        # A branch may begin above the window's lower edge: between nodes, for at a fold it has no derivative.
-        between = np.exp(np.concatenate([slope[:0], *(0.5 * (branch.q[1:] + branch.q[:-1]) for branch in branches)]))
-        tried = np.unique([slope[0], *between[(between > slope[0]) & (between < slope[-1])]])
+        # A branch may begin above the window's lower edge: between nodes, for at a fold
+        # it has no derivative.
+        between = np.exp(
+            np.concatenate(
+                [
+                    slope[:0],
+                    *(0.5 * (branch.q[1:] + branch.q[:-1]) for branch in branches),
+                ]
+            )
+        )
+        tried = np.unique(
+            [slope[0], *between[(between > slope[0]) & (between < slope[-1])]]
+        )
         known, y = gaits_at(near, branches, tried, "long")
         for k, start in zip(known, y.T, strict=True):
             step = stride(problem, start[:, None], tried[[k]])
-            guess = joined(0.0, start[None, :, None], np.diff(step.times, axis=0, prepend=0)[None])
+            guess = joined(
+                0.0, start[None, :, None], np.diff(step.times, axis=0, prepend=0)[None]
+            )
             gaits = _solved(problem, guess[:, step.outcome == STRUCK], float(tried[k]))
             if gaits:
                 return gaits
@@ -196,7 +285,9 @@ def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarr
 
 
 def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
-    """Distinct gaits, of exactly so many steps, to which Newton's method leads from guesses (m + k, n) at one slope."""
+    """Distinct gaits, of exactly so many steps, to which Newton's method leads from
+    guesses (m + k, n) at one slope.
+    """
     m, n, q = problem.m, problem.steps, np.full(w.shape[1], np.log(slope))
     w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
     exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
@@ -208,11 +299,16 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
         return []
     Z = np.vstack([w, q])[:, kept]
     check, gaits = check_steps(problem, Z), correct(problem, Z, None)
-    return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)]
+    return [
+        lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)
+    ]
 
 
-def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int, starts: int) -> list[Point]:
-    """Search for the distinct gaits of exact period n at one slope, in order of their largest multiplier.
+def search_cycles(
+    problem: Problem, branches: list[Branch], slope: float, n: int, starts: int
+) -> list[Point]:
+    """Search for the distinct gaits of exact period n at one slope, in order of their
+    largest multiplier.
 
     Parameters
     ----------
@@ -228,43 +324,60 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     Notes
     -----
     Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
-    paper's walkers; those that return close to themselves after n steps are polished by Newton on all n sections.
+    paper's walkers; those that return close to themselves after n steps are polished by
+    Newton on all n sections.
     """
     known, y = gaits_at(problem, branches, np.array([slope]), "long")
     if not len(known):
         return []
     y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
     walk = Walk(problem, y, np.full(starts, slope))
-    after, times = zip(*((walk.y.copy(), walk.times.copy()) for _ in walk.steps(n + 1)), strict=True)
+    after, times = zip(
+        *((walk.y.copy(), walk.times.copy()) for _ in walk.steps(n + 1)), strict=True
+    )
     if not len(walk.lanes):
         return []
-    # The first step maps all initial conditions onto the strongly contracted image of the map.
+    # The first step maps all initial conditions onto the strongly contracted image of
+    # the map.
     distance = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
     nearest = walk.lanes[np.argsort(distance, kind="stable")[:60]]
     y, strikes = (np.stack(each)[..., nearest] for each in (after[:n], times[1:]))
-    gaits = _solved(problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope)
+    gaits = _solved(
+        problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope
+    )
     return sorted(gaits, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0])))
 
 
 def _follow_family(
-    problem: Problem, start: Point, slope: np.ndarray, longest: int, others: Sequence[list[_Event]] = ()
+    problem: Problem,
+    start: Point,
+    slope: np.ndarray,
+    longest: int,
+    others: Sequence[list[_Event]] = (),
 ) -> tuple[list[_Event], str | None]:
-    """A family's fold, then its flips, switching at each to the branch of twice the period; and why no more follow.
+    """A family's fold, then its flips, switching at each to the branch of twice the
+    period; and why no more follow.
 
-    Of a family that is the other side of the fold of one of the `others` only the fold, and None.
+    Of a family that is the other side of the fold of one of the `others` only the fold,
+    and None.
     """
     low, high = np.log(slope[0]), np.log(slope[-1])
     problem = problem.of_steps(start.at.stride.steps)
     up = np.eye(len(start.Z))[-1]
     events: list[_Event] = []
     if problem.steps > 1:
-        # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
-        fold, _ = _first_event(problem, (start, -up, _FIRST_STEP * (high - low)), "fold", low, high)
+        # Down to the fold at which the family is born; of its two sides the one nearer
+        # stability cascades.
+        fold, _ = _first_event(
+            problem, (start, -up, _FIRST_STEP * (high - low)), "fold", low, high
+        )
         if fold:
             events.append(fold)
             if any(_is_same(fold, other[0]) for other in others if other):
                 return events, None
-            start = min(fold.beside, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0])))
+            start = min(
+                fold.beside, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0]))
+            )
     begun: _Begun | None = (start, up, _FIRST_STEP * (high - low))
     expected, period = high - low, problem.steps
     while begun is not None and period <= longest:
@@ -274,7 +387,10 @@ def _follow_family(
         before = [e.q for e in events]
         events.append(flip)
         # The next interval by Feigenbaum's law from the last.
-        expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
+        expected = min(
+            _MAX_INTERVAL,
+            (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected,
+        )
         period *= 2
         begun = doubled(flip.gait, expected) if period <= longest else None
     if period <= longest:
@@ -286,25 +402,40 @@ def _follow_family(
 _Begun = tuple[Point, np.ndarray, float]
 
 
-def _first_event(problem: Problem, begun: _Begun, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
+def _first_event(
+    problem: Problem, begun: _Begun, kind: str, low: float, high: float
+) -> tuple[_Event | None, str]:
     """The first fold or flip along a branch inside the window, or why there is none."""
     q, points = float(begun[0].at.q[0]), points_along(problem, *begun)
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
-            return None, f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}"
-        q, (a, b) = float(after.at.q[0]), (float(scalar(kind, gait.at)[0]) for gait in (before, after))
+            return (
+                None,
+                f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}",
+            )
+        q, (a, b) = (
+            float(after.at.q[0]),
+            (float(scalar(kind, gait.at)[0]) for gait in (before, after)),
+        )
         if a * b < 0:
             length = float(np.linalg.norm(after.Z - before.Z))
             ends = (before.Z, before.direction), (after.Z, after.direction)
             guess = hermite(*ends, length, a / (a - b))
             solved = solve(problem, kind, guess)
-            # What lies between two points is nearer to its guess than they are to each other.
+            # What lies between two points is nearer to its guess than they are to each
+            # other.
             if not solved.ok[0] or np.linalg.norm(solved.Z - guess) > length:
-                return None, f"the next one could not be located, near a slope of {np.exp(q):.6g}"
+                return (
+                    None,
+                    f"the next one could not be located, near a slope of {np.exp(q):.6g}",
+                )
             error = slope_error(problem, kind, solved.Z[:, 0])
             event = _Event(kind, evaluate(problem, solved.Z), error, (before, after))
             if not low <= event.q <= high:
-                return None, f"the next one lies outside the window, at a slope of {event.slope:.6g}"
+                return (
+                    None,
+                    f"the next one lies outside the window, at a slope of {event.slope:.6g}",
+                )
             return event, ""
         if not low - 0.05 <= q <= high + 0.05:
             return None, f"the branch leaves the window at a slope of {np.exp(q):.6g}"

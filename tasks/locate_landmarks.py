@@ -1,4 +1,6 @@
-"""The tasks `landmarks`, `corners`, `crises`: slopes that the paper prints, as computed, and what rounding allows."""
+"""The tasks `landmarks`, `corners`, `crises`: slopes that the paper prints, as
+computed, and what rounding allows.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,26 @@ from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, LANDMARKS, inte
 from gaitsweep.tasks.registry import LOSS_WINDOWS
 from gaitsweep.tasks.tables import Arrays, table
 
-_COLUMNS = ("landmark", "walker", "point", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle")
-#: Slopes [rad] up to which the paper finds persistent walking (sections 3 and 7), and of the first period doubling of
-#: walkers without rounded parameters (section 3).
+_COLUMNS = (
+    "landmark",
+    "walker",
+    "point",
+    "printed",
+    "half_unit",
+    "slope",
+    "slope_low",
+    "slope_high",
+    "stance_angle",
+)
+#: Slopes [rad] up to which the paper finds persistent walking (sections 3 and 7), and
+#: of the first period doubling of walkers without rounded parameters (section 3).
 _CRISES = {"D": PRINTED["D8"], "C": PRINTED["K2"], "C-printed": PRINTED["K2"]}
 _FLIPS = {"D": PRINTED["D2"]}
 
 
 def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Locate the folds, flips and ends that the paper prints or numbers, of the catalogue's walkers in a study.
+    """Locate the folds, flips and ends that the paper prints or numbers, of the
+    catalogue's walkers in a study.
 
     Parameters
     ----------
@@ -34,18 +47,45 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `landmarks`: landmark; walker; point, its number in figure 6 or ""; printed [rad], NaN where the paper
-        has no number, and half a unit of its last digit; slope, stance_angle, and slope_low and slope_high, between
-        which the rounding of the printed parameters allows the slope [rad].
+        Table `landmarks`: landmark; walker; point, its number in figure 6 or "";
+        printed [rad], NaN where the paper has no number, and half a unit of its last
+        digit; slope, stance_angle, and slope_low and slope_high, between which the
+        rounding of the printed parameters allows the slope [rad].
     """
     paper, rows = paper_of(params["lines"], inputs), []
     for walker in _walkers(params):
         for name, mark in LANDMARKS.items():
             if mark.walker == walker:
                 at = interval(paper, name)
-                rows.append((name, walker, mark.point, *mark.printed, at.value, at.low, at.high, at.angle))
-        for end in paper.line(walker).special_of("end_zero_step")[:1] if walker == "physical-straight" else ():
-            rows.append(("point 4", walker, "4", *NOT_PRINTED, end["slope"], np.nan, np.nan, end["stance_angle"]))
+                rows.append(
+                    (
+                        name,
+                        walker,
+                        mark.point,
+                        *mark.printed,
+                        at.value,
+                        at.low,
+                        at.high,
+                        at.angle,
+                    )
+                )
+        for end in (
+            paper.line(walker).special_of("end_zero_step")[:1]
+            if walker == "physical-straight"
+            else ()
+        ):
+            rows.append(
+                (
+                    "point 4",
+                    walker,
+                    "4",
+                    *NOT_PRINTED,
+                    end["slope"],
+                    np.nan,
+                    np.nan,
+                    end["stance_angle"],
+                )
+            )
         if walker in _FLIPS:
             flip = paper.line(walker).special_of("flip")[0]
             place = (flip["slope"], flip["slope"], flip["slope"], flip["stance_angle"])
@@ -54,20 +94,23 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 
 def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Bracket the slopes at which the catalogue's walkers in a study lose persistent walking.
+    """Bracket the slopes at which the catalogue's walkers in a study lose persistent
+    walking.
 
     Parameters
     ----------
     params : mapping
         `lines` of the study.
     inputs : list
-        One dict a line, with its atlas and the tables of its tasks `cascade` and `corners`.
+        One dict a line, with its atlas and the tables of its tasks `cascade` and
+        `corners`.
 
     Returns
     -------
     dict
-        Table `crises` with the columns of `landmarks`; stance_angle is NaN, and slope_low and slope_high are the
-        bracket where the walker's parameters are exact by definition.
+        Table `crises` with the columns of `landmarks`; stance_angle is NaN, and
+        slope_low and slope_high are the bracket where the walker's parameters are exact
+        by definition.
     """
     paper, rows = paper_of(params["lines"], inputs), []
     for walker in _walkers(params):
@@ -78,12 +121,15 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 (least, _), (_, most) = corner_crises(paper, walker)
                 bounds = (least, most)
             place = (0.5 * (low + high), *bounds, np.nan)
-            rows.append((f"{walker} loss of walking", walker, "", *_CRISES[walker], *place))
+            rows.append(
+                (f"{walker} loss of walking", walker, "", *_CRISES[walker], *place)
+            )
     return table("crises", rows, _COLUMNS) if rows else {}
 
 
 def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Bracket the loss of walking at the two corners of the rounding of a line's walker.
+    """Bracket the loss of walking at the two corners of the rounding of a line's
+    walker.
 
     Parameters
     ----------
@@ -95,8 +141,8 @@ def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `corners`, of two rows: low and high [rad]; of none where the paper prints no loss of walking, or the
-        walker's parameters are exact.
+        Table `corners`, of two rows: low and high [rad]; of none where the paper prints
+        no loss of walking, or the walker's parameters are exact.
     """
     line = params["line"]
     (name, *_) = _walkers({"lines": [line]}) or [""]
@@ -107,4 +153,8 @@ def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def _walkers(params: Mapping[str, Any]) -> list[str]:
     """Walkers of the catalogue among a study's lines, as they are there."""
-    return [line["walker"] for line in params["lines"] if isinstance(line["walker"], str) and not line["set"]]
+    return [
+        line["walker"]
+        for line in params["lines"]
+        if isinstance(line["walker"], str) and not line["set"]
+    ]

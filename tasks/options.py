@@ -1,4 +1,5 @@
-"""Options of each kind of study, which `options.toml` lists: what each holds, its default and its meaning.
+"""Options of each kind of study, which `options.toml` lists: what each holds, its
+default and its meaning.
 
 Like the registry, this module imports no solver.
 """
@@ -17,10 +18,11 @@ MAX_STEPS = 64
 class Option:
     """One option of a kind of study: what it holds, its default, and its meaning.
 
-    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them),
-    "steps" (from 1 to MAX_STEPS), "slope" (above 0 and below 0.5), "share" (from 0 to 0.5), "range" (two rising
-    numbers), "gait" (a label), "key" (of a walker), "keys" (a list of them, not derived), "kinds" (of special points)
-    or "limits" (of violations, by name).
+    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0",
+    "counts" (a list of them), "steps" (from 1 to MAX_STEPS), "slope" (above 0 and below
+    0.5), "share" (from 0 to 0.5), "range" (two rising numbers), "gait" (a label), "key"
+    (of a walker), "keys" (a list of them, not derived), "kinds" (of special points) or
+    "limits" (of violations, by name).
     """
 
     holds: str
@@ -30,10 +32,15 @@ class Option:
 
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _EVERY = _TABLES.pop("every")
-#: Options of each kind of study; the parser, `gaitsweep plan --help`, the tasks and the docs read them here.
+#: Options of each kind of study; the parser, `gaitsweep plan --help`, the tasks and the
+#: docs read them here.
 OPTIONS = {
     kind: {
-        name: Option(about["holds"], about.get("default"), about["meaning"].format(MAX_STEPS=MAX_STEPS))
+        name: Option(
+            about["holds"],
+            about.get("default"),
+            about["meaning"].format(MAX_STEPS=MAX_STEPS),
+        )
         for name, about in (table | _EVERY).items()
     }
     for kind, table in _TABLES.items()
@@ -42,7 +49,9 @@ OPTIONS = {
 
 def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a kind of study: those given, and the defaults of the others."""
-    return {name: given.get(name, option.default) for name, option in OPTIONS[kind].items()}
+    return {
+        name: given.get(name, option.default) for name, option in OPTIONS[kind].items()
+    }
 
 
 #: Points whose curves a study of kind `curve` follows.

@@ -17,14 +17,15 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     params : mapping
-        `walker` (name or table), `slope` [rad] and the values of `set`, as strings or numbers that mean the decimals
-        written; `gait`, a label, or None; `accuracy`, the largest relative radius.
+        `walker` (name or table), `slope` [rad] and the values of `set`, as strings or
+        numbers that mean the decimals written; `gait`, a label, or None; `accuracy`,
+        the largest relative radius.
 
     Returns
     -------
     dict
-        `gaits`, a list with one dict a gait; `search`, sentences on how they were sought; and `others`, which gaits
-        there are if none has the label, else empty.
+        `gaits`, a list with one dict a gait; `search`, sentences on how they were
+        sought; and `others`, which gaits there are if none has the label, else empty.
 
     Raises
     ------
@@ -33,8 +34,13 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     table = params["walker"] if isinstance(params["walker"], Mapping) else {}
     check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})
-    walker, numbers = in_doubles(table) or params["walker"], in_doubles(params.get("set") or {})
-    solved = solve_one({"walker": walker, "slope": float(params["slope"]), "set": numbers})
+    walker, numbers = (
+        in_doubles(table) or params["walker"],
+        in_doubles(params.get("set") or {}),
+    )
+    solved = solve_one(
+        {"walker": walker, "slope": float(params["slope"]), "set": numbers}
+    )
     keys, kneed = exact(params["walker"], params.get("set"))
     setting = Setting(keys, kneed, decimal(params["slope"]))
     wanted, labels = params.get("gait"), [g["gait"] for g in solved["gaits"]]
@@ -45,7 +51,13 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
         others = f"There is no {wanted} gait at slope {float(params['slope']):g}; there {are} {', '.join(labels)}."
     return {
         "gaits": [
-            record(setting, g["gait"], g, prove(setting, guess(g), params["accuracy"], g["gait"])) for g in gaits
+            record(
+                setting,
+                g["gait"],
+                g,
+                prove(setting, guess(g), params["accuracy"], g["gait"]),
+            )
+            for g in gaits
         ],
         "search": solved["search"],
         "others": others,

@@ -1,9 +1,10 @@
 """What can be computed: every task's name, function, inputs, outputs and version.
 
-The lowest floor of the house, and the door by which the pipeline enters: the variables (`tasks.variables`) and the
-options of studies (`tasks.options`) are read here too. It imports no solver, so a study is planned without loading one.
-A version is bumped by hand when a task's results change; it is the only thing (besides the
-parameters) that makes a stored result stale.
+The lowest floor of the house, and the door by which the pipeline enters: the variables
+(`tasks.variables`) and the options of studies (`tasks.options`) are read here too. It
+imports no solver, so a study is planned without loading one. A version is bumped by
+hand when a task's results change; it is the only thing (besides the parameters) that
+makes a stored result stale.
 """
 
 import tomllib
@@ -26,17 +27,19 @@ from gaitsweep.tasks.variables import VIOLATIONS as VIOLATIONS
 from gaitsweep.tasks.variables import Variable as Variable
 from gaitsweep.tasks.variables import admit as admit
 
-#: Slopes that can be asked for [rad], the first included: branches are followed down to it.
+#: Slopes that can be asked for [rad], the first included: branches are followed down to
+#: it.
 SLOPES = (1e-18, 0.5)
 
 
 @dataclass(frozen=True)
 class Task:
-    """One kind of work: `function` is "module:name", called as function(params, inputs).
+    """One kind of work: `function` is "module:name", called as function(params,
+    inputs).
 
-    `side_by_side` computes this task and `points`, which needs it, for several short lines in one call, `over_plane`
-    for those in one cell of a plane of keys. What they take is in
-    `tasks.costs`.
+    `side_by_side` computes this task and `points`, which needs it, for several short
+    lines in one call, `over_plane` for those in one cell of a plane of keys. What they
+    take is in `tasks.costs`.
     """
 
     name: str
@@ -69,47 +72,103 @@ TASKS = {
         Task("census", "gaitsweep.tasks.count_gaits:census", 16),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
-        Task("landmarks", "gaitsweep.tasks.locate_landmarks:landmarks", 8, needs=("atlas",)),
-        Task("corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)),
-        Task("crises", "gaitsweep.tasks.locate_landmarks:crises", 7, needs=("atlas", "cascade", "corners")),
-        Task("claims", "gaitsweep.tasks.check_claims:claims", 23, needs=("points", "atlas")),
+        Task(
+            "landmarks",
+            "gaitsweep.tasks.locate_landmarks:landmarks",
+            8,
+            needs=("atlas",),
+        ),
+        Task(
+            "corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)
+        ),
+        Task(
+            "crises",
+            "gaitsweep.tasks.locate_landmarks:crises",
+            7,
+            needs=("atlas", "cascade", "corners"),
+        ),
+        Task(
+            "claims",
+            "gaitsweep.tasks.check_claims:claims",
+            23,
+            needs=("points", "atlas"),
+        ),
     )
 }
 
-#: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
+#: A line of no more slopes is short: its atlas is coarse, and what its gaits' error
+#: bounds need is measured at each.
 SHORT_LINE = 256
 
-#: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
+#: Every figure and fit, and the point variables and tasks it reads; the plan adds them
+#: to what a study wants.
 READS = {
     name: tuple(read)
-    for name, read in tomllib.loads(Path(__file__).with_name("reads.toml").read_text(encoding="utf-8")).items()
+    for name, read in tomllib.loads(
+        Path(__file__).with_name("reads.toml").read_text(encoding="utf-8")
+    ).items()
 }
 
-#: Tasks over a whole study that a study's `fits` may name, and names that its `figures` may hold.
+#: Tasks over a whole study that a study's `fits` may name, and names that its `figures`
+#: may hold.
 FITS = ("scaling", "transition", "landmarks", "crises")
 FIGURES = tuple(name for name in READS if name not in FITS)
 
-#: Tasks whose tables claims read beside those of the study's own task, and tasks whose results are in no table.
-READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "charts", "points", "corners")
+#: Tasks whose tables claims read beside those of the study's own task, and tasks whose
+#: results are in no table.
+READ_BY_CLAIMS, INTERNAL = (
+    {"K2": ("corners",)},
+    ("atlas", "charts", "points", "corners"),
+)
 
-#: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the paper prints.
+#: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the
+#: paper prints.
 LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")
 #: What is known of gaits of one step only: what a study of longer ones cannot want.
-OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")
+OF_ONE_STEP = (
+    "transition",
+    "landmarks",
+    "crises",
+    "angles",
+    "claims",
+    "proved",
+    "proved_radius",
+)
 
-#: Figures and fits that need a study of one kind, and what reads tasks over lines, which designs have not.
+#: Figures and fits that need a study of one kind, and what reads tasks over lines,
+#: which designs have not.
 NEEDED_KINDS = {name: name for name in ("basin", "design", "census", "cascade")}
-NEEDED_KINDS |= {"locus": "branch", "bifurcation": "orbit", "curves": "curve", "scaling": "grid", "transition": "grid"}
+NEEDED_KINDS |= {
+    "locus": "branch",
+    "bifurcation": "orbit",
+    "curves": "curve",
+    "scaling": "grid",
+    "transition": "grid",
+}
 OVER_LINES = ("landmarks", "crises", "angles", *READ_BY_CLAIMS)
 
 #: How many claims the ledger has of each family, and their names.
-_FAMILIES = {"D": 10, "E": 7, "P": 8, "T": 8, "Z": 6, "M": 7, "K": 3, "W": 1, "G": 2, "A": 6}
-CLAIMS = tuple(f"{family}{n}" for family, count in _FAMILIES.items() for n in range(1, count + 1))
+_FAMILIES = {
+    "D": 10,
+    "E": 7,
+    "P": 8,
+    "T": 8,
+    "Z": 6,
+    "M": 7,
+    "K": 3,
+    "W": 1,
+    "G": 2,
+    "A": 6,
+}
+CLAIMS = tuple(
+    f"{family}{n}" for family, count in _FAMILIES.items() for n in range(1, count + 1)
+)
 
-#: Calls answered at once, without a graph: of the command line and of Python, and the check of a walker.
+#: Calls answered at once, without a graph: of the command line and of Python, and the
+#: check of a walker.
 CALLS = {
     "solve": "gaitsweep.tasks.solve_at_slope:solve_one",
     "step_map": "gaitsweep.tasks.map_step:map_step",

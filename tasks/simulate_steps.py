@@ -1,9 +1,10 @@
 """Steps from any state, one after another, with pushes and ground of changing height.
 
-The motion is integrated by heyoka's adaptive Taylor method, which locates the strikes on its polynomials. This is not
-the way the step map is computed, whose event times are unknowns. Ground that rises or falls by `height` at a step ends
-it when the swing foot's centre lies l (cos stance - cos swing) = height above the stance foot's (up is positive); the
-legs then stand at two different angles.
+The motion is integrated by heyoka's adaptive Taylor method, which locates the strikes
+on its polynomials. This is not the way the step map is computed, whose event times are
+unknowns. Ground that rises or falls by `height` at a step ends it when the swing foot's
+centre lies l (cos stance - cos swing) = height above the stance foot's (up is
+positive); the legs then stand at two different angles.
 """
 
 from __future__ import annotations
@@ -37,9 +38,11 @@ from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Intervals of each phase at whose ends the motion is sampled.
 SAMPLES = 48
-#: Scaled half angle between the legs below which they count as parallel, and time after which a guard may strike.
+#: Scaled half angle between the legs below which they count as parallel, and time after
+#: which a guard may strike.
 _PARALLEL, _MIN_TIME = 1e-6, 1e-9
-#: Scaled rate from which a motion counts as lost: its Taylor coefficients might overflow.
+#: Scaled rate from which a motion counts as lost: its Taylor coefficients might
+#: overflow.
 _MAX_RATE = 1e8
 
 
@@ -49,19 +52,21 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     params : mapping
-        `walker` (name or table), `set` (keys to change), `slope` [rad], `state` (stance angle [rad], stance and thigh
-        rate), `steps` (their number n), `pushes` ({step: (change of the stance rate, of the thigh rate)}), `ground`
-        ({step: height by which the ground rises at the end of the step}), `motion` (whether to sample it); in the
-        walker's units.
+        `walker` (name or table), `set` (keys to change), `slope` [rad], `state` (stance
+        angle [rad], stance and thigh rate), `steps` (their number n), `pushes` ({step:
+        (change of the stance rate, of the thigh rate)}), `ground` ({step: height by
+        which the ground rises at the end of the step}), `motion` (whether to sample
+        it); in the walker's units.
 
     Returns
     -------
     dict
-        In the walker's units, NaN after a fall: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`,
-        `shank_rate`, shape (n + 1,), just after the heelstrike before each step and after the last, before the step's
-        push; `period` and
-        `kneestrike_time`, shape (n,); `cause`, of CAUSES, and `steps_taken`. With `motion` also `time` (from
-        the start of the step), `theta_st`, `theta_th`, `theta_sh` and `foot_x`, shape (n, phases, SAMPLES + 1).
+        In the walker's units, NaN after a fall: `stance_angle`, `thigh_angle`,
+        `stance_rate`, `thigh_rate`, `shank_rate`, shape (n + 1,), just after the
+        heelstrike before each step and after the last, before the step's push; `period`
+        and `kneestrike_time`, shape (n,); `cause`, of CAUSES, and `steps_taken`. With
+        `motion` also `time` (from the start of the step), `theta_st`, `theta_th`,
+        `theta_sh` and `foot_x`, shape (n, phases, SAMPLES + 1).
 
     Raises
     ------
@@ -78,10 +83,17 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         states[k] = _all_angles(x) * scale
         if k == n:
             break
-        x = _push(x, np.array(params.get("pushes", {}).get(k, (0.0, 0.0))) * time_unit / scale)
+        x = _push(
+            x, np.array(params.get("pushes", {}).get(k, (0.0, 0.0))) * time_unit / scale
+        )
         height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
-        step = take_step(problem, x, parameters[:, 0], height, bool(params.get("motion")))
-        times[k, : len(step.times)], motion[k, :, : len(step.motion)] = step.times, np.moveaxis(step.motion, 1, 0)
+        step = take_step(
+            problem, x, parameters[:, 0], height, bool(params.get("motion"))
+        )
+        times[k, : len(step.times)], motion[k, :, : len(step.motion)] = (
+            step.times,
+            np.moveaxis(step.motion, 1, 0),
+        )
         outcome = step.outcome
         if outcome != STRUCK:
             break
@@ -94,18 +106,23 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         "thigh_rate": rates[:, 1],
         "shank_rate": rates[:, 2],
         "period": times[:, -1] * time_unit,
-        "kneestrike_time": (times[:, 0] if phases == 2 else np.full(n, np.nan)) * time_unit,
+        "kneestrike_time": (times[:, 0] if phases == 2 else np.full(n, np.nan))
+        * time_unit,
         "cause": CAUSES[outcome],
         "steps_taken": taken,
     }
     if params.get("motion"):
         angles = motion[:, 1:] * scale
         result |= {"time": motion[:, 0] * time_unit, "foot_x": -walker.R * angles[:, 0]}
-        result |= {f"theta_{link}": angles[:, i] for i, link in enumerate(("st", "th", "sh"))}
+        result |= {
+            f"theta_{link}": angles[:, i] for i, link in enumerate(("st", "th", "sh"))
+        }
     return result
 
 
-def begin(params: Mapping[str, Any]) -> tuple[Lanes, np.ndarray, np.ndarray, np.ndarray]:
+def begin(
+    params: Mapping[str, Any],
+) -> tuple[Lanes, np.ndarray, np.ndarray, np.ndarray]:
     """What steps from a state begin with.
 
     Parameters
@@ -126,23 +143,42 @@ def begin(params: Mapping[str, Any]) -> tuple[Lanes, np.ndarray, np.ndarray, np.
     WalkerError
         If the walker or the state is invalid.
     """
-    problem, slope = section_problem(walker_of_line(params)), np.array([float(params["slope"])])
+    problem, slope = (
+        section_problem(walker_of_line(params)),
+        np.array([float(params["slope"])]),
+    )
     state, time_unit = np.array(params["state"], float), problem.walker.time_unit
     if not 0 < state[0] < MAX_ANGLE:
-        raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")
+        raise WalkerError(
+            "state",
+            f"{float(state[0])!r} rad",
+            f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad",
+        )
     scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)
-    y = problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope) / scale
-    return problem, parameters, y, problem.map.start(y, parameters)[: problem.map.start_size, 0]
+    y = (
+        problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope)
+        / scale
+    )
+    return (
+        problem,
+        parameters,
+        y,
+        problem.map.start(y, parameters)[: problem.map.start_size, 0],
+    )
 
 
 def section_problem(walker: Walker) -> Lanes:
-    """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
+    """Step map of a walker with three coordinates on its section, those of point feet
+    as of other straight legs.
+    """
     return Lanes([walker], general_structure(walker.knees))
 
 
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """State with changes (2,) added to the scaled rates of stance leg and swing leg; a free knee is not bent by it."""
+    """State with changes (2,) added to the scaled rates of stance leg and swing leg; a
+    free knee is not bent by it.
+    """
     n = len(x) // 2
     return x + np.concatenate([np.zeros(n), change[:1], np.repeat(change[1:], n - 1)])
 
@@ -154,7 +190,9 @@ def _all_angles(x: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Step:
-    """One step: its event times, the scaled state after it, and samples (phases, 4, SAMPLES + 1) of its motion."""
+    """One step: its event times, the scaled state after it, and samples (phases, 4,
+    SAMPLES + 1) of its motion.
+    """
 
     outcome: int
     times: list[float]
@@ -163,7 +201,11 @@ class Step:
 
 
 def take_step(
-    problem: Problem, x: np.ndarray, parameters: np.ndarray, height: float = 0.0, sampled: bool = False
+    problem: Problem,
+    x: np.ndarray,
+    parameters: np.ndarray,
+    height: float = 0.0,
+    sampled: bool = False,
 ) -> Step:
     """Take one step.
 
@@ -186,7 +228,9 @@ def take_step(
     scan, lane = scanner(structure), parameters[:, None]
     times, motion = [], []
     for free in (True, False) if structure.kneed else (False,):
-        x, end, outcome, samples = _phase(structure, free).integrate(x, begin, parameters, height, sampled)
+        x, end, outcome, samples = _phase(structure, free).integrate(
+            x, begin, parameters, height, sampled
+        )
         motion += samples
         if outcome != STRUCK:
             break
@@ -199,7 +243,9 @@ def take_step(
 
 
 class _Phase:
-    """The motion of three links to kneestrike (`free`), or of two to heelstrike, with its events."""
+    """The motion of three links to kneestrike (`free`), or of two to heelstrike, with
+    its events.
+    """
 
     def __init__(self, structure: Structure, free: bool):
         prepare_compiler()
@@ -207,8 +253,12 @@ class _Phase:
         self.links, self.parameters = 3 if free else 2, flow.parameters()
         q = hy.make_vars(*(f"q{i}" for i in range(self.links)))
         scale, height, limit = (hy.par[len(flow.held) + i] for i in range(3))
-        half_sum, half_between = scale * (q[0] + q[1]) * 0.5, scale * (q[1] - q[0]) * 0.5
-        # Height of the swing foot's centre above the stance foot's, less that of the ground, over l.
+        half_sum, half_between = (
+            scale * (q[0] + q[1]) * 0.5,
+            scale * (q[1] - q[0]) * 0.5,
+        )
+        # Height of the swing foot's centre above the stance foot's, less that of the
+        # ground, over l.
         gap = 2.0 * hy.sin(half_sum) * hy.sin(half_between) - height
         self.outcomes = [STRUCK, BACKWARD, FORWARD]
         self._taylor: Any = hy.taylor_adaptive(
@@ -226,7 +276,12 @@ class _Phase:
         )
 
     def integrate(
-        self, x: np.ndarray, begin: float, parameters: np.ndarray, height: float, sampled: bool
+        self,
+        x: np.ndarray,
+        begin: float,
+        parameters: np.ndarray,
+        height: float,
+        sampled: bool,
     ) -> tuple[np.ndarray, float, int, list[np.ndarray]]:
         """Integrate a scaled state to the strike.
 
@@ -248,18 +303,32 @@ class _Phase:
         outcome : int
             Index of CAUSES.
         samples : list of ndarray, shape (4, SAMPLES + 1)
-            Times and angles of the motion, also of one that ends in a fall; empty where not asked for.
+            Times and angles of the motion, also of one that ends in a fall; empty where
+            not asked for.
         """
         if not np.abs(x).max() < _MAX_RATE:
             return x, begin, LOST, []
         scale = parameters[1]
-        self._taylor.pars[:] = [*self.parameters(parameters), scale, height, MAX_ANGLE / scale]
+        self._taylor.pars[:] = [
+            *self.parameters(parameters),
+            scale,
+            height,
+            MAX_ANGLE / scale,
+        ]
         self._taylor.state[:], self._taylor.time = x, 0.0
         self._taylor.reset_cooldowns()
-        stop, _, _, _, motion, _ = self._taylor.propagate_until(MAX_TIME - begin, c_output=sampled)
+        stop, _, _, _, motion, _ = self._taylor.propagate_until(
+            MAX_TIME - begin, c_output=sampled
+        )
         end, state = float(self._taylor.time), np.array(self._taylor.state)
         event = -1 - int(stop)  # heyoka counts the events that stop it down from -1
-        outcome = self.outcomes[event] if event in (0, 1, 2) else NO_KNEESTRIKE if self.links == 3 else NO_HEELSTRIKE
+        outcome = (
+            self.outcomes[event]
+            if event in (0, 1, 2)
+            else NO_KNEESTRIKE
+            if self.links == 3
+            else NO_HEELSTRIKE
+        )
         if not np.isfinite(state).all():
             outcome = LOST
         samples = []
@@ -271,12 +340,15 @@ class _Phase:
 
 
 def _is_no_kneestrike(taylor: Any, sign: int) -> bool:
-    """Whether the motion goes on where the flexion falls to zero: at the start of a step it has not flexed."""
+    """Whether the motion goes on where the flexion falls to zero: at the start of a
+    step it has not flexed.
+    """
     return taylor.time < _MIN_TIME
 
 
 def _is_no_heelstrike(taylor: Any, sign: int) -> bool:
-    """Whether the motion goes on where the foot reaches the ground: beside the stance foot, or with that leg behind.
+    """Whether the motion goes on where the foot reaches the ground: beside the stance
+    foot, or with that leg behind.
 
     It does so beside the stance foot also after the swing leg has turned over the hip.
     """

@@ -30,12 +30,44 @@ from gaitsweep.tasks.walkers.walker import Walker
 _WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
 #: First columns of a gait, and all columns.
 _FIRST = (
-    *("gait", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time"),
-    *("multipliers", "stable", "speed", "froude_speed", "cost_of_transport", "power", "step_length"),
-    *("loss_normal", "loss_tangential", "loss_kneestrike", "violations", "status", "residual", "error_bound"),
+    *(
+        "gait",
+        "slope",
+        "stance_angle",
+        "stance_rate",
+        "thigh_rate",
+        "shank_rate",
+        "period",
+        "kneestrike_time",
+    ),
+    *(
+        "multipliers",
+        "stable",
+        "speed",
+        "froude_speed",
+        "cost_of_transport",
+        "power",
+        "step_length",
+    ),
+    *(
+        "loss_normal",
+        "loss_tangential",
+        "loss_kneestrike",
+        "violations",
+        "status",
+        "residual",
+        "error_bound",
+    ),
     *("branch", "piece", "velocity_ratio", "contact_mass_matrix"),
 )
-_COLUMNS = (*_FIRST, *(v for v in _WANT if v not in (*_FIRST, "reason", "multiplier_real", "multiplier_imag")))
+_COLUMNS = (
+    *_FIRST,
+    *(
+        v
+        for v in _WANT
+        if v not in (*_FIRST, "reason", "multiplier_real", "multiplier_imag")
+    ),
+)
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -44,15 +76,17 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     params : mapping
-        `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also gaits whose legs pass more
-        than once), `steps` after which the gaits repeat (1 if omitted), `accuracy`, the largest error bound wanted
-        (0 for any), `violation_limits`, those of violations that are not the registry's.
+        `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also
+        gaits whose legs pass more than once), `steps` after which the gaits repeat (1
+        if omitted), `accuracy`, the largest error bound wanted (0 for any),
+        `violation_limits`, those of violations that are not the registry's.
 
     Returns
     -------
     dict
-        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its keys; `units` of its entries;
-        `search`, sentences on how the gaits were searched for; and `absent`, why there is no long or no short one.
+        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its
+        keys; `units` of its entries; `search`, sentences on how the gaits were searched
+        for; and `absent`, why there is no long or no short one.
 
     Raises
     ------
@@ -61,7 +95,11 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     slope, walker = float(params["slope"]), walker_of_line(line)
-    asked = {name: params[name] for name in ("steps", "accuracy", "violation_limits") if name in params}
+    asked = {
+        name: params[name]
+        for name in ("steps", "accuracy", "violation_limits")
+        if name in params
+    }
     request = {"line": line, "slope": np.array([slope]), "want": _WANT, **asked}
     if int(params.get("steps", 1)) > 1:
         return _solve_cycles(request, walker)
@@ -71,34 +109,60 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     found = _converged(point)
     log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
     nodes = sum(len(branch.q) for branch in branches)
-    log.append(f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {nodes} points")
+    log.append(
+        f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {nodes} points"
+    )
     if params.get("all") or not found:
         found, others, nearest = _search_slope(problem, request, branches, found)
-        log.append(f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}")
+        log.append(
+            f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}"
+        )
         if not found:
-            log += [*point["reasons"][[status.NO_LONG, status.NO_SHORT]].tolist(), nearest]
+            log += [
+                *point["reasons"][[status.NO_LONG, status.NO_SHORT]].tolist(),
+                nearest,
+            ]
     else:
         others = []
         log += _left_out(point)
-    records = [_record(_name(place), slope, found[place], walker) for place in sorted(found)]
+    records = [
+        _record(_name(place), slope, found[place], walker) for place in sorted(found)
+    ]
     if params.get("all"):
-        records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in others]
-    return _answer(records, walker.si, log, _absent(branches, point, slope, [record["gait"] for record in records]))
+        records += [
+            _record(f"passes_{gait['passes']}_times", slope, gait, walker)
+            for gait in others
+        ]
+    return _answer(
+        records,
+        walker.si,
+        log,
+        _absent(branches, point, slope, [record["gait"] for record in records]),
+    )
 
 
-def _absent(branches: list[Branch], point: Mapping[str, Any], slope: float, labels: list[str]) -> list[str]:
-    """Why there is no gait of a label; where branches were lost, what they span does not say it."""
+def _absent(
+    branches: list[Branch], point: Mapping[str, Any], slope: float, labels: list[str]
+) -> list[str]:
+    """Why there is no gait of a label; where branches were lost, what they span does
+    not say it.
+    """
     are_whole = not any(branch.lost() for branch in branches)
-    pieces = {label: list(spans(branches, label)) if are_whole else [] for label in GAITS[:2]}
+    pieces = {
+        label: list(spans(branches, label)) if are_whole else [] for label in GAITS[:2]
+    }
     return [
-        status.beyond(label, pieces[label], slope) or str(point["reasons"][point["reason"][0, g]])
+        status.beyond(label, pieces[label], slope)
+        or str(point["reasons"][point["reason"][0, g]])
         for g, label in enumerate(GAITS[:2])
         if label not in labels
     ]
 
 
 def _converged(point: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """Variables of each gait that converged at the only slope, by the place of its label."""
+    """Variables of each gait that converged at the only slope, by the place of its
+    label.
+    """
     solved = np.flatnonzero(np.isin(point["status"][0], status.SOLVED)).tolist()
     return {g: {k: point[k][0, g] for k in _WANT} for g in solved}
 
@@ -109,9 +173,20 @@ def _left_out(point: Mapping[str, Any]) -> list[str]:
     return [str(point["reasons"][status.UNLABELLED])] if has_more else []
 
 
-def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str], absent: Sequence[str] = ()) -> dict[str, Any]:
+def _answer(
+    records: list[dict[str, Any]],
+    is_si: bool,
+    log: list[str],
+    absent: Sequence[str] = (),
+) -> dict[str, Any]:
     units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
-    return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log, "absent": absent}
+    return {
+        "gaits": records,
+        "columns": list(_COLUMNS),
+        "units": units,
+        "search": log,
+        "absent": absent,
+    }
 
 
 def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
@@ -128,19 +203,25 @@ def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
 
 
 def _name(place: int) -> str:
-    """Label of a gait by its place; a search may find more gaits than archives have labels."""
+    """Label of a gait by its place; a search may find more gaits than archives have
+    labels.
+    """
     return GAITS[place] if place < 2 else f"other{place - 1}"
 
 
 def _search_slope(
-    problem: Problem, request: Mapping[str, Any], branches: list[Branch], found: dict[int, dict[str, Any]]
+    problem: Problem,
+    request: Mapping[str, Any],
+    branches: list[Branch],
+    found: dict[int, dict[str, Any]],
 ) -> tuple[dict[int, dict[str, Any]], list[dict[str, Any]], str]:
     """What a search at the only slope adds to the gaits that branches have there.
 
     Returns
     -------
     anthropomorphic : dict of dict
-        Variables of all gaits by the places of their labels, anew: those `found` on branches, and others.
+        Variables of all gaits by the places of their labels, anew: those `found` on
+        branches, and others.
     others : list of dict
         Variables of gaits whose legs pass more than once.
     nearest : str
@@ -149,43 +230,71 @@ def _search_slope(
     (slope,), wanted = request["slope"].tolist(), Wanted.of(request)
     w, _, verdict = search(problem, slope)
     if verdict is None:
-        return found, [], "Nearest miss: no initial guess led to a solution of the step's equations."
+        return (
+            found,
+            [],
+            "Nearest miss: no initial guess led to a solution of the step's equations.",
+        )
     slopes = np.full(w.shape[1], slope)
-    # What is one gait, and its label, are decided by all digits, whatever the accuracy wanted.
+    # What is one gait, and its label, are decided by all digits, whatever the accuracy
+    # wanted.
     at = settle(problem, unmeasured(problem, w, slopes))
     is_new, gaits = at.step & at.converged, []
     for _, place, known in labelled(problem, branches, np.array([slope])):
         has_label = np.isin(place, list(found))
         is_new &= ~are_same(at, known)[:, has_label].any(axis=1)
         angle, ratio = known.w[0], gait_ratio(known.stride)
-        gaits += [(angle[lane], ratio[lane], found[int(place[lane])]) for lane in np.flatnonzero(has_label)]
+        gaits += [
+            (angle[lane], ratio[lane], found[int(place[lane])])
+            for lane in np.flatnonzero(has_label)
+        ]
 
     measured = describe(problem, at, slopes, _WANT, wanted.limits)
     measured = {name: measured[name] for name in _WANT if name in measured}
-    to_accuracy({name: values[:, None] for name, values in measured.items()}, wanted.accuracy)
+    to_accuracy(
+        {name: values[:, None] for name, values in measured.items()}, wanted.accuracy
+    )
     others, ratio = [], gait_ratio(at.stride)
     for lane in np.flatnonzero(is_new).tolist():
-        gait = {name: values[lane] for name, values in measured.items()} | {"passes": verdict.leg_passes[lane]}
+        gait = {name: values[lane] for name, values in measured.items()} | {
+            "passes": verdict.leg_passes[lane]
+        }
         if gait["passes"] == 1:
             gaits.append((at.w[0, lane], ratio[lane], gait))
         else:
             others.append(gait)
 
-    angle, ratio = (np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in (0, 1))
+    angle, ratio = (
+        np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in (0, 1)
+    )
     labels = places(angle, ratio)[:, 0].tolist()
     misses = np.flatnonzero(~at.step)
     nearest = "Nearest miss: none."
     if len(misses):
         where = f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} that"
         is_known = not at.doubt[misses[0]]
-        nearest = f"{where} is not a step: an event occurs too early." if is_known else f"{where} may be no step."
-    return {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)}, others, nearest
+        nearest = (
+            f"{where} is not a step: an event occurs too early."
+            if is_known
+            else f"{where} may be no step."
+        )
+    return (
+        {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)},
+        others,
+        nearest,
+    )
 
 
 def _record(
-    label: str, slope: float, value: dict[str, Any], walker: Walker, end: float | None = None
+    label: str,
+    slope: float,
+    value: dict[str, Any],
+    walker: Walker,
+    end: float | None = None,
 ) -> dict[str, Any]:
-    """One gait as a plain dict, its heelstrike at the angle `end` or that of its start; an absent quantity is None."""
+    """One gait as a plain dict, its heelstrike at the angle `end` or that of its start;
+    an absent quantity is None.
+    """
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
     angle = np.atleast_1d(value["stance_angle"] if end is None else end)
@@ -196,18 +305,28 @@ def _record(
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
         "violations": _flags(value.get("violations")),
-        "status": "less_accurate" if value["status"] == status.LESS_ACCURATE else "converged",
-        "contact_mass_matrix": (walker.total_mass * contact_mass(walker, angle)[0]).tolist(),
+        "status": "less_accurate"
+        if value["status"] == status.LESS_ACCURATE
+        else "converged",
+        "contact_mass_matrix": (
+            walker.total_mass * contact_mass(walker, angle)[0]
+        ).tolist(),
     }
     return {name: record.get(name) for name in _COLUMNS}
 
 
 def _flags(bits: Any) -> list[str] | None:
     """Names of the violations whose bits are set."""
-    return None if bits is None else [name for i, name in enumerate(VIOLATIONS) if int(bits) >> i & 1]
+    return (
+        None
+        if bits is None
+        else [name for i, name in enumerate(VIOLATIONS) if int(bits) >> i & 1]
+    )
 
 
 def _plain(x: Any) -> Any:
-    """A Python number, or None where a quantity is absent; a friction demand may be infinite."""
+    """A Python number, or None where a quantity is absent; a friction demand may be
+    infinite.
+    """
     x = x.item()
     return None if isinstance(x, float) and np.isnan(x) else x

@@ -7,13 +7,24 @@ import numpy as np
 from gaitsweep.tasks.registry import STATUSES
 
 CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
-    STATUSES[k] for k in ("converged", "no_gait", "not_converged", "fell", "less_accurate")
+    STATUSES[k]
+    for k in ("converged", "no_gait", "not_converged", "fell", "less_accurate")
 )
 #: Gaits with values.
 SOLVED = (CONVERGED, LESS_ACCURATE)
 
 #: Places of the sentences among `reasons`.
-SETTLED, NO_LONG, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, NO_SHORT, TOO_COARSE, UNLABELLED, UNVERIFIED = range(9)
+(
+    SETTLED,
+    NO_LONG,
+    NO_FURTHER,
+    NEWTON_LOST,
+    NOT_A_STEP,
+    NO_SHORT,
+    TOO_COARSE,
+    UNLABELLED,
+    UNVERIFIED,
+) = range(9)
 
 
 def ranges(pieces: Sequence[tuple[float, float]]) -> str:
@@ -23,10 +34,17 @@ def ranges(pieces: Sequence[tuple[float, float]]) -> str:
         if apart and low <= apart[-1][1]:
             low, high = apart[-1][0], max(high, apart.pop()[1])
         apart.append((low, high))
-    return "; ".join(" to ".join(dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))) for low, high in apart)
+    return "; ".join(
+        " to ".join(dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))) for low, high in apart
+    )
 
 
-def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: Sequence[float] = ()) -> str:
+def outside(
+    label: str,
+    pieces: list[tuple[float, float]],
+    searched: str,
+    lost: Sequence[float] = (),
+) -> str:
     """Say why no branch has a gait of a label at some slope.
 
     Parameters
@@ -41,20 +59,31 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: 
         Slopes at which branches could be continued no further, or failed a check.
     """
     if lost:
-        searched += f"; continuation was lost at {', '.join(f'{slope:.6g}' for slope in lost)}"
+        searched += (
+            f"; continuation was lost at {', '.join(f'{slope:.6g}' for slope in lost)}"
+        )
     if not pieces:
         return f"No {label} gait found: {searched}."
     return f"No {label} gait at this slope: the branches found span {ranges(pieces)} ({searched})."
 
 
 def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> str:
-    """Say in few words that a slope lies beyond the pieces with a label; empty if it does not, or there are none."""
-    below, above = [high for _, high in pieces if high < slope], [low for low, _ in pieces if low > slope]
+    """Say in few words that a slope lies beyond the pieces with a label; empty if it
+    does not, or there are none.
+    """
+    below, above = (
+        [high for _, high in pieces if high < slope],
+        [low for low, _ in pieces if low > slope],
+    )
     if len(below) + len(above) < len(pieces) or not pieces:
         return ""
     if below and above:
-        return f"No {label} gait: none between {max(below):.6g} and {min(above):.6g} rad."
-    return f"No {label} gait: none " + (f"above {max(below):.6g} rad." if below else f"below {min(above):.6g} rad.")
+        return (
+            f"No {label} gait: none between {max(below):.6g} and {min(above):.6g} rad."
+        )
+    return f"No {label} gait: none " + (
+        f"above {max(below):.6g} rad." if below else f"below {min(above):.6g} rad."
+    )
 
 
 def over(gait: str, slope: np.ndarray) -> str:
@@ -66,7 +95,9 @@ def over(gait: str, slope: np.ndarray) -> str:
     slope : ndarray, shape (n,) [rad]
     """
     low, high = f"{slope.min():.6g}", f"{slope.max():.6g}"
-    return f"No {gait} " + (f"at slopes from {low} to {high}." if low != high else f"at slope {low}.")
+    return f"No {gait} " + (
+        f"at slopes from {low} to {high}." if low != high else f"at slope {low}."
+    )
 
 
 def absent(label: str, where: str) -> str:
@@ -83,7 +114,9 @@ def absent(label: str, where: str) -> str:
 
 
 def reasons(long: str, short: str) -> list[str]:
-    """Sentences in the order in which `reason` indexes them, with those of points without a long or a short gait."""
+    """Sentences in the order in which `reason` indexes them, with those of points
+    without a long or a short gait.
+    """
     return [
         "Converged, and verified to be a step.",
         long,

@@ -1,4 +1,6 @@
-"""Tables of results: the columns "group/column", shape (n,), made of rows or of parts of several rows."""
+"""Tables of results: the columns "group/column", shape (n,), made of rows or of parts
+of several rows.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,11 @@ import numpy as np
 Arrays = dict[str, np.ndarray]
 
 
-def table(group: str, rows: Sequence[Mapping[str, Any] | Sequence[Any]], columns: Sequence[str] = ()) -> Arrays:
+def table(
+    group: str,
+    rows: Sequence[Mapping[str, Any] | Sequence[Any]],
+    columns: Sequence[str] = (),
+) -> Arrays:
     """Rows as the columns of one group.
 
     Parameters
@@ -26,13 +32,20 @@ def table(group: str, rows: Sequence[Mapping[str, Any] | Sequence[Any]], columns
     dict of ndarray, shape (rows,)
     """
     names = columns or (tuple(rows[0]) if rows else ())
-    each = [[row[name] for name in names] if isinstance(row, Mapping) else row for row in rows]
+    each = [
+        [row[name] for name in names] if isinstance(row, Mapping) else row
+        for row in rows
+    ]
     values = zip(*each, strict=True) if each else [()] * len(names)
-    return {f"{group}/{name}": np.array(column) for name, column in zip(names, values, strict=True)}
+    return {
+        f"{group}/{name}": np.array(column)
+        for name, column in zip(names, values, strict=True)
+    }
 
 
 def nothing(why: str) -> Arrays:
-    """The table by which a task says that a line has nothing for it: no gait to begin with.
+    """The table by which a task says that a line has nothing for it: no gait to begin
+    with.
 
     Returns
     -------
@@ -41,7 +54,9 @@ def nothing(why: str) -> Arrays:
     return {"nothing/reason": np.array([why])}
 
 
-def stacked(group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]) -> Arrays:
+def stacked(
+    group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]
+) -> Arrays:
     """Parts of several rows, one after another, as the columns of one group.
 
     Parameters
@@ -56,5 +71,10 @@ def stacked(group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]) 
     -------
     dict of ndarray, shape (rows of all parts,)
     """
-    each = [np.broadcast_arrays(*part) for part in parts] or [(np.zeros(0),) * len(columns)]
-    return {f"{group}/{name}": np.concatenate(own) for name, own in zip(columns, zip(*each, strict=True), strict=True)}
+    each = [np.broadcast_arrays(*part) for part in parts] or [
+        (np.zeros(0),) * len(columns)
+    ]
+    return {
+        f"{group}/{name}": np.concatenate(own)
+        for name, own in zip(columns, zip(*each, strict=True), strict=True)
+    }

@@ -1,4 +1,5 @@
-"""Variables of gaits, which `variables.toml` lists, and what the other modules need to know of each.
+"""Variables of gaits, which `variables.toml` lists, and what the other modules need to
+know of each.
 
 Like the registry, this module imports no solver.
 """
@@ -11,11 +12,19 @@ from typing import Any
 
 from gaitsweep import extensions
 
-#: Labels of the gait dimension. `other1`, ... hold the further gaits of a label, by falling angle.
+#: Labels of the gait dimension. `other1`, ... hold the further gaits of a label, by
+#: falling angle.
 GAITS = ("long", "short", "other1", "other2")
 
-#: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
-STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_accurate": 9}
+#: What can become of a solve (CF flag values). How a run ended for a worker is added by
+#: the pipeline.
+STATUSES = {
+    "converged": 0,
+    "no_gait": 1,
+    "not_converged": 2,
+    "fell": 3,
+    "less_accurate": 9,
+}
 
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
@@ -24,16 +33,19 @@ SI_UNITS: dict[str, str] = _TABLES["units"]
 
 @dataclass(frozen=True)
 class Variable:
-    """One archive variable: name, dimensions after the axes, kind of quantity, meaning, value without a gait.
+    """One archive variable: name, dimensions after the axes, kind of quantity, meaning,
+    value without a gait.
 
-    `over_steps` is what a gait of n steps has of its steps' values: that of the `first`, which begins with the largest
-    stance angle, their `sum` or `mean`, the `greatest`, the `least`, or the flags of `any`; others follow from them.
-    `is_smooth` is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are otherwise integrated.
-    `is_of_knees` is whether straight-legged walkers have none.
+    `over_steps` is what a gait of n steps has of its steps' values: that of the
+    `first`, which begins with the largest stance angle, their `sum` or `mean`, the
+    `greatest`, the `least`, or the flags of `any`; others follow from them. `is_smooth`
+    is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are
+    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none.
 
-    A variable of another package has a `measure`, called with the steps (`tasks.measures.gaits.Steps`) and what is
-    measured of them already, arrays by name; it returns a value of each step. Its `version` is bumped by hand when its
-    values change.
+    A variable of another package has a `measure`, called with the steps
+    (`tasks.measures.gaits.Steps`) and what is measured of them already, arrays by name;
+    it returns a value of each step. Its `version` is bumped by hand when its values
+    change.
     """
 
     name: str
@@ -54,18 +66,22 @@ class Variable:
         return SI_UNITS[self.kind] if si or self.kind == "angle" else "1"
 
 
-#: Variables of a grid study, and assumptions with their limits, in the order in which they are archived.
+#: Variables of a grid study, and assumptions with their limits, in the order in which
+#: they are archived.
 VARIABLES = {
-    name: Variable(name, tuple(about.pop("dims", ["gait"])), **about) for name, about in _TABLES["variables"].items()
+    name: Variable(name, tuple(about.pop("dims", ["gait"])), **about)
+    for name, about in _TABLES["variables"].items()
 }
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A physical assumption of the model (appendix A of the paper), and how far a gait may go beyond it.
+    """A physical assumption of the model (appendix A of the paper), and how far a gait
+    may go beyond it.
 
-    A gait is flagged where one of its `amounts`, in `unit`, exceeds the `limit`; where `is_least`, where one lies below
-    its negative. Quantities in the walker's units are over those of its leg l + R, its mass and g.
+    A gait is flagged where one of its `amounts`, in `unit`, exceeds the `limit`; where
+    `is_least`, where one lies below its negative. Quantities in the walker's units are
+    over those of its leg l + R, its mass and g.
     """
 
     name: str
@@ -77,7 +93,8 @@ class Violation:
 
 
 VIOLATIONS = {
-    name: Violation(name, tuple(about.pop("amounts")), **about) for name, about in _TABLES["violations"].items()
+    name: Violation(name, tuple(about.pop("amounts")), **about)
+    for name, about in _TABLES["violations"].items()
 }
 
 #: Values of `proved` (CF flags).
@@ -98,13 +115,27 @@ def admit(names: Iterable[str]) -> None:
     ExtensionError
         If one cannot be loaded, or is none.
     """
-    for name in {*names} - {own for variable in VARIABLES.values() for own in (variable.name, variable.group)}:
+    for name in {*names} - {
+        own
+        for variable in VARIABLES.values()
+        for own in (variable.name, variable.group)
+    }:
         added = extensions.find("measures", name, Variable)
         if added is None:
             continue
-        like = Variable(name, ("gait",), added.kind, added.long_name, over_steps=added.over_steps)
-        if replace(added, measure=None, version=1) != like or added.kind not in SI_UNITS or added.measure is None:
-            raise extensions.ExtensionError(f"`{name}` has another name, kind or group than a measure of a package may")
+        like = Variable(
+            name, ("gait",), added.kind, added.long_name, over_steps=added.over_steps
+        )
+        if (
+            replace(added, measure=None, version=1) != like
+            or added.kind not in SI_UNITS
+            or added.measure is None
+        ):
+            raise extensions.ExtensionError(
+                f"`{name}` has another name, kind or group than a measure of a package may"
+            )
         VARIABLES[name] = added
-    for name in sorted(v.name for v in VARIABLES.values() if v.measure):  # in whatever order they came
+    for name in sorted(
+        v.name for v in VARIABLES.values() if v.measure
+    ):  # in whatever order they came
         VARIABLES[name] = VARIABLES.pop(name)

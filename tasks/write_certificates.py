@@ -1,4 +1,6 @@
-"""Certificates: what is proved once and kept in `data/reference/proofs`, each made again from its name."""
+"""Certificates: what is proved once and kept in `data/reference/proofs`, each made
+again from its name.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ from gaitsweep.tasks.prove_gaits import prove_one
 from gaitsweep.tasks.solve_at_slope import solve_one
 
 #: What each certificate proves, by its name.
-_STATEMENTS: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_STATEMENTS: dict[str, dict[str, Any]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
 
 
 def names(params: Mapping[str, Any] | None = None) -> list[str]:
@@ -49,7 +53,8 @@ def certify(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `name`, `kind`, `statement`, `walker`, `bits` and what goes with the kind, all plain data.
+        `name`, `kind`, `statement`, `walker`, `bits` and what goes with the kind, all
+        plain data.
 
     Raises
     ------
@@ -68,7 +73,9 @@ def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
     (proof,) = prove_one({**about, "accuracy": 1e-12})["gaits"]
     if not proof["proved"]:
         raise tubes.NotProvedError(proof["reason"])
-    stable = {True: "stable", False: "unstable", None: "of a stability not shown"}[proof["stable"]]
+    stable = {True: "stable", False: "unstable", None: "of a stability not shown"}[
+        proof["stable"]
+    ]
     statement = (
         f"On the slope {slope} the walker has exactly one period-one gait in the box. It is a {label} step: its"
         f" strikes are the first of their kind and its legs pass once. It is {stable}."
@@ -83,7 +90,8 @@ def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
         "events": proof["events"],
         "box": proof["box"],
         "bits": proof["bits"],
-        "zero_multipliers": (4 if "kneestrike_time" in proof["box"] else 3) - _dimension(walker),
+        "zero_multipliers": (4 if "kneestrike_time" in proof["box"] else 3)
+        - _dimension(walker),
     }
 
 
@@ -94,7 +102,12 @@ def _dimension(walker: str | Mapping[str, Any]) -> int:
 
 def _start(walker: str | Mapping[str, Any], label: str, slope: float) -> list[arb]:
     """Section state, event times and slope of a gait, approximately."""
-    gaits = solve_one({"walker": walker if isinstance(walker, str) else in_doubles(walker), "slope": slope})["gaits"]
+    gaits = solve_one(
+        {
+            "walker": walker if isinstance(walker, str) else in_doubles(walker),
+            "slope": slope,
+        }
+    )["gaits"]
     values = next(g for g in gaits if g["gait"] == label)
     # Of fewer digits than machines agree on, so that the proof is the same on all.
     state = [float(f"{x:.9e}") for x in guess(values)]
@@ -107,8 +120,9 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     params : mapping
-        `kind`, `walker` (name, or table whose numbers are strings), `slope` [rad] and `gait` of a gait near it, and
-        `half` the interval of slope or of stance angle around it [rad].
+        `kind`, `walker` (name, or table whose numbers are strings), `slope` [rad] and
+        `gait` of a gait near it, and `half` the interval of slope or of stance angle
+        around it [rad].
 
     Returns
     -------
@@ -123,7 +137,9 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     keys, kneed = exact(params["walker"])
     parameter, function = crossings.KINDS[params["kind"]]
     start = _start(params["walker"], params["gait"], float(params["slope"]))
-    interval = crossings.bracketed(tubes.Family(keys, kneed, parameter), start, params["half"], function)
+    interval = crossings.bracketed(
+        tubes.Family(keys, kneed, parameter), start, params["half"], function
+    )
     what = (
         "a multiplier of the gait passes -1"
         if params["kind"] == "flip"
@@ -132,7 +148,8 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     tube = interval.tube
     order = tube.events()
     statement = (
-        f"In the interval of slopes {what}. Around it there is one branch of gaits, each of them a {order.label} step."
+        f"In the interval of slopes {what}. "
+        f"Around it there is one branch of gaits, each of them a {order.label} step."
     )
     with ctx.workprec(interval.bits):
         box = {**named(tube.body, tube.whole[:-1]), "slope": interval.slope}
@@ -156,15 +173,23 @@ def _special(about: Mapping[str, Any]) -> dict[str, Any]:
     found = enclose_special(about)
     del found["multipliers"]
     m = _dimension(about["walker"])
-    box = {name: x for name, x in found["box"].items() if name in (*STATE[:m], *STATE[3:], "slope")}
+    box = {
+        name: x
+        for name, x in found["box"].items()
+        if name in (*STATE[:m], *STATE[3:], "slope")
+    }
     return {**found, "box": box}
 
 
 def _tube(about: Mapping[str, Any]) -> dict[str, Any]:
-    walker, label, low, high = (about[name] for name in ("walker", "gait", "slope", "to"))
+    walker, label, low, high = (
+        about[name] for name in ("walker", "gait", "slope", "to")
+    )
     keys, kneed = exact(walker)
     family = tubes.Family(keys, kneed, tubes.BY_SLOPE)
-    cover = covers.stable_over(family, _start(walker, label, float(low)), (decimal(low), decimal(high)))
+    cover = covers.stable_over(
+        family, _start(walker, label, float(low)), (decimal(low), decimal(high))
+    )
     statement = (
         f"For every slope from {low} to {high} the walker has a {label} step that is stable, its strikes the first"
         " of their kind and its legs passing once; along the interval it is one continuous branch."

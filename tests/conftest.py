@@ -1,4 +1,6 @@
-"""What several test folders share: the command line over toy tasks, in processes of its own."""
+"""What several test folders share: the command line over toy tasks, in processes of its
+own.
+"""
 
 import functools
 import hashlib
@@ -23,7 +25,8 @@ TOYS = ROOT / "tests" / "test_pipeline"
 #: The command line in a process of its own.
 GAITSWEEP = (sys.executable, "-W", "ignore", "-m", "gaitsweep")
 
-# Signals that are ignored stay so in every process below: tests under `nohup`, or in the background, want them heard.
+# Signals that are ignored stay so in every process below: tests under `nohup`, or in
+# the background, want them heard.
 for _number in (signal.SIGHUP, signal.SIGTERM):
     signal.signal(_number, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -71,15 +74,21 @@ class Toy:
                 process.kill()
             process.communicate()
 
-    def __call__(self, *arguments: object, expect: int = 0, **environment: str) -> subprocess.CompletedProcess:
+    def __call__(
+        self, *arguments: object, expect: int = 0, **environment: str
+    ) -> subprocess.CompletedProcess:
         process = self.start(*arguments, **environment)
         out, err = process.communicate(timeout=240)
         assert process.returncode == expect, f"exit {process.returncode}: {out}{err}"
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
     def bytes(self, name: str = "toy") -> bytes:
-        """Bytes of an archive, but for the commit: one made while the tests run is not their matter."""
-        return self.clean((self.folder / "data" / "archive" / f"{name}.nc").read_bytes())
+        """Bytes of an archive, but for the commit: one made while the tests run is not
+        their matter.
+        """
+        return self.clean(
+            (self.folder / "data" / "archive" / f"{name}.nc").read_bytes()
+        )
 
     @staticmethod
     def clean(archive: bytes) -> bytes:
@@ -99,17 +108,20 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
 def _compute_everything_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line computed twice in a test is to be compared with itself, not found again."""
     if "gaitsweep.tasks.solve_points" in sys.modules:
-        monkeypatch.setattr(sys.modules["gaitsweep.tasks.solve_points"], "_MAX_SURVEYED", 0)
+        monkeypatch.setattr(
+            sys.modules["gaitsweep.tasks.solve_points"], "_MAX_SURVEYED", 0
+        )
 
 
 SHARE = 1200.0  # of the time of all, that one test of many cases takes at a time [s]
 
 
 class Soak:
-    """What the long tests found: kept, with `SOAK_SECONDS`, until code changes, and not found again.
+    """What the long tests found: kept, with `SOAK_SECONDS`, until code changes, and not
+    found again.
 
-    `make soak` sets how long they may take together; begun again, it goes on where it stopped. Without it, a test
-    that is asked for by name runs to its end.
+    `make soak` sets how long they may take together; begun again, it goes on where it
+    stopped. Without it, a test that is asked for by name runs to its end.
     """
 
     def __init__(self) -> None:
@@ -121,8 +133,14 @@ class Soak:
         self.file = ROOT / "soak.json" if limit else None
         if not self.file:
             return
-        sources = sorted(file for folder in ("pipeline", "tasks", "tests") for file in (ROOT / folder).rglob("*.py"))
-        self.code = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()
+        sources = sorted(
+            file
+            for folder in ("pipeline", "tasks", "tests")
+            for file in (ROOT / folder).rglob("*.py")
+        )
+        self.code = hashlib.sha256(
+            b"".join(file.read_bytes() for file in sources)
+        ).hexdigest()
         if self.file.exists():
             kept = json.loads(self.file.read_text())
             if kept.pop("code") == self.code:
@@ -135,7 +153,10 @@ class Soak:
 
     def keep(self) -> None:
         if self.file:
-            kept = {name: getattr(self, name) for name in ("code", "told", "begun", "passed")}
+            kept = {
+                name: getattr(self, name)
+                for name in ("code", "told", "begun", "passed")
+            }
             self.file.write_text(json.dumps(kept))
 
 
@@ -150,11 +171,14 @@ def pytest_configure(config: pytest.Config) -> None:
 def _tiers() -> tuple[dict[str, int], frozenset[str]]:
     """Order of the files of tests, and what is left to `make check`."""
     tiers = tomllib.loads((ROOT / "tests" / "tiers.toml").read_text())
-    return {file: k for k, file in enumerate(tiers["dearest_first"])}, frozenset(tiers["thorough"])
+    return {file: k for k, file in enumerate(tiers["dearest_first"])}, frozenset(
+        tiers["thorough"]
+    )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that `make test` leaves out, and begin with the dearest files, so that no worker ends alone.
+    """Mark the tests that `make test` leaves out, and begin with the dearest files, so
+    that no worker ends alone.
 
     A long test has all its time, unless `make soak` sets how much.
     """
@@ -162,7 +186,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("soak") and not os.environ.get("SOAK_SECONDS"):
             item.add_marker(pytest.mark.timeout(0))
-        if {item.nodeid, item.nodeid.split("[")[0], item.nodeid.split("::")[0]} & thorough:
+        if {
+            item.nodeid,
+            item.nodeid.split("[")[0],
+            item.nodeid.split("::")[0],
+        } & thorough:
             item.add_marker("thorough")
     items.sort(key=lambda item: order.get(item.nodeid.split("::")[0], -1))
 
@@ -178,7 +206,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture
 def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
-    """Put what a long test found into the table at the end of the run; a short one is silent."""
+    """Put what a long test found into the table at the end of the run; a short one is
+    silent.
+    """
     began, name, soak = time.monotonic(), request.node.name, request.config.stash[SOAK]
     if not request.node.get_closest_marker("soak"):
         return lambda found: None
@@ -186,7 +216,9 @@ def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
 
 
 class Resumed:
-    """Cases of a long test, from where an earlier run of it with this code ended, until its share of time is over."""
+    """Cases of a long test, from where an earlier run of it with this code ended, until
+    its share of time is over.
+    """
 
     def __init__(self, soak: Soak, name: str):
         self.soak, self.name, self.cases = soak, name, 0
@@ -196,7 +228,9 @@ class Resumed:
     def __call__(self, cases: int) -> Iterator[int]:
         """Numbers of cases, of so many; what the test counts in `found` is kept too."""
         self.cases = cases
-        end = time.monotonic() + (min(SHARE, self.soak.left) if self.soak.file else math.inf)
+        end = time.monotonic() + (
+            min(SHARE, self.soak.left) if self.soak.file else math.inf
+        )
         while self.done < cases and time.monotonic() < end:
             yield self.done
             self.done += 1
@@ -214,17 +248,24 @@ def resumed(request: pytest.FixtureRequest) -> Resumed:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
     if report.when == "call" and item.get_closest_marker("soak"):
-        soak, resumed = item.config.stash[SOAK], getattr(item, "funcargs", {}).get("resumed")
+        soak, resumed = (
+            item.config.stash[SOAK],
+            getattr(item, "funcargs", {}).get("resumed"),
+        )
         if report.passed and not (resumed and resumed.done < resumed.cases):
             soak.passed.append(item.nodeid)
         soak.keep()
     return report
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
     told = config.stash[SOAK].told
     if told:
         terminalreporter.section("what the long tests found")

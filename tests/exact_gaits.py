@@ -15,7 +15,8 @@ from gaitsweep.tasks.proofs.motion import Motion, evaluate
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 GAITS = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]
 SLOPE = 0.0625
-#: A state in the middle of things: angles and rates of stance leg, thigh, shank, exact in decimals and in doubles.
+#: A state in the middle of things: angles and rates of stance leg, thigh, shank, exact
+#: in decimals and in doubles.
 STATE = ([0.15625, -0.21875, -0.328125], [-0.90625, 0.40625, -0.703125])
 
 
@@ -31,7 +32,9 @@ def state(links, spread=0.0):
 
 def reference(name, slope, label):
     """A gait to 25 digits."""
-    return next(g for g in GAITS if (g["walker"], g["slope"], g["gait"]) == (name, slope, label))
+    return next(
+        g for g in GAITS if (g["walker"], g["slope"], g["gait"]) == (name, slope, label)
+    )
 
 
 def guess(gait, digits=17):
@@ -93,7 +96,10 @@ def check_remainder(name="C", links=3):
 def check_durations(spread=2e-3):
     """The derivative by the unknowns holds that at either end of the period's bracket."""
     body = walker("D")
-    middle = [arb(x) for x in (0.2003109005442471, -0.19983247300495235, 3.8824637528513742, 0.009)]
+    middle = [
+        arb(x)
+        for x in (0.2003109005442471, -0.19983247300495235, 3.8824637528513742, 0.009)
+    ]
     wide = Region(middle, [arb(0), arb(0), arb(0, spread), arb(0)])
     found = step(body, wide, Accuracy(20, 1e-15))
     for side in (-0.999, 0.999):
@@ -101,5 +107,7 @@ def check_durations(spread=2e-3):
         thin = step(body, Region(moved, [arb(0)] * 4), Accuracy(20, 1e-15))
         assert all(
             ball.contains(x.mid())
-            for ball, x in zip(found.derivative.entries(), thin.derivative.entries(), strict=True)
+            for ball, x in zip(
+                found.derivative.entries(), thin.derivative.entries(), strict=True
+            )
         )

@@ -2,8 +2,8 @@
 
 Motion: Lagrange's equations formed by heyoka from the energies, integrated in 113-bit
 arithmetic. Impacts: momentum of a floating walker, in 80-digit mpmath. Unknowns are the
-state after heelstrike and both event times, so no event is searched for. That no crossing
-comes earlier is for `oracle.Oracle.step` to say.
+state after heelstrike and both event times, so no event is searched for. That no
+crossing comes earlier is for `oracle.Oracle.step` to say.
 
 Run as a script it writes ``data/reference/extended.toml``.
 """
@@ -17,7 +17,24 @@ import mpmath as mp
 
 mp.mp.dps = 80
 DIGITS = 25
-NAMES = ("a_t", "b_t", "a_k", "b_k", "a_s", "b_s", "a_c", "b_c", "m_t", "m_s", "i_t", "i_s", "m_h", "R", "g", "slope")
+NAMES = (
+    "a_t",
+    "b_t",
+    "a_k",
+    "b_k",
+    "a_s",
+    "b_s",
+    "a_c",
+    "b_c",
+    "m_t",
+    "m_s",
+    "i_t",
+    "i_s",
+    "m_h",
+    "R",
+    "g",
+    "slope",
+)
 
 
 def _mpf(value):
@@ -26,10 +43,11 @@ def _mpf(value):
 
 
 def constants(walker: Mapping, slope):
-    """Body vectors (forward, up; angle zero when the leg is straight and upright) and masses.
+    """Body vectors (forward, up; angle zero when the leg is straight and upright) and
+    masses.
 
-    ``t`` thigh and ``k`` knee are seen from the hip, ``s`` shank and ``c`` foot centre from the
-    knee.
+    ``t`` thigh and ``k`` knee are seen from the hip, ``s`` shank and ``c`` foot centre
+    from the knee.
     """
     w = {"m_h": 0, "g": 1, **walker}
     p = {k: _mpf(w[k]) for k in w if k not in ("knees", "units", "base", "name")}
@@ -37,7 +55,10 @@ def constants(walker: Mapping, slope):
     e_t, e_s = p["eps_T"], mp.asin(p["l_t"] * mp.sin(p["eps_T"]) / d)
 
     def vector(angle, along, behind):
-        return (along * mp.sin(angle) - behind * mp.cos(angle), -along * mp.cos(angle) - behind * mp.sin(angle))
+        return (
+            along * mp.sin(angle) - behind * mp.cos(angle),
+            -along * mp.cos(angle) - behind * mp.sin(angle),
+        )
 
     zero = mp.mpf(0)
     values = [
@@ -88,7 +109,10 @@ def _flow(links, kind, simplest=False):
         return (x, y) if sign > 0 else (-x, -y)
 
     def velocity(point):
-        return [hy.sum([hy.diff(x, a) * b for a, b in zip(q, r, strict=False)]) for x in point]
+        return [
+            hy.sum([hy.diff(x, a) * b for a, b in zip(q, r, strict=False)])
+            for x in point
+        ]
 
     st, th, sh = q[0], q[1], q[-1]
     knee = add((-c["R"] * st, c["R"]), body("c", st, -1))
@@ -106,9 +130,15 @@ def _flow(links, kind, simplest=False):
         kinetic.append(0.5 * c["m_" + name] * (x * x + y * y))
         if rate is not None:
             kinetic.append(0.5 * c["i_" + name] * rate * rate)
-        potential.append(c["m_" + name] * c["g"] * (point[1] * hy.cos(c["slope"]) - point[0] * hy.sin(c["slope"])))
+        potential.append(
+            c["m_" + name]
+            * c["g"]
+            * (point[1] * hy.cos(c["slope"]) - point[0] * hy.sin(c["slope"]))
+        )
     system = hy.lagrangian(hy.sum(kinetic) - hy.sum(potential), list(q), list(r))
-    return hy.taylor_adaptive(system, [zero] * (2 * links), pars=[zero] * len(NAMES), **options)
+    return hy.taylor_adaptive(
+        system, [zero] * (2 * links), pars=[zero] * len(NAMES), **options
+    )
 
 
 def _fly(flow, state, pars, time, kind):
@@ -130,7 +160,9 @@ def _fly(flow, state, pars, time, kind):
 
 
 class Walker:
-    """Flow and impacts of one walker at one slope; ``walker = "D"`` is the massless-foot limit."""
+    """Flow and impacts of one walker at one slope; ``walker = "D"`` is the
+    massless-foot limit.
+    """
 
     def __init__(self, walker, slope, kind="real128"):
         self.simplest, self.kind = walker == "D", kind
@@ -140,14 +172,18 @@ class Walker:
 
     def two_link(self, state, time):
         """Flow of (stance, swing, their rates) with the knee locked."""
-        return _fly(_flow(2, self.kind, self.simplest), state, self.pars, time, self.kind)
+        return _fly(
+            _flow(2, self.kind, self.simplest), state, self.pars, time, self.kind
+        )
 
     def three_link(self, state, time):
         """Flow of (stance, thigh, shank, their rates)."""
         return _fly(_flow(3, self.kind), state, self.pars, time, self.kind)
 
     def _floating(self, angles):
-        """Mass matrix over (hip x, hip y, leg-0 thigh, shank, leg-1 thigh, shank), foot rows."""
+        """Mass matrix over (hip x, hip y, leg-0 thigh, shank, leg-1 thigh, shank), foot
+        rows.
+        """
         c, mass, feet = self.c, mp.zeros(6), []
         mass[0, 0] = mass[1, 1] = c["m_h"]
 
@@ -179,8 +215,8 @@ class Walker:
     def _impact(self, angles, rates, stance_before, stance_after, locked):
         """Rates (6,) after a plastic impact and the kinetic energy it takes.
 
-        The motion after it is the one, among those the contact and the locks allow, onto which
-        the momentum projects.
+        The motion after it is the one, among those the contact and the locks allow,
+        onto which the momentum projects.
         """
         mass, feet = self._floating(angles)
         old = feet[stance_before]
@@ -207,17 +243,23 @@ class Walker:
 
     def kneestrike(self, s):
         """Two-link state (stance, swing, rates) and the loss, from a three-link state."""
-        rates, loss = self._impact([s[0], s[0], s[1], s[2]], [s[3], s[3], s[4], s[5]], 0, 0, (0, 1))
+        rates, loss = self._impact(
+            [s[0], s[0], s[1], s[2]], [s[3], s[3], s[4], s[5]], 0, 0, (0, 1)
+        )
         return [s[0], s[1], rates[0], rates[2]], loss
 
     def heelstrike(self, s):
-        """Rates (stance, thigh, shank) of the next step and the loss, from a two-link state."""
+        """Rates (stance, thigh, shank) of the next step and the loss, from a two-link
+        state.
+        """
         if self.simplest:
             stance = mp.cos(2 * s[0]) * s[2]
             thigh = stance * mp.cos(2 * s[0])
             return [stance, thigh, thigh], (s[2] * mp.sin(2 * s[0])) ** 2 / 2
         locked = (1,) if self.knees else (0, 1)
-        rates, loss = self._impact([s[0], s[0], s[1], s[1]], [s[2], s[2], s[3], s[3]], 0, 1, locked)
+        rates, loss = self._impact(
+            [s[0], s[0], s[1], s[1]], [s[2], s[2], s[3], s[3]], 0, 1, locked
+        )
         return [rates[2], rates[0], rates[1]], loss
 
     def stride(self, z):
@@ -226,7 +268,8 @@ class Walker:
         Parameters
         ----------
         z : list of mpf
-            Section state ``theta, stance, thigh (, shank) rate``, then the event time(s).
+            Section state ``theta, stance, thigh (, shank) rate``, then the event
+            time(s).
 
         Returns
         -------
@@ -246,7 +289,8 @@ class Walker:
         guards.append(s[0] + s[1])
         rates, details["loss_heelstrike"] = self.heelstrike(s)
         details["before"] = s
-        # Minus the swing angle would do as well on the guard; the mean keeps both alive off it.
+        # Minus the swing angle would do as well on the guard; the mean keeps both alive
+        # off it.
         return guards, [(s[1] - s[0]) / 2, *rates[: n - 1]], details
 
 
@@ -257,7 +301,10 @@ def _residual(w, z):
 
 def _derivative(w, z, h, order):
     """Jacobian of guards and end by central differences of the given order."""
-    weights = {2: [(1, mp.mpf(1) / 2)], 6: [(1, mp.mpf(3) / 4), (2, -mp.mpf(3) / 20), (3, mp.mpf(1) / 60)]}[order]
+    weights = {
+        2: [(1, mp.mpf(1) / 2)],
+        6: [(1, mp.mpf(3) / 4), (2, -mp.mpf(3) / 20), (3, mp.mpf(1) / 60)],
+    }[order]
     columns = []
     for k, zk in enumerate(z):
         size = h * (abs(zk) if k >= (4 if w.knees else 3) else max(abs(zk), abs(z[0])))
@@ -270,7 +317,11 @@ def _derivative(w, z, h, order):
                 guards, end, _ = w.stride(moved)
                 f.append(guards + end)
             part = [weight * (a - b) / size for a, b in zip(*f, strict=False)]
-            column = part if column is None else [a + b for a, b in zip(column, part, strict=False)]
+            column = (
+                part
+                if column is None
+                else [a + b for a, b in zip(column, part, strict=False)]
+            )
         columns.append(column)
     return mp.matrix(columns).T
 
@@ -278,7 +329,9 @@ def _derivative(w, z, h, order):
 def solve(walker, slope, guess, kind="real128", tol=None, iterations=25):
     """Newton's method on guards and periodicity; returns (Walker, z, last correction)."""
     w, z = Walker(walker, slope, kind), [_mpf(x) for x in guess]
-    tol = mp.mpf(tol or {"double": "1e-11", "real128": "1e-27", "real256": "1e-45"}[kind])
+    tol = mp.mpf(
+        tol or {"double": "1e-11", "real128": "1e-27", "real256": "1e-45"}[kind]
+    )
     n, m = (4, 2) if w.knees else (3, 1)
     h = mp.mpf({"double": "1e-5", "real128": "1e-10", "real256": "1e-20"}[kind])
     inverse, last = None, mp.inf
@@ -295,13 +348,20 @@ def solve(walker, slope, guess, kind="real128", tol=None, iterations=25):
         z = [a + damp * d for a, d in zip(z, dz, strict=False)]
         if last < tol:
             return w, z, last
-    raise ArithmeticError(f"no convergence: last relative correction {mp.nstr(last, 3)}")
+    raise ArithmeticError(
+        f"no convergence: last relative correction {mp.nstr(last, 3)}"
+    )
 
 
 def multipliers(w, z):
     """Eigenvalues of the stride map, event times eliminated; largest magnitude first."""
     n, m = (4, 2) if w.knees else (3, 1)
-    d = _derivative(w, z, mp.mpf({"double": "1e-3", "real128": "1e-5", "real256": "1e-9"}[w.kind]), 6)
+    d = _derivative(
+        w,
+        z,
+        mp.mpf({"double": "1e-3", "real128": "1e-5", "real256": "1e-9"}[w.kind]),
+        6,
+    )
     guard, end = d[:m, :], d[m:, :]
     stride = end[:, :n] - end[:, n:] * (guard[:, n:] ** -1) * guard[:, :n]
     values = mp.eig(stride, left=False, right=False)
@@ -318,7 +378,8 @@ def gait(walker, slope, guess, check=False):
     Parameters
     ----------
     walker : Mapping or "D"
-        The paper's keys; numbers mean their decimal value, so strings may carry more digits.
+        The paper's keys; numbers mean their decimal value, so strings may carry more
+        digits.
     slope : float or str [rad]
     guess : sequence
         ``theta, stance rate, thigh rate (, shank rate, kneestrike time), period``.
@@ -338,7 +399,9 @@ def gait(walker, slope, guess, check=False):
     w, z, _ = solve(walker, slope, guess)
     if check:
         _, fine, _ = solve(walker, slope, z, "real256")
-        if max(abs(a / b - 1) for a, b in zip(z, fine, strict=False)) > mp.mpf(10) ** -(DIGITS + 1):
+        if max(abs(a / b - 1) for a, b in zip(z, fine, strict=False)) > mp.mpf(10) ** -(
+            DIGITS + 1
+        ):
             raise ArithmeticError("113 and 256 bits disagree")
     _, _, details = w.stride(z)
     s = details["before"]
@@ -361,28 +424,59 @@ def gait(walker, slope, guess, check=False):
     result["loss_kneestrike"] = text(details["loss_kneestrike"])
     result["loss_heelstrike"] = text(details["loss_heelstrike"])
 
-    def clean(x, scale):  # conjugate pairs and reals come out of the differences with dust
+    def clean(
+        x, scale
+    ):  # conjugate pairs and reals come out of the differences with dust
         return text(x) if abs(x) > mp.mpf("1e-20") * scale else "0"
 
-    result["multipliers"] = [[clean(v.real, abs(v)), clean(v.imag, abs(v))] for v in multipliers(w, z)]
+    result["multipliers"] = [
+        [clean(v.real, abs(v)), clean(v.imag, abs(v))] for v in multipliers(w, z)
+    ]
     return result
 
 
 def exactly_tuned(walker):
-    """`w_s` puts the shank's mass below the knee, `w_t` the leg's on the hip-foot-centre line."""
+    """`w_s` puts the shank's mass below the knee, `w_t` the leg's on the
+    hip-foot-centre line.
+    """
     p = {k: _mpf(walker[k]) for k in walker if k != "knees"}
     e_t = p["eps_T"]
     e_s = mp.asin(p["l_t"] * mp.sin(e_t) / (p["l_s"] - p["R"]))
     w_t = -(p["c_t"] + p["m_s"] * p["l_t"] / p["m_t"]) * mp.tan(e_t)
-    return {**walker, "w_s": mp.nstr(p["c_s"] * mp.tan(e_s), 50), "w_t": mp.nstr(w_t, 50)}
+    return {
+        **walker,
+        "w_s": mp.nstr(p["c_s"] * mp.tan(e_s), 50),
+        "w_t": mp.nstr(w_t, 50),
+    }
 
 
 def _table(text, **more):
-    keys = ["l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T"]
-    return {**dict(zip(keys, text.split(), strict=False)), "m_h": "0", "g": "1", "knees": False, **more}
+    keys = [
+        "l_t",
+        "w_t",
+        "m_t",
+        "r_t",
+        "c_t",
+        "l_s",
+        "w_s",
+        "m_s",
+        "r_s",
+        "c_s",
+        "R",
+        "eps_T",
+    ]
+    return {
+        **dict(zip(keys, text.split(), strict=False)),
+        "m_h": "0",
+        "g": "1",
+        "knees": False,
+        **more,
+    }
 
 
-_TUNED = exactly_tuned(_table(".35 0 2.345 .1882 .084 .46 0 1.013 .1226 .17 .2 .097", g="9.81"))
+_TUNED = exactly_tuned(
+    _table(".35 0 2.345 .1882 .084 .46 0 1.013 .1226 .17 .2 .097", g="9.81")
+)
 _PHYSICAL = _table(".35 0 2.345 .099 .091 .46 .025 1.013 .197 .17 .2 .097", g="9.81")
 WALKERS = {
     "D": "D",

@@ -1,6 +1,8 @@
-"""The command line with calls of the C library that fail: `Faults`, and the process from which it forks every run.
+"""The command line with calls of the C library that fail: `Faults`, and the process
+from which it forks every run.
 
-A run is forked from a process that has imported everything, so thousands can be tried; its workers are new processes.
+A run is forked from a process that has imported everything, so thousands can be tried;
+its workers are new processes.
 """
 
 import contextlib
@@ -22,7 +24,19 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 #: Kinds of calls that `faults.c` counts, in its order.
 KINDS = (
-    *("write", "truncate", "create", "mkdir", "sync", "rename", "unlink", "open", "read", "lock", "map"),
+    *(
+        "write",
+        "truncate",
+        "create",
+        "mkdir",
+        "sync",
+        "rename",
+        "unlink",
+        "open",
+        "read",
+        "lock",
+        "map",
+    ),
     *("fork", "thread", "pages", "malloc"),
 )
 _HEAD = struct.Struct(f"8Q{len(KINDS)}Q512s600s")
@@ -42,9 +56,11 @@ _SUBREAPER = 36  # of prctl: orphans below become children of this process
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run ended: exit code (minus a signal), its standard error, and processes of it left after 3 s.
+    """How a run ended: exit code (minus a signal), its standard error, and processes of
+    it left after 3 s.
 
-    `counts` holds the calls of each kind, `fired` the calls that failed and `what` the kind and file of the first.
+    `counts` holds the calls of each kind, `fired` the calls that failed and `what` the
+    kind and file of the first.
     """
 
     code: int
@@ -79,18 +95,35 @@ class Faults:
             text=True,
         )
 
-    def __call__(self, *command: object, kinds: str = "", first: int = 0, times: int = 1, error: int = 0) -> Ended:
-        """Run a command in which calls of some kinds fail, from the `first` on so many times."""
+    def __call__(
+        self,
+        *command: object,
+        kinds: str = "",
+        first: int = 0,
+        times: int = 1,
+        error: int = 0,
+    ) -> Ended:
+        """Run a command in which calls of some kinds fail, from the `first` on so many
+        times.
+        """
         mask = sum(1 << KINDS.index(kind) for kind in kinds.split())
         root, n = bytes(f"{self.folder}/", "utf-8"), len(KINDS)
-        self._control[:] = _HEAD.pack(0, mask, first, times, error, self._process.pid, 0, 0, *[0] * n, root, b"")
-        print(json.dumps([str(self.folder), *map(str, command)]), file=self._process.stdin, flush=True)
+        self._control[:] = _HEAD.pack(
+            0, mask, first, times, error, self._process.pid, 0, 0, *[0] * n, root, b""
+        )
+        print(
+            json.dumps([str(self.folder), *map(str, command)]),
+            file=self._process.stdin,
+            flush=True,
+        )
         code, left = json.loads(self._process.stdout.readline())
         _, _, _, _, _, _, _, fired, *counts, _, what = _HEAD.unpack(self._control[:])
         kind, _, file = what.split(b"\0")[0].decode().partition(" ")
         err = self.folder.with_name(f"{self.folder.name}.err").read_text()
         called = dict(zip(KINDS, counts, strict=True))
-        return Ended(code, err, left, called, fired, f"{KINDS[int(kind)]} {file}" if kind else "")
+        return Ended(
+            code, err, left, called, fired, f"{KINDS[int(kind)]} {file}" if kind else ""
+        )
 
     def close(self) -> None:
         self._process.stdin.close()
@@ -113,12 +146,28 @@ def compiled(folder: Path) -> Path | None:
     if not compiler or sys.platform != "linux":
         return None
     source = Path(__file__).with_suffix(".c")
-    subprocess.run([compiler, "-O2", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    subprocess.run(
+        [
+            compiler,
+            "-O2",
+            "-Wall",
+            "-Werror",
+            "-shared",
+            "-fPIC",
+            "-o",
+            library,
+            source,
+            "-ldl",
+        ],
+        check=True,
+    )
     return library
 
 
 def _serve(path: str) -> list[str] | None:
-    """Fork for every command on standard input and tell how it ended; in the child, return the command."""
+    """Fork for every command on standard input and tell how it ended; in the child,
+    return the command.
+    """
     ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
     with open(path, "r+b") as file:
         control = mmap.mmap(file.fileno(), _HEAD.size)

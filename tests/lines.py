@@ -10,7 +10,9 @@ from gaitsweep.tasks.walkers.resolve import resolve
 from oracle import Oracle
 
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
-FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
+FAILURES = [
+    code for name, code in STATUSES.items() if name not in ("converged", "no_gait")
+]
 
 
 @functools.lru_cache(maxsize=32)
@@ -22,7 +24,10 @@ def solved(walker, slopes, want=WANT, **overrides):
     """Points of a line at some slopes."""
     line = {"walker": walker, "set": overrides}
     found = _atlas(walker, tuple(sorted(overrides.items())))
-    return points({"line": line, "slope": np.atleast_1d(np.asarray(slopes, float)), "want": want}, [found])
+    return points(
+        {"line": line, "slope": np.atleast_1d(np.asarray(slopes, float)), "want": want},
+        [found],
+    )
 
 
 def gait(walker, slope, label, **overrides):
@@ -54,10 +59,16 @@ def of_label(out, label):
 
 
 def repeats(walker, overrides, slope, found):
-    """How far a step of the second derivation, with scipy's events, lands from a gait, relative."""
+    """How far a step of the second derivation, with scipy's events, lands from a gait,
+    relative.
+    """
     rates = np.array([found["stance_rate"], found["thigh_rate"], found["shank_rate"]])
     model = Oracle(resolve(walker, overrides).table())
     rates = rates if model.knees else rates[:2]
     step = model.step(found["stance_angle"], rates, slope, rtol=1e-11, atol=1e-12)
     moved = np.abs(step.rates[: len(rates)] - rates).max() / np.abs(rates).max()
-    return max(abs(step.theta / found["stance_angle"] - 1), moved, abs(step.period / found["period"] - 1))
+    return max(
+        abs(step.theta / found["stance_angle"] - 1),
+        moved,
+        abs(step.period / found["period"] - 1),
+    )

@@ -1,8 +1,9 @@
 """A second derivation of the walkers, slow and plain, for tests to compare with.
 
-Every link is a free rigid body (x, y, angle). Pins, locked knees and the rolling foot are
-constraints, and accelerations, ground forces and impacts all come from one
-Karush-Kuhn-Tucker system. No lumped constants and no equations of motion are written out.
+Every link is a free rigid body (x, y, angle). Pins, locked knees and the rolling foot
+are constraints, and accelerations, ground forces and impacts all come from one
+Karush-Kuhn-Tucker system. No lumped constants and no equations of motion are written
+out.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,7 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-HIP, THIGH, SHANK = 0, (2, 8), (5, 11)  # first coordinate: hip; thighs and shanks of legs 0, 1
+HIP, THIGH, SHANK = (
+    0,
+    (2, 8),
+    (5, 11),
+)  # first coordinate: hip; thighs and shanks of legs 0, 1
 COORDINATES = 14
 
 
@@ -23,8 +28,9 @@ class StepFailed(RuntimeError):
 class Step:
     """One step, from just after one heelstrike to just after the next.
 
-    States are arrays ``[stance, thigh, shank angle, and their three rates]`` of shape (6,).
-    Impulses and forces are those of the ground on the walker, (down the slope, normal).
+    States are arrays ``[stance, thigh, shank angle, and their three rates]`` of shape
+    (6,). Impulses and forces are those of the ground on the walker, (down the slope,
+    normal).
     """
 
     theta: float  # stance angle after the closing heelstrike
@@ -59,14 +65,22 @@ def _turn(angle, vector):
 
 
 class Stepper:
-    """Phase logic of a step, shared by both oracles: what ends a phase, and what follows."""
+    """Phase logic of a step, shared by both oracles: what ends a phase, and what
+    follows.
+    """
 
     knees = False
     time_unit = 1.0
-    longest_step = 0.05  # in units of time; a guard that closes twice within one is not seen
+    longest_step = (
+        0.05  # in units of time; a guard that closes twice within one is not seen
+    )
 
-    def integrate(self, state, slope, locked, guard: Callable, direction, start, rtol, atol):
-        """Integrate to the next crossing of `guard`, polishing away the interpolant's error."""
+    def integrate(
+        self, state, slope, locked, guard: Callable, direction, start, rtol, atol
+    ):
+        """Integrate to the next crossing of `guard`, polishing away the interpolant's
+        error.
+        """
 
         def rhs(_, y):
             return np.concatenate([y[3:], self.accelerations(y, slope, locked)])
@@ -93,8 +107,12 @@ class Stepper:
         time, end = run.t[-1], run.y[:, -1]
         for _ in range(3):  # the guard is nearly linear over this little way
             if time > run.t[-2]:
-                end = solve_ivp(rhs, (run.t[-2], time), run.y[:, -2], **options).y[:, -1]
-            rate = (guard(end + 1e-6 * rhs(0, end)) - guard(end - 1e-6 * rhs(0, end))) / 2e-6
+                end = solve_ivp(rhs, (run.t[-2], time), run.y[:, -2], **options).y[
+                    :, -1
+                ]
+            rate = (
+                guard(end + 1e-6 * rhs(0, end)) - guard(end - 1e-6 * rhs(0, end))
+            ) / 2e-6
             time -= guard(end) / rate
         end = end - guard(end) / rate * rhs(0, end)
         return time, end, run.sol
@@ -130,7 +148,9 @@ class Stepper:
         def advance(guard, direction, locked):
             nonlocal state, time
             start = time
-            time, state, sol = self.integrate(state, slope, locked, guard, direction, start, rtol, atol)
+            time, state, sol = self.integrate(
+                state, slope, locked, guard, direction, start, rtol, atol
+            )
             pieces.append((start, time, locked, sol))
 
         def flexion(y):
@@ -144,15 +164,24 @@ class Stepper:
             before = state
             state, impulse, loss = self.kneestrike(before)
             knee = (time, before, state, impulse, loss)
-            # A step ends where the guard, once positive, falls to zero: one not yet positive is no strike.
-            angles = np.hstack([sol(np.linspace(a, b, 2000))[:2] for a, b, _, sol in pieces])
+            # A step ends where the guard, once positive, falls to zero: one not yet
+            # positive is no strike.
+            angles = np.hstack(
+                [sol(np.linspace(a, b, 2000))[:2] for a, b, _, sol in pieces]
+            )
             guard = angles[0] + angles[1]
             if ((guard[1:] <= 0) & (guard[:-1] > 0) & (angles[0, 1:] < 0)).any():
-                raise StepFailed("The knee strikes after the leg has passed the heelstrike angle.")
-        if state[0] >= 0:  # crossings before the stance leg is upright are no heelstrikes
+                raise StepFailed(
+                    "The knee strikes after the leg has passed the heelstrike angle."
+                )
+        if (
+            state[0] >= 0
+        ):  # crossings before the stance leg is upright are no heelstrikes
             advance(lambda y: y[0], -1, True)
         advance(lambda y: y[0] + y[1], -1, True)
-        while state[0] >= 0:  # the stance leg has come back: that was no heelstrike, the next may be
+        while (
+            state[0] >= 0
+        ):  # the stance leg has come back: that was no heelstrike, the next may be
             advance(lambda y: y[0] + y[1], 1, True)
             advance(lambda y: y[0] + y[1], -1, True)
         after, impulse, loss = self.heelstrike(state)
@@ -173,9 +202,13 @@ class Stepper:
         if not samples:
             return None, None, None
         grids = [np.linspace(a, b, samples) for a, b, _, _ in pieces]
-        states = [sol(grid).T for grid, (_, _, _, sol) in zip(grids, pieces, strict=False)]
+        states = [
+            sol(grid).T for grid, (_, _, _, sol) in zip(grids, pieces, strict=False)
+        ]
         force = [
-            self.ground_force(y, slope, piece[2]) for rows, piece in zip(states, pieces, strict=False) for y in rows
+            self.ground_force(y, slope, piece[2])
+            for rows, piece in zip(states, pieces, strict=False)
+            for y in rows
         ]
         return np.concatenate(grids), np.concatenate(states), np.array(force)
 
@@ -185,7 +218,9 @@ class Stepper:
         return np.array([step.theta, *step.rates])[: len(x)]
 
     def jacobian(self, x, slope, h=1e-4, **options):
-        """Jacobian of the stride map by fourth-order central differences, relative step `h`."""
+        """Jacobian of the stride map by fourth-order central differences, relative step
+        `h`.
+        """
         columns = []
         for k in range(len(x)):
             e = np.zeros(len(x))
@@ -201,7 +236,9 @@ class Stepper:
             defect = self.map(x, slope, **options) - x
             if np.abs(defect).max() < 1e-12 * abs(x[0]):
                 break
-            x = x - np.linalg.solve(self.jacobian(x, slope, **options) - np.eye(len(x)), defect)
+            x = x - np.linalg.solve(
+                self.jacobian(x, slope, **options) - np.eye(len(x)), defect
+            )
         return x
 
 
@@ -211,8 +248,9 @@ class Oracle(Stepper):
     Parameters
     ----------
     walker : Mapping
-        The paper's keys ``l_t w_t m_t r_t c_t l_s w_s m_s r_s c_s R eps_T`` and ``m_h``, ``g``,
-        ``knees``. Leg 0 stands and leg 1 swings until a heelstrike swaps them.
+        The paper's keys ``l_t w_t m_t r_t c_t l_s w_s m_s r_s c_s R eps_T`` and
+        ``m_h``, ``g``, ``knees``. Leg 0 stands and leg 1 swings until a heelstrike
+        swaps them.
     """
 
     def __init__(self, walker: Mapping):
@@ -220,29 +258,41 @@ class Oracle(Stepper):
         self.knees, self.g, self.radius = bool(k["knees"]), k["g"], k["R"]
         d = k["l_s"] - k["R"]
         eps_t, eps_s = k["eps_T"], np.arcsin(k["l_t"] * np.sin(k["eps_T"]) / d)
-        # Body frames have angle zero when the extended leg's hip-foot-centre line is upright.
+        # Body frames have angle zero when the extended leg's hip-foot-centre line is
+        # upright.
         thigh = k["c_t"] * _along(-eps_t) + k["w_t"] * _behind(-eps_t)
         shank = k["c_s"] * _along(eps_s) + k["w_s"] * _behind(eps_s)
-        self.hip_on_thigh, self.knee_on_thigh = -thigh, k["l_t"] * _along(-eps_t) - thigh
+        self.hip_on_thigh, self.knee_on_thigh = (
+            -thigh,
+            k["l_t"] * _along(-eps_t) - thigh,
+        )
         self.knee_on_shank, self.centre_on_shank = -shank, d * _along(eps_s) - shank
         m_t, m_s = k["m_t"], k["m_s"]
         leg = [m_t, m_t, m_t * k["r_t"] ** 2, m_s, m_s, m_s * k["r_s"] ** 2]
         self.mass = np.array([k["m_h"], k["m_h"], *leg, *leg])
-        self.length = np.linalg.norm(k["l_t"] * _along(-eps_t) + d * _along(eps_s)) + k["R"]
+        self.length = (
+            np.linalg.norm(k["l_t"] * _along(-eps_t) + d * _along(eps_s)) + k["R"]
+        )
         self.time_unit = np.sqrt(self.length / self.g)
 
     # Kinematics: angles of the four links, and constraint rows J v = 0, J a = bias.
 
     @staticmethod
     def _links(three):
-        """Stance thigh, stance shank, swing thigh, swing shank from (stance, thigh, shank)."""
+        """Stance thigh, stance shank, swing thigh, swing shank from (stance, thigh,
+        shank).
+        """
         return np.array([three[0], three[0], three[1], three[2]])
 
     def _constraints(self, angles, rates, contact, locked):
-        """Rows for pins, then the rolling foot of leg `contact`, then each leg in `locked`."""
+        """Rows for pins, then the rolling foot of leg `contact`, then each leg in
+        `locked`.
+        """
         rows, bias = [], []
 
-        def point(body, link, offset):  # Jacobian of a point of a link, and its centripetal part
+        def point(
+            body, link, offset
+        ):  # Jacobian of a point of a link, and its centripetal part
             arm, jac = _turn(angles[link], offset), np.zeros((2, COORDINATES))
             jac[:, body : body + 2] = np.eye(2)
             jac[:, body + 2] = -arm[1], arm[0]
@@ -257,7 +307,9 @@ class Oracle(Stepper):
             rows += [top - hip, low - knee]
             bias += [a, b - c]
         foot, a = point(SHANK[contact], 2 * contact + 1, self.centre_on_shank)
-        foot[0, SHANK[contact] + 2] += self.radius  # the lowest point of the arc is at rest
+        foot[0, SHANK[contact] + 2] += (
+            self.radius
+        )  # the lowest point of the arc is at rest
         rows.append(foot)
         bias.append(a)
         for leg in locked:
@@ -280,18 +332,26 @@ class Oracle(Stepper):
         jac, _ = self._constraints(angles, rates, 0, ())
         pick = np.zeros((4, COORDINATES))
         pick[range(4), [THIGH[0] + 2, SHANK[0] + 2, THIGH[1] + 2, SHANK[1] + 2]] = 1
-        return np.linalg.solve(np.vstack([jac, pick]), np.concatenate([np.zeros(10), rates]))
+        return np.linalg.solve(
+            np.vstack([jac, pick]), np.concatenate([np.zeros(10), rates])
+        )
 
     def positions(self, state):
         """Positions of hip and links, shape (14,); the ground is y = 0."""
         a = self._links(state[:3])
         centre = np.array([-self.radius * a[0], self.radius])
         shank = centre - _turn(a[1], self.centre_on_shank)
-        thigh = shank + _turn(a[1], self.knee_on_shank) - _turn(a[0], self.knee_on_thigh)
+        thigh = (
+            shank + _turn(a[1], self.knee_on_shank) - _turn(a[0], self.knee_on_thigh)
+        )
         hip = thigh + _turn(a[0], self.hip_on_thigh)
         thigh2 = hip - _turn(a[2], self.hip_on_thigh)
-        shank2 = thigh2 + _turn(a[2], self.knee_on_thigh) - _turn(a[3], self.knee_on_shank)
-        return np.concatenate([hip, thigh, a[:1], shank, a[1:2], thigh2, a[2:3], shank2, a[3:]])
+        shank2 = (
+            thigh2 + _turn(a[2], self.knee_on_thigh) - _turn(a[3], self.knee_on_shank)
+        )
+        return np.concatenate(
+            [hip, thigh, a[:1], shank, a[1:2], thigh2, a[2:3], shank2, a[3:]]
+        )
 
     # Dynamics.
 
@@ -302,23 +362,38 @@ class Oracle(Stepper):
         return self.mass * pull
 
     def motion(self, state, slope, locked):
-        """Accelerations (14,) and constraint forces; the ground force is entries 8 and 9."""
-        jac, bias = self._constraints(self._links(state[:3]), self._links(state[3:]), 0, (0, 1) if locked else (0,))
+        """Accelerations (14,) and constraint forces; the ground force is entries 8 and
+        9.
+        """
+        jac, bias = self._constraints(
+            self._links(state[:3]),
+            self._links(state[3:]),
+            0,
+            (0, 1) if locked else (0,),
+        )
         return self._solve(jac, self._gravity(slope), bias)
 
     def accelerations(self, state, slope, locked):
         """Angular accelerations of stance leg, thigh and shank."""
-        return self.motion(state, slope, locked)[0][[THIGH[0] + 2, THIGH[1] + 2, SHANK[1] + 2]]
+        return self.motion(state, slope, locked)[0][
+            [THIGH[0] + 2, THIGH[1] + 2, SHANK[1] + 2]
+        ]
 
     def ground_force(self, state, slope, locked):
         """Force of the ground on the stance foot, (down the slope, normal)."""
         return self.motion(state, slope, locked)[1][8:10]
 
     def energy(self, state, slope):
-        """Kinetic, potential and total energy; potential is zero at the ground under theta = 0."""
+        """Kinetic, potential and total energy; potential is zero at the ground under
+        theta = 0.
+        """
         kinetic = 0.5 * self.mass @ self.velocities(state) ** 2
         potential = -self._gravity(slope) @ self.positions(state)
-        return {"kinetic": kinetic, "potential": potential, "total": kinetic + potential}
+        return {
+            "kinetic": kinetic,
+            "potential": potential,
+            "total": kinetic + potential,
+        }
 
     def _impact(self, state, contact, locked):
         before = self.velocities(state)
@@ -328,21 +403,26 @@ class Oracle(Stepper):
         return after, impulse[8:10], loss
 
     def kneestrike(self, state):
-        """Lock the swing knee, the stance foot rolling on; state, ground impulse and loss."""
+        """Lock the swing knee, the stance foot rolling on; state, ground impulse and
+        loss.
+        """
         v, impulse, loss = self._impact(state, 0, (0, 1))
         rate = v[THIGH[1] + 2]
         after = np.array([state[0], state[1], state[1], v[THIGH[0] + 2], rate, rate])
         return after, impulse, loss
 
     def heelstrike(self, state):
-        """Stop the swing foot, release the other; the new swing knee is free with knees."""
+        """Stop the swing foot, release the other; the new swing knee is free with
+        knees.
+        """
         v, impulse, loss = self._impact(state, 1, (1,) if self.knees else (0, 1))
         rates = v[[THIGH[1] + 2, THIGH[0] + 2, SHANK[0] + 2]]
         return np.array([state[1], state[0], state[0], *rates]), impulse, loss
 
 
 class SimplestWalker(Stepper):
-    """The walker with vanishing foot mass, from Garcia, Chatterjee, Ruina & Coleman (1998).
+    """The walker with vanishing foot mass, from Garcia, Chatterjee, Ruina & Coleman
+    (1998).
 
     Length, gravity and hip mass are one. phi is the angle between the legs.
     """
@@ -362,13 +442,21 @@ class SimplestWalker(Stepper):
     def energy(self, state, slope):
         """Kinetic, potential and total energy of the hip mass."""
         kinetic, potential = 0.5 * state[3] ** 2, np.cos(state[0] - slope)
-        return {"kinetic": kinetic, "potential": potential, "total": kinetic + potential}
+        return {
+            "kinetic": kinetic,
+            "potential": potential,
+            "total": kinetic + potential,
+        }
 
     def heelstrike(self, state):
-        """The published jump (1998, eq. 4): cos 2 theta, and 1 - cos 2 theta between the legs."""
+        """The published jump (1998, eq. 4): cos 2 theta, and 1 - cos 2 theta between
+        the legs.
+        """
         theta, rate = state[0], state[3]
         stance = np.cos(2 * theta) * rate
         thigh = stance - stance * 2 * np.sin(theta) ** 2
         loss = 0.5 * (rate * np.sin(2 * theta)) ** 2
-        impulse = stance * np.array([-np.cos(theta), np.sin(theta)]) - rate * np.array([-np.cos(theta), -np.sin(theta)])
+        impulse = stance * np.array([-np.cos(theta), np.sin(theta)]) - rate * np.array(
+            [-np.cos(theta), -np.sin(theta)]
+        )
         return np.array([-theta, theta, theta, stance, thigh, thigh]), impulse, loss

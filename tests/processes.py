@@ -1,4 +1,6 @@
-"""Watching a run from outside: its files, its event log, its processes; and damaging what it left."""
+"""Watching a run from outside: its files, its event log, its processes; and damaging
+what it left.
+"""
 
 import contextlib
 import os
@@ -26,7 +28,11 @@ def wait_for_points(toy, n=1, seconds=60):
 def descendants(pid):
     """Process ids below that one."""
     try:
-        children = [int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()]
+        children = [
+            int(c)
+            for t in Path(f"/proc/{pid}/task").glob("*/children")
+            for c in t.read_text().split()
+        ]
     except OSError:
         return []
     return children + [d for c in children for d in descendants(c)]
@@ -71,15 +77,21 @@ def ignored(signum):
 
 
 def damaged(data, dice):
-    """The same bytes with a random fault: single bits and bytes, whole regions, pages in the wrong place, a cut."""
+    """The same bytes with a random fault: single bits and bytes, whole regions, pages
+    in the wrong place, a cut.
+    """
     data, n = bytearray(data), len(data)
     place, size = dice.randrange(n), dice.randint(2, 9000)
-    kind = dice.choice(["bit", "byte", "bytes", "head", "noise", "zeros", "ones", "page", "cut"])
+    kind = dice.choice(
+        ["bit", "byte", "bytes", "head", "noise", "zeros", "ones", "page", "cut"]
+    )
     if kind == "bit":
         data[place] ^= 1 << dice.randrange(8)
     elif kind in ("byte", "bytes", "head"):
         for _ in range(dice.randint(2, 30) if kind == "bytes" else 1):
-            data[dice.randrange(min(n, 1200) if kind == "head" else n)] = dice.randrange(256)
+            data[dice.randrange(min(n, 1200) if kind == "head" else n)] = (
+                dice.randrange(256)
+            )
     elif kind == "page":
         here, there = (4096 * dice.randrange(max(1, n // 4096)) for _ in range(2))
         data[here : here + 4096] = data[there : there + 4096]
@@ -87,9 +99,11 @@ def damaged(data, dice):
         del data[place:]
     else:
         size = min(size, n - place)
-        data[place : place + size] = {"noise": dice.randbytes, "zeros": bytes, "ones": lambda m: b"\xff" * m}[kind](
-            size
-        )
+        data[place : place + size] = {
+            "noise": dice.randbytes,
+            "zeros": bytes,
+            "ones": lambda m: b"\xff" * m,
+        }[kind](size)
     return bytes(data)
 
 
@@ -100,6 +114,8 @@ def suspend(pid: int, seconds: float) -> None:
         os.kill(each, signal.SIGSTOP)
     time.sleep(seconds)
     for each in group:
-        with contextlib.suppress(ProcessLookupError):  # one that woke may have ended another
+        with contextlib.suppress(
+            ProcessLookupError
+        ):  # one that woke may have ended another
             os.kill(each, signal.SIGCONT)
         time.sleep(0.3)

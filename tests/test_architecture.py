@@ -33,10 +33,18 @@ def test_the_code_is_imported_from_this_folder(name):
 
 
 def test_no_module_imports_by_the_names_of_other_packages():
-    """`tasks` and `pipeline` are taken elsewhere; a foreign package, or a folder of the user, would win silently."""
-    found = [file for name in ("tasks", "pipeline", "gaitsweep") for file in (ROOT / name).rglob("*.py")]
+    """`tasks` and `pipeline` are taken elsewhere; a foreign package, or a folder of the
+    user, would win silently.
+    """
+    found = [
+        file
+        for name in ("tasks", "pipeline", "gaitsweep")
+        for file in (ROOT / name).rglob("*.py")
+    ]
     own = re.compile(r"^\s*(from|import) (tasks|pipeline)\b", re.MULTILINE)
-    assert len(found) > 200 and not [file for file in found if own.search(file.read_text())]
+    assert len(found) > 200 and not [
+        file for file in found if own.search(file.read_text())
+    ]
 
 
 def test_the_package_list_is_whole():
@@ -60,7 +68,10 @@ def test_mutants_are_tried_in_a_whole_copy_of_the_project(tmp_path, monkeypatch)
     recording = importlib.import_module("recording")
     monkeypatch.setattr(recording, "STATE", tmp_path)
     tree = recording.copy_project("copy")
-    assert all((tree / "gaitsweep" / name).resolve() == tree / name for name in ("tasks", "pipeline", "data"))
+    assert all(
+        (tree / "gaitsweep" / name).resolve() == tree / name
+        for name in ("tasks", "pipeline", "data")
+    )
     assert len(list(tree.rglob("test_*.py"))) > 100
 
 
@@ -69,7 +80,13 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
         "import sys; import gaitsweep.tasks.registry; before = set(sys.modules); import gaitsweep.pipeline.graph.plan;"
         "print(*(m for m in sys.modules if m.startswith('gaitsweep.tasks')))"
     )
-    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
+    )
     assert sorted(found.stdout.split()) == [
         "gaitsweep.tasks",
         "gaitsweep.tasks.accuracy",
@@ -81,9 +98,13 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
 
 
 def test_importing_any_module_only_defines(tmp_path):
-    """No folder is made, no setting of a library touched, no module of ours left half imported."""
+    """No folder is made, no setting of a library touched, no module of ours left half
+    imported.
+    """
     modules = [
-        ".".join(("gaitsweep", *file.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+        ".".join(
+            ("gaitsweep", *file.relative_to(ROOT).with_suffix("").parts)
+        ).removesuffix(".__init__")
         for name in ("tasks", "pipeline")
         for file in sorted((ROOT / name).rglob("*.py"))
     ]
@@ -99,19 +120,30 @@ def test_importing_any_module_only_defines(tmp_path):
         "PYTHONPATH": str(ROOT),
     }
     environment["MPLCONFIGDIR"] = str(tmp_path.parent)  # matplotlib's own
-    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
-    assert not [path for path in tmp_path.rglob("*") if "gaitsweep" in path.name or path.suffix == ".nc"]
+    subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True
+    )
+    assert not [
+        path
+        for path in tmp_path.rglob("*")
+        if "gaitsweep" in path.name or path.suffix == ".nc"
+    ]
 
 
 def holds_any(hint):
-    return hint is Any or any(map(holds_any, [*hint] if isinstance(hint, list) else get_args(hint)))
+    return hint is Any or any(
+        map(holds_any, [*hint] if isinstance(hint, list) else get_args(hint))
+    )
 
 
 def test_what_is_exported_has_types_and_none_of_them_is_any():
     exported = (getattr(gaitsweep, name) for name in gaitsweep.__all__)
     functions = [each for each in exported if isinstance(each, FunctionType)]
     assert {each.__name__ for each in functions} >= {"figure", "gaits", "load", "run"}
-    for function in [*functions, *(each for one in functions for each in get_overloads(one))]:
+    for function in [
+        *functions,
+        *(each for one in functions for each in get_overloads(one)),
+    ]:
         hints = get_type_hints(function, localns={"Figure": Figure})
         assert hints.keys() == {*inspect.signature(function).parameters, "return"}
         assert not [name for name, hint in hints.items() if holds_any(hint)], function
@@ -125,7 +157,11 @@ PINNED = dict(re.findall(r"^([\w-]+)==.*((?:\n .*)+)", LOCK, re.MULTILINE))
 
 def test_every_dependency_is_locked_with_its_hash():
     project, groups = PROJECT["project"], PROJECT["dependency-groups"]
-    wanted = itertools.chain(project["dependencies"], *project["optional-dependencies"].values(), *groups.values())
+    wanted = itertools.chain(
+        project["dependencies"],
+        *project["optional-dependencies"].values(),
+        *groups.values(),
+    )
     assert {name.split(">")[0].lower() for name in wanted} <= set(PINNED)
     assert all("--hash=sha256:" in hashes for hashes in PINNED.values())
     assert len(PINNED) == LOCK.count("==") - LOCK.count(" == ")
@@ -134,8 +170,15 @@ def test_every_dependency_is_locked_with_its_hash():
 
 @pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
 def test_what_is_locked_needs_nothing_else_in_any_python(python):
-    environment = {"python_version": python, "python_full_version": f"{python}.1", "extra": ""}
-    installed = {canonicalize_name(each.name): each for each in importlib.metadata.distributions()}
+    environment = {
+        "python_version": python,
+        "python_full_version": f"{python}.1",
+        "extra": "",
+    }
+    installed = {
+        canonicalize_name(each.name): each
+        for each in importlib.metadata.distributions()
+    }
     needed = {
         canonicalize_name(requirement.name)
         for name in set(PINNED) & set(installed)
@@ -150,8 +193,15 @@ def test_a_machine_without_python_is_told_in_a_line(tmp_path):
     folder.mkdir()
     for name in ("Makefile", "pyproject.toml", "requirements.lock"):
         shutil.copy(ROOT / name, folder)
-    done = subprocess.run(["make", "--silent", "setup", "PYTHON=false"], cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("gaitsweep needs Python 3.11 or later, with pip and venv: ")
+    done = subprocess.run(
+        ["make", "--silent", "setup", "PYTHON=false"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2 and done.stderr.startswith(
+        "gaitsweep needs Python 3.11 or later, with pip and venv: "
+    )
     assert not (folder / ".venv").exists()
 
 
@@ -161,6 +211,17 @@ def test_arrays_are_named_in_docstrings_of_the_public_face():
 
 def test_what_only_its_module_uses_is_private():
     tables = [ROOT / "pyproject.toml", ROOT / "pipeline" / "cli" / "commands.toml"]
-    texts = [*ROOT.glob("tests/**/*.py"), *ROOT.glob("docs/**/*.*"), *tables, *docstrings.FILES]
-    words = {file: set(re.findall(r"\w+", file.read_text(encoding="utf-8"))) for file in texts if file.suffix != ".png"}
-    assert not [name for file in docstrings.FILES for name in docstrings.private(file, words)]
+    texts = [
+        *ROOT.glob("tests/**/*.py"),
+        *ROOT.glob("docs/**/*.*"),
+        *tables,
+        *docstrings.FILES,
+    ]
+    words = {
+        file: set(re.findall(r"\w+", file.read_text(encoding="utf-8")))
+        for file in texts
+        if file.suffix != ".png"
+    }
+    assert not [
+        name for file in docstrings.FILES for name in docstrings.private(file, words)
+    ]

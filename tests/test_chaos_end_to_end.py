@@ -1,4 +1,6 @@
-"""Orbits and basins through the command line: chaos makes any slip of a bit visible in the archive."""
+"""Orbits and basins through the command line: chaos makes any slip of a bit visible in
+the archive.
+"""
 
 import os
 import re
@@ -38,7 +40,12 @@ def archived(folder, text, *options):
     (folder / "s.toml").write_text(text)
     command = [*GAITSWEEP, "run", "s.toml", "--quiet", *options]
     done = subprocess.run(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300
+        command,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     (found,) = (folder / "data" / "archive").glob("*.nc")

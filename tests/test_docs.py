@@ -1,4 +1,6 @@
-"""What the README and docs show is true: links, options, studies, walkers and the output printed beside them."""
+"""What the README and docs show is true: links, options, studies, walkers and the
+output printed beside them.
+"""
 
 import json
 import math
@@ -19,7 +21,11 @@ from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.registry import OPTIONS
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 
 
 def blocks(page, language):
@@ -36,10 +42,14 @@ def test_every_link_leads_to_a_file(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_path_and_module_named_exists(page):
-    prose = re.sub(r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    prose = re.sub(
+        r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M
+    )
     for code in re.findall(r"`([^`\n]+)`", prose):
         path = code.partition(":")[0]
-        if re.fullmatch(r"(pipeline|tasks|tests|docs|data)/[\w./-]*|[\w/]+\.(py|md)", path):
+        if re.fullmatch(
+            r"(pipeline|tasks|tests|docs|data)/[\w./-]*|[\w/]+\.(py|md)", path
+        ):
             assert path.startswith("data/archive") or (ROOT / path).exists(), path
         elif re.fullmatch(r"(pipeline|tasks)(\.\w+)+", code):
             pkgutil.resolve_name(code)
@@ -57,11 +67,25 @@ def test_every_package_has_its_place_in_contributing():
 
 
 def test_the_paper_is_cited_alike_everywhere():
-    for name in ("README.md", "CITATION.cff", "docs/physics.md", "data/reference/published.toml"):
+    for name in (
+        "README.md",
+        "CITATION.cff",
+        "docs/physics.md",
+        "data/reference/published.toml",
+    ):
         text = (ROOT / name).read_text(encoding="utf-8")
         assert "10.1080/713603737" in text and "2000" in text, name
         assert not re.search(r"\(1999\)|[ =]1999\b", text), name
-    assert all(words in PAPER for words in ("Garcia", "Chatterjee", "Ruina", "15(2), 75-99, 2000", "10.1080/713603737"))
+    assert all(
+        words in PAPER
+        for words in (
+            "Garcia",
+            "Chatterjee",
+            "Ruina",
+            "15(2), 75-99, 2000",
+            "10.1080/713603737",
+        )
+    )
 
 
 def test_every_command_and_option_exists():
@@ -69,8 +93,14 @@ def test_every_command_and_option_exists():
     helps = {name: command.format_help() for name, command in subparsers.items()}
     seen = 0
     for page in PAGES:
-        inline = re.findall(r"(?<!`)`(gaitsweep [^`]+)`", page.read_text(encoding="utf-8"))
-        fenced = re.findall(r"^(?:\$ )?(gaitsweep .*)$", "".join(blocks(page.relative_to(ROOT), "")), re.M)
+        inline = re.findall(
+            r"(?<!`)`(gaitsweep [^`]+)`", page.read_text(encoding="utf-8")
+        )
+        fenced = re.findall(
+            r"^(?:\$ )?(gaitsweep .*)$",
+            "".join(blocks(page.relative_to(ROOT), "")),
+            re.M,
+        )
         for line in inline + fenced:
             words = line.split("#")[0].split()
             assert words[1].rstrip(",.;") in helps, line
@@ -86,8 +116,15 @@ def test_the_studies_shown_can_be_run(tmp_path):
     (tmp_path / "mine-study.toml").write_text(sweep)
     mine = parse.read(tmp_path / "mine-study.toml")
     assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
-    templates = {path.stem: parse.read(path) for path in (ROOT / "data" / "studies" / "examples").glob("*.toml")}
-    assert len(templates) > 3 and templates["toward-round-feet"].line_shape == (1, 12, 5)
+    templates = {
+        path.stem: parse.read(path)
+        for path in (ROOT / "data" / "studies" / "examples").glob("*.toml")
+    }
+    assert len(templates) > 3 and templates["toward-round-feet"].line_shape == (
+        1,
+        12,
+        5,
+    )
     (readme,) = blocks("README.md", "toml")
     assert parse.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
 
@@ -98,19 +135,32 @@ def test_the_walker_shown_has_an_infinite_friction_demand(tmp_path, capsys):
     solve = ["solve", "--walker", str(tmp_path / "walker.toml"), "--slope", "0.03"]
     commands.main([*solve, "--all-variables"])
     long = capsys.readouterr().out.partition("short (")[0]
-    assert "contact_tension, friction" in long and re.search(r"friction_demand_kneestrike +inf$", long, re.M)
+    assert "contact_tension, friction" in long and re.search(
+        r"friction_demand_kneestrike +inf$", long, re.M
+    )
     commands.main([*solve, "--json"])
     gaits = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert float(gaits[0]["friction_demand_kneestrike"]) == math.inf
 
 
 def test_the_studies_of_figure_3_and_of_designs_say_what_is_true():
-    (physical, straight) = (gaitsweep.solve(name, 0.036)["stable"].any() for name in ("physical", "physical-straight"))
+    (physical, straight) = (
+        gaitsweep.solve(name, 0.036)["stable"].any()
+        for name in ("physical", "physical-straight")
+    )
     said = (ROOT / "data/studies/paper/figure3.toml").read_text()
     assert physical and not straight
-    assert "a stable one with free knees, and one with locked knees, which is unstable" in said
-    said = " ".join((ROOT / "data/studies/paper/design.toml").read_text().replace("#", "").split())
-    low, high = map(float, re.search(r"no gait between slopes ([\d.]+) and ([\d.]+)\.", said).groups())
+    assert (
+        "a stable one with free knees, and one with locked knees, which is unstable"
+        in said
+    )
+    said = " ".join(
+        (ROOT / "data/studies/paper/design.toml").read_text().replace("#", "").split()
+    )
+    low, high = map(
+        float,
+        re.search(r"no gait between slopes ([\d.]+) and ([\d.]+)\.", said).groups(),
+    )
     slopes = [low - 1e-4, low + 1e-4, 0.1, high - 1e-4, high + 1e-4]
     walks = (gaitsweep.gaits("physical", slopes).status == 0).any("gait").values
     assert walks.tolist() == [True, False, False, False, True]
@@ -124,9 +174,14 @@ def test_the_readme_shows_what_the_command_prints(capsys):
     shown = shown[: next(i for i, line in enumerate(shown) if line.strip() == "...")]
     assert len(shown) > 5
     for line, found in zip(shown, printed, strict=False):
-        assert re.split(r"\d", line)[0].rstrip(" -") == re.split(r"\d", found)[0].rstrip(" -")
+        assert re.split(r"\d", line)[0].rstrip(" -") == re.split(r"\d", found)[
+            0
+        ].rstrip(" -")
         # The last digits are the machine's own.
-        numbers = [[float(n) for n in re.findall(r"-?\d+\.\d+", text)] for text in (line, found)]
+        numbers = [
+            [float(n) for n in re.findall(r"-?\d+\.\d+", text)]
+            for text in (line, found)
+        ]
         assert numbers[0] == pytest.approx(numbers[1], rel=1e-12), (line, found)
 
 
@@ -134,20 +189,41 @@ def test_the_python_shown_is_python():
     for page in PAGES:
         for block in blocks(page.relative_to(ROOT), "python"):
             compile(block, str(page), "exec")
-    names = ["figure", "gaits", "load", "report", "run", "simulate", "solve", "step_map"]
+    names = [
+        "figure",
+        "gaits",
+        "load",
+        "report",
+        "run",
+        "simulate",
+        "solve",
+        "step_map",
+    ]
     code = f"import gaitsweep; print(*(getattr(gaitsweep, name).__name__ for name in {names}), *gaitsweep.__all__)"
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     printed = done.stdout.split()
     assert printed[: len(names)] == names and set(names) < set(printed[len(names) :])
 
 
 def test_every_option_of_every_kind_is_in_the_docs_and_the_help():
-    studies, shown = (ROOT / "docs" / "studies.md").read_text(), commands.parser()._subparsers._group_actions[0]
+    studies, shown = (
+        (ROOT / "docs" / "studies.md").read_text(),
+        commands.parser()._subparsers._group_actions[0],
+    )
     text = shown.choices["plan"].format_help()
-    of_all = set.intersection(*map(set, OPTIONS.values()))  # those are described once, before the kinds
+    of_all = set.intersection(
+        *map(set, OPTIONS.values())
+    )  # those are described once, before the kinds
     assert of_all == {"tuned"} and "`tuned = [" in studies.partition("## Kinds")[0]
     for kind, known in OPTIONS.items():
-        (line,) = (part for part in studies.split("- **")[1:] if part.startswith(f"{kind}**"))
+        (line,) = (
+            part for part in studies.split("- **")[1:] if part.startswith(f"{kind}**")
+        )
         for name, option in known.items():
             assert name in of_all or f"`{name}`" in line, (kind, name)
             assert option.meaning in text, (kind, name)
@@ -158,10 +234,21 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
     names: dict = {}
     for block in blocks("docs/python.md", "python"):
         exec(block, names)
-    (selection,) = re.findall(r"`(sweep\.stance_angle\.where[^`]+)`", (ROOT / "docs/python.md").read_text())
+    (selection,) = re.findall(
+        r"`(sweep\.stance_angle\.where[^`]+)`", (ROOT / "docs/python.md").read_text()
+    )
     assert eval(selection, names).notnull().any()
     # The numbers and sizes that the page states.
     speeds = names["gaits"]("A", np.linspace(0.001, 0.06, 100)).sel(gait="long")
-    assert np.interp(0.5, speeds.speed, speeds.cost_of_transport) == pytest.approx(0.0152, abs=5e-5)
-    assert names["grid"].period.shape == (20, 20, 20, 4) and (names["grid"].status.sel(gait="long") == 0).all()
-    assert names["walk"].steps_taken == 20 and len(names["branches"]) > 4 and len(names["table"]) == 2
+    assert np.interp(0.5, speeds.speed, speeds.cost_of_transport) == pytest.approx(
+        0.0152, abs=5e-5
+    )
+    assert (
+        names["grid"].period.shape == (20, 20, 20, 4)
+        and (names["grid"].status.sel(gait="long") == 0).all()
+    )
+    assert (
+        names["walk"].steps_taken == 20
+        and len(names["branches"]) > 4
+        and len(names["table"]) == 2
+    )

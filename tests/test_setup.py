@@ -1,4 +1,6 @@
-"""`make setup` takes packages from where pip would, and tells nobody the passwords that lie in the addresses."""
+"""`make setup` takes packages from where pip would, and tells nobody the passwords that
+lie in the addresses.
+"""
 
 import json
 import os
@@ -25,7 +27,8 @@ cert = /etc/nowhere.pem
 cert = /etc/own certificates.pem
 """
 BASE = sys._base_executable  # which has pip
-#: Python in a shell: of what `make setup` asks, it does not install, and puts a uv there that notes its environment.
+#: Python in a shell: of what `make setup` asks, it does not install, and puts a uv
+#: there that notes its environment.
 PYTHON = f"""#!/bin/sh
 case "$1 $2" in
   "-m venv") mkdir -p .venv/bin && printf '#!/bin/sh\\nexec {sys.executable} ../uv.py "$@"\\n' >.venv/bin/uv
@@ -55,25 +58,38 @@ def folder(tmp_path, monkeypatch):
 
     made = tmp_path / "project"
     (made / ".ci").mkdir(parents=True)
-    for name in ("Makefile", "pyproject.toml", "requirements.lock", ".ci/with_settings_of_pip.py"):
+    for name in (
+        "Makefile",
+        "pyproject.toml",
+        "requirements.lock",
+        ".ci/with_settings_of_pip.py",
+    ):
         shutil.copy(ROOT / name, made / name)
     return made
 
 
 def make(folder, *words):
     command = ["make", f"PYTHON={folder.parent / 'python'}", *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=True
+    )
 
 
 def calls(folder):
-    return [json.loads(line) for line in (folder.parent / "uv.jsonl").read_text().splitlines()]
+    return [
+        json.loads(line)
+        for line in (folder.parent / "uv.jsonl").read_text().splitlines()
+    ]
 
 
 def test_settings_of_pip_reach_uv(folder):
     make(folder, "setup")
 
     called = calls(folder)[0]
-    assert called["words"][:2] == ["pip", "install"] and "--require-hashes" in called["words"]
+    assert (
+        called["words"][:2] == ["pip", "install"]
+        and "--require-hashes" in called["words"]
+    )
     expected = {
         "UV_DEFAULT_INDEX": f"https://me:{PASSWORD}@packages.example/simple",
         "UV_INDEX": f"https://more.example/simple https://you:{PASSWORD}@most.example/simple",
@@ -85,14 +101,21 @@ def test_settings_of_pip_reach_uv(folder):
     assert {name: called["environment"].get(name) for name in expected} == expected
 
 
-@pytest.mark.parametrize("words", [["setup"], ["-n", "setup"], ["-n", "lock"], ["--debug=b", "setup"]])
+@pytest.mark.parametrize(
+    "words", [["setup"], ["-n", "setup"], ["-n", "lock"], ["--debug=b", "setup"]]
+)
 def test_no_password_is_printed_or_executed(folder, words):
     done = make(folder, *words)
 
     assert "s3cret" not in done.stdout + done.stderr and "uv pip" in done.stdout
     assert not list(folder.rglob("told"))
     if "-n" not in words:
-        assert not [word for called in calls(folder) for word in called["words"] if "s3cret" in word]
+        assert not [
+            word
+            for called in calls(folder)
+            for word in called["words"]
+            if "s3cret" in word
+        ]
 
 
 def test_settings_in_the_environment_win_and_those_of_uv_are_kept(folder, monkeypatch):

@@ -17,10 +17,18 @@ def test_the_tutorial_runs_as_a_newcomer_runs_it(tmp_path):
         env={**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
     )
     assert done.returncode == 0, done.stderr
-    # The laws of section 6.2: long steps as the cube root of the slope, short ones as the slope.
+    # The laws of section 6.2: long steps as the cube root of the slope, short ones as
+    # the slope.
     laws = [line.split() for line in done.stdout.splitlines() if " small " in line]
-    exponents = [(gait, round(float(exponent), 2)) for _, _, gait, _, exponent, *_ in laws]
+    exponents = [
+        (gait, round(float(exponent), 2)) for _, _, gait, _, exponent, *_ in laws
+    ]
     assert sorted(exponents) == [("long", 0.33)] * 2 + [("short", 1.0)] * 2
-    assert "0.005 All 40 steps end in a heelstrike." in done.stdout and "0.05 Step 2: fell backward." in done.stdout
+    assert (
+        "0.005 All 40 steps end in a heelstrike." in done.stdout
+        and "0.05 Step 2: fell backward." in done.stdout
+    )
     assert (tmp_path / "round-feet.png").stat().st_size > 10_000
-    assert sorted(p.name for p in (tmp_path / "data" / "archive").glob("*.nc")) == ["round-feet.nc"]
+    assert sorted(p.name for p in (tmp_path / "data" / "archive").glob("*.nc")) == [
+        "round-feet.nc"
+    ]

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # Curved feet on the simplest walker
 #
-# M. Garcia, A. Chatterjee, A. Ruina and M. Coleman, *J. Biomech. Eng.* 120 (1998) 281–288: the simplest walker is
-# stable up to a slope of 0.0151. P. Adamczyk, S. Collins and A. Kuo, *J. Exp. Biol.* 209 (2006) 3953–3963, equation
-# 7: for short steps, the heelstrike loss with feet of radius ρ (in leg lengths) is (1 − ρ)² times that with point
-# feet. Here the same walker, D, has round feet of vanishing mass.
+# M. Garcia, A. Chatterjee, A. Ruina and M. Coleman, *J. Biomech. Eng.* 120 (1998)
+# 281–288: the simplest walker is stable up to a slope of 0.0151. P. Adamczyk, S.
+# Collins and A. Kuo, *J. Exp. Biol.* 209 (2006) 3953–3963, equation 7: for short steps,
+# the heelstrike loss with feet of radius ρ (in leg lengths) is (1 − ρ)² times that with
+# point feet. Here the same walker, D, has round feet of vanishing mass.
 
 # %%
 import matplotlib.pyplot as plt
@@ -16,15 +17,17 @@ radius = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
 
 # %% [markdown]
 # ## The collision
-# The energy lost, divided by the squares of the hip's speed and of the angle between the legs, relative to point feet,
-# in the limit of short steps.
+# The energy lost, divided by the squares of the hip's speed and of the angle between
+# the legs, relative to point feet, in the limit of short steps.
 
 # %%
 short = gaits("D", 1e-6, R=radius).sel(gait="long")
 coefficient = short.loss_normal / (short.stance_rate * short.stance_angle) ** 2
 ratio = (coefficient / coefficient[0]).to_numpy()
 for rho, computed in zip(radius, ratio, strict=True):
-    print(f"loss at radius {rho:.1f} over that at 0: printed {(1 - rho) ** 2:.4f}, computed {computed:.4f}")
+    print(
+        f"loss at radius {rho:.1f} over that at 0: printed {(1 - rho) ** 2:.4f}, computed {computed:.4f}"
+    )
 
 # %% [markdown]
 # ## How far the gaits are stable
@@ -32,7 +35,9 @@ for rho, computed in zip(radius, ratio, strict=True):
 
 # %%
 slope = np.linspace(1e-4, 0.12, 4000)
-gait = gaits("D", slope, R=radius[:, None], variables=["multipliers", "stance_angle"]).sel(gait="long")
+gait = gaits(
+    "D", slope, R=radius[:, None], variables=["multipliers", "stance_angle"]
+).sel(gait="long")
 stable = gait.spectral_radius.to_numpy() < 1
 first = np.where(stable.all(axis=1), slope[-1], slope[stable.argmin(axis=1) - 1])
 print(f"stable on point feet up to slope: printed 0.0151, computed {first[0]:.4f}")

@@ -1,4 +1,6 @@
-"""Gaits of arrays of walkers and slopes, in memory: studies without files, computed in this process."""
+"""Gaits of arrays of walkers and slopes, in memory: studies without files, computed in
+this process.
+"""
 
 import functools
 from collections.abc import Generator, Hashable, Iterator, Mapping
@@ -25,7 +27,8 @@ from gaitsweep.pipeline.study.model import Axis, Definition, Study
 from gaitsweep.tasks.accuracy import always
 from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
-#: Atlases, charts and points of short lines kept for later calls [byte]: other points are cheaper to compute again.
+#: Atlases, charts and points of short lines kept for later calls [byte]: other points
+#: are cheaper to compute again.
 _REMEMBERED = Memory(512 << 20)
 _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
@@ -36,9 +39,18 @@ _Found = tuple[np.ndarray, Points]
 
 
 class _Line:
-    """A line of the grid: the numbers of its points, their distinct slopes, and the slope of each among these."""
+    """A line of the grid: the numbers of its points, their distinct slopes, and the
+    slope of each among these.
+    """
 
-    def __init__(self, base: Study, line: dict[str, Any], at: np.ndarray, slope: np.ndarray, check: dict[str, Any]):
+    def __init__(
+        self,
+        base: Study,
+        line: dict[str, Any],
+        at: np.ndarray,
+        slope: np.ndarray,
+        check: dict[str, Any],
+    ):
         self.line, self.at, self.check = line, at, check
         self.slopes, self.row = np.unique(slope[at], return_inverse=True)
         self._base = base
@@ -59,9 +71,17 @@ class _RaisedError(Exception):
     """The sentence of points that a task, or one that they need, has raised."""
 
 
-def _over(base: Study, slope: np.ndarray, keys: Mapping[str, np.ndarray], check: dict[str, Any]) -> Study:
+def _over(
+    base: Study,
+    slope: np.ndarray,
+    keys: Mapping[str, np.ndarray],
+    check: dict[str, Any],
+) -> Study:
     """A study without axes, over slopes and keys."""
-    axes = (Axis("slope", slope), *(Axis(name, values) for name, values in keys.items()))
+    axes = (
+        Axis("slope", slope),
+        *(Axis(name, values) for name, values in keys.items()),
+    )
     return replace(base, axes=axes, checks=(check,))
 
 
@@ -98,19 +118,29 @@ def gaits(
     Raises
     ------
     StudyError
-        If the arguments do not broadcast, or no point has a slope and a walker that can be.
+        If the arguments do not broadcast, or no point has a slope and a walker that can
+        be.
     """
     wanted = (*wanted, *(name for name in always(accuracy) if name not in wanted))
-    options = {**({"steps": steps} if steps > 1 else {}), **({"violation_limits": limits} if limits else {})}
-    base = Study("", "", "grid", (walker,), GAITS, (), wanted, options=options, accuracy=accuracy)
+    options = {
+        **({"steps": steps} if steps > 1 else {}),
+        **({"violation_limits": limits} if limits else {}),
+    }
+    base = Study(
+        "", "", "grid", (walker,), GAITS, (), wanted, options=options, accuracy=accuracy
+    )
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     slope, is_slope = flat["slope"], slopes.is_slope(flat["slope"])
     lines, unsolvable = list[_Line](), list[tuple[np.ndarray, StudyError]]()
-    for line, at in _lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]):
+    for line, at in _lines(
+        walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]
+    ):
         at = at[is_slope[at]]
         try:
-            lines.append(_Line(base, line, at, slope, dispatch.ask("check_walker", line)))
+            lines.append(
+                _Line(base, line, at, slope, dispatch.ask("check_walker", line))
+            )
         except StudyError as error:
             unsolvable.append((at, error))
     if len(slope) and not any(len(one.at) for one in lines):
@@ -123,53 +153,96 @@ def gaits(
         unsolvable.append((np.flatnonzero(~is_slope)[which == k], why))
     answers = [one.check for one in lines]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
-    coordinates = {name: a.assign_attrs(attributes.of_axis(name, answers[:1])) for name, a in varying.items()}
+    coordinates = {
+        name: a.assign_attrs(attributes.of_axis(name, answers[:1]))
+        for name, a in varying.items()
+    }
     constants = _constants(lines[0].line, answers, varying) if lines else {}
     moved = _moved(lines[0].line, answers, varying) if lines else {}
     multipliers = max((check["multipliers"] for check in answers), default=3)
-    found = [(at, Points.of_ending(len(at), "raised", str(error), wanted)) for at, error in unsolvable]
-    lines = [one for one in lines if len(one.at)]  # which become fewer while they are solved
+    found = [
+        (at, Points.of_ending(len(at), "raised", str(error), wanted))
+        for at, error in unsolvable
+    ]
+    lines = [
+        one for one in lines if len(one.at)
+    ]  # which become fewer while they are solved
     found += _solve(base, lines)
-    places, parts = zip(*found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))], strict=True)
-    points = joined(parts, (len(GAITS), multipliers)).take(np.argsort(np.concatenate(places)))
-    return _dataset(points, grid[0], coordinates, moved, constants, replace(base, checks=tuple(answers[:1])))
+    places, parts = zip(
+        *found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))],
+        strict=True,
+    )
+    points = joined(parts, (len(GAITS), multipliers)).take(
+        np.argsort(np.concatenate(places))
+    )
+    return _dataset(
+        points,
+        grid[0],
+        coordinates,
+        moved,
+        constants,
+        replace(base, checks=tuple(answers[:1])),
+    )
 
 
-def _lines(walker: Definition, flat: Arrays, varying: list[str]) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
+def _lines(
+    walker: Definition, flat: Arrays, varying: list[str]
+) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     """Every line of the grid, in the order of its first point, with its points."""
     n = len(flat["slope"])
     fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
     number = np.zeros(n, int)
     if varying:
-        groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(varying, sort=False, dropna=False)
+        groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(
+            varying, sort=False, dropna=False
+        )
         number = groups.ngroup().to_numpy()
     order = np.argsort(number, kind="stable")
     for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
-        yield {"walker": walker, "set": {**fixed, **{name: flat[name][at[0]].item() for name in varying}}}, at
+        yield (
+            {
+                "walker": walker,
+                "set": {
+                    **fixed,
+                    **{name: flat[name][at[0]].item() for name in varying},
+                },
+            },
+            at,
+        )
 
 
 def _constants(
     line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, Any]
 ) -> dict[str, str | float]:
-    """Keys that all walkers share, as attributes; for a single line, all that do not vary."""
-    table = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
+    """Keys that all walkers share, as attributes; for a single line, all that do not
+    vary.
+    """
+    table = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")(
+        line["walker"], line["set"]
+    ).table()
     others = {*_owners(checks, varying), *varying}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
     shared = {key: value for key, value in constants.items() if key not in others}
     return shared | parameters.exact_offsets(others, [table])
 
 
-def _owners(checks: list[dict[str, Any]], varying: Mapping[str, Any]) -> dict[str, list[str]]:
+def _owners(
+    checks: list[dict[str, Any]], varying: Mapping[str, Any]
+) -> dict[str, list[str]]:
     """Keys that others which vary move, with these."""
     owners: dict[str, dict[str, None]] = {}
     for check in checks:
         for key, movers in check["varied"].items():
-            owners.setdefault(key, {}).update(dict.fromkeys(owner for owner in movers if owner in varying))
+            owners.setdefault(key, {}).update(
+                dict.fromkeys(owner for owner in movers if owner in varying)
+            )
     return {key: list(found) for key, found in owners.items() if found}
 
 
 def _moved(
-    line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, xr.DataArray]
+    line: dict[str, Any],
+    checks: list[dict[str, Any]],
+    varying: Mapping[str, xr.DataArray],
 ) -> dict[str, xr.DataArray]:
     """Keys that others which vary move, along the dimensions of these."""
     fixed = {key: value for key, value in line["set"].items() if key not in varying}
@@ -179,15 +252,22 @@ def _moved(
         if key in varying or key not in owners:
             continue
         arrays = xr.broadcast(*(varying[owner] for owner in owners[key]))
-        flat = {owner: array.values.ravel().astype(float) for owner, array in zip(owners[key], arrays, strict=True)}
+        flat = {
+            owner: array.values.ravel().astype(float)
+            for owner, array in zip(owners[key], arrays, strict=True)
+        }
         values = parameters.of_walkers(line["walker"], key, {**fixed, **flat})
         about = parameters.described(key, checks[:1], True)
-        moved[key] = xr.DataArray(values.reshape(arrays[0].shape), dims=arrays[0].dims, attrs=about)
+        moved[key] = xr.DataArray(
+            values.reshape(arrays[0].shape), dims=arrays[0].dims, attrs=about
+        )
     return moved
 
 
 def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
-    """Solve the points of lines, as one study if they form a plane of keys, else as one study each."""
+    """Solve the points of lines, as one study if they form a plane of keys, else as one
+    study each.
+    """
     left = yield from _solve_plane(base, lines)
     while left:
         block = left[:_BLOCK]
@@ -196,20 +276,33 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
         for one in block:
             try:
                 points = _result(one.graph, one.node)
-            except _RaisedError as reason:  # as in a run, this is the status of its points
-                points = Points.of_ending(one.node.points, "raised", str(reason), one.graph.variables)
+            except (
+                _RaisedError
+            ) as reason:  # as in a run, this is the status of its points
+                points = Points.of_ending(
+                    one.node.points, "raised", str(reason), one.graph.variables
+                )
             yield one.at, points.take(one.row)
 
 
-def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, list[_Line]]:
+def _solve_plane(
+    base: Study, lines: list[_Line]
+) -> Generator[_Found, None, list[_Line]]:
     """Solve lines that form a plane of keys; returns the lines that are left."""
-    if len(lines) < 2 or any(not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]):
+    if len(lines) < 2 or any(
+        not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]
+    ):
         return lines
-    values = {key: np.array([one.line["set"][key] for one in lines]) for key in lines[0].line["set"]}
+    values = {
+        key: np.array([one.line["set"][key] for one in lines])
+        for key in lines[0].line["set"]
+    }
     keys = {key: np.unique(each) for key, each in values.items()}
     if len(lines) != np.prod([len(each) for each in keys.values()]):
         return lines
-    by_number = np.lexsort([*values.values()][::-1])  # as the study numbers them: by the first key, then the next
+    by_number = np.lexsort(
+        [*values.values()][::-1]
+    )  # as the study numbers them: by the first key, then the next
     study = _over(base, lines[0].slopes, keys, lines[by_number[-1]].check)
     if method_of(study) is not Method.PLANE:
         return lines
@@ -219,7 +312,9 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
         own = [lines[number] for number in by_number[chunk.numbers].tolist()]
         try:
             points = _result(graph, graph.chunk_node(chunk))
-        except _RaisedError:  # as in a run, the lines of a chunk that fails are tried one by one
+        except (
+            _RaisedError
+        ):  # as in a run, the lines of a chunk that fails are tried one by one
             left += own
             continue
         rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
@@ -228,7 +323,8 @@ def _solve_plane(base: Study, lines: list[_Line]) -> Generator[_Found, None, lis
 
 
 def _result(graph: Graph, node: Node) -> Any:
-    """Result of a node, unless it is remembered, after those of the nodes that it needs.
+    """Result of a node, unless it is remembered, after those of the nodes that it
+    needs.
 
     Raises
     ------
@@ -239,9 +335,17 @@ def _result(graph: Graph, node: Node) -> Any:
     if (result := _REMEMBERED.get(key)) is not None:
         return result
     line = int(node.chunk.numbers[0]) if node.chunk else node.line or 0
-    names = [name for name, own in graph.line_keys(line).items() if own.key in node.needs] if node.needs else []
+    names = (
+        [name for name, own in graph.line_keys(line).items() if own.key in node.needs]
+        if node.needs
+        else []
+    )
     inputs = [_result(graph, graph.node(name, line)) for name in names]
-    for made in graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves")) if node.chunk else ():
+    for made in (
+        graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves"))
+        if node.chunk
+        else ()
+    ):
         try:
             inputs.append(_result(graph, made))
         except _RaisedError:  # as in a run, a chunk does without charts that failed
@@ -265,21 +369,31 @@ def _key(graph: Graph, node: Node) -> Hashable:
 
 def _remember(key: Hashable, result: Points | Arrays) -> None:
     arrays = result.values if isinstance(result, Points) else result
-    _REMEMBERED.put(key, result, sum(np.asarray(array).nbytes for array in arrays.values()))
+    _REMEMBERED.put(
+        key, result, sum(np.asarray(array).nbytes for array in arrays.values())
+    )
 
 
 def _survey(lines: list[_Line]) -> None:
-    """Find the branches of short lines that are not remembered, side by side, and remember them."""
+    """Find the branches of short lines that are not remembered, side by side, and
+    remember them.
+    """
     alone = (one for one in lines if one.graph.method is Method.ALONE)
     unknown = [
-        one for one in alone if not any(key in _REMEMBERED for key in (_key(one.graph, one.node), *one.node.needs))
+        one
+        for one in alone
+        if not any(
+            key in _REMEMBERED for key in (_key(one.graph, one.node), *one.node.needs)
+        )
     ]
     if len(unknown) < 2:
         return
     params = {"lines": [one.line for one in unknown], "slope": np.empty(0), "want": ()}
     try:
         results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
-    except Exception:  # each is tried alone, and its own error becomes its points' reason
+    except (
+        Exception
+    ):  # each is tried alone, and its own error becomes its points' reason
         return
     for one, (atlas, _) in zip(unknown, results, strict=True):
         _remember(one.node.needs[0], dict(atlas))
@@ -296,14 +410,36 @@ def _dataset(
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
     variables: dict[str, Any] = dict(moved)
-    variables["reason_text"] = ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS)
+    variables["reason_text"] = (
+        "reason_index",
+        np.array(sentences.texts, str),
+        attributes.REASON_TEXT,
+        _CHARACTERS,
+    )
     for name in (v for v in VARIABLES if v in points.values):
-        values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])
+        values = (
+            points.values[name]
+            if name != "reason"
+            else sentences.renumbered(points.values[name])
+        )
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
         variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], study))
-    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS)}
-    multipliers = [a.shape[-1] for name, a in points.values.items() if has_multipliers(name)]
+    coords = {
+        **grid.coords,
+        "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS),
+    }
+    multipliers = [
+        a.shape[-1] for name, a in points.values.items() if has_multipliers(name)
+    ]
     if multipliers:
-        coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), attributes.MULTIPLIER)
-    return xr.Dataset(variables, {**coords, **coordinates}, {**attributes.of_dataset(study), **constants})
+        coords["multiplier"] = (
+            "multiplier",
+            np.arange(multipliers[0], dtype=np.int32),
+            attributes.MULTIPLIER,
+        )
+    return xr.Dataset(
+        variables,
+        {**coords, **coordinates},
+        {**attributes.of_dataset(study), **constants},
+    )

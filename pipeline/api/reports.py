@@ -40,7 +40,8 @@ def report(
     Returns
     -------
     Path
-        The page of a single archive; of several, or of a study that only feeds the ledger, the index.
+        The page of a single archive; of several, or of a study that only feeds the
+        ledger, the index.
 
     Raises
     ------
@@ -48,18 +49,30 @@ def report(
         If a file is not an archive of gaitsweep, or the folder cannot be written.
     """
     several = [archives] if isinstance(archives, str | Path) else archives
-    return write([archive_path(archive) for archive in several], archive_path(folder), only, bundle)
+    return write(
+        [archive_path(archive) for archive in several],
+        archive_path(folder),
+        only,
+        bundle,
+    )
 
 
 def write(
-    archives: Sequence[Path], folder: Path, only: bool, bundle: bool, tell: Callable[[int], object] = lambda made: None
+    archives: Sequence[Path],
+    folder: Path,
+    only: bool,
+    bundle: bool,
+    tell: Callable[[int], object] = lambda made: None,
 ) -> Path:
-    """Write the pages as `report` does; `tell` is told the number of pages made, before the first and after each."""
+    """Write the pages as `report` does; `tell` is told the number of pages made, before
+    the first and after each.
+    """
     read.probe(archives)
     for path in archives:
         with read.open_archive(path):
             pass
-    # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
+    # Asked whether an array is one of dask's, xarray would import dask.array, and so
+    # half of SciPy: a second a process.
     no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
         from gaitsweep.pipeline.report import pages
@@ -81,7 +94,8 @@ def figure(archive: str | Path, name: str) -> "Figure":
     archive : str or Path
         An archive written by `run`.
     name : str
-        A name of a study's `figures`: `"loglog"`, `"bifurcation"`, `"heatmap"`, …; the study need not want it.
+        A name of a study's `figures`: `"loglog"`, `"bifurcation"`, `"heatmap"`, …; the
+        study need not want it.
 
     Returns
     -------

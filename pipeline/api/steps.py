@@ -1,4 +1,6 @@
-"""Single steps in Python: the step map at a state with its modes, and simulations from a state."""
+"""Single steps in Python: the step map at a state with its modes, and simulations from
+a state.
+"""
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -22,14 +24,18 @@ _THIGH_ANGLE = "swing leg's angle just after heelstrike"
 
 
 class Times(NamedTuple):
-    """Times of the strikes after the start of a step; NaN for the knees that a walker does not have."""
+    """Times of the strikes after the start of a step; NaN for the knees that a walker
+    does not have.
+    """
 
     kneestrike: float
     heelstrike: float
 
 
 class Losses(NamedTuple):
-    """Energy lost in a step, by impact and by eigenvector of the contact mass matrix; NaN without knees."""
+    """Energy lost in a step, by impact and by eigenvector of the contact mass matrix;
+    NaN without knees.
+    """
 
     normal: float
     tangential: float
@@ -38,7 +44,8 @@ class Losses(NamedTuple):
 
 @dataclass(frozen=True)
 class StepMap:
-    """The step map at a state, in the walker's units; states are (stance_angle, stance_rate, thigh_rate).
+    """The step map at a state, in the walker's units; states are (stance_angle,
+    stance_rate, thigh_rate).
 
     Attributes
     ----------
@@ -67,7 +74,10 @@ class StepMap:
 
 @in_turn
 def step_map(
-    walker: str | Path | Mapping[str, object], slope: float, state: Sequence[float] | np.ndarray, **keys: float
+    walker: str | Path | Mapping[str, object],
+    slope: float,
+    state: Sequence[float] | np.ndarray,
+    **keys: float,
 ) -> StepMap:
     """Evaluate the step map and its derivatives at a state.
 
@@ -78,8 +88,9 @@ def step_map(
     slope : float [rad]
         Slope of the ground, in [1e-18, 0.5).
     state : sequence of float, shape (3,)
-        (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the walker's rates]. The swing leg
-        stands at minus the stance angle; the rate of a free shank is the one that a heelstrike gives it.
+        (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the
+        walker's rates]. The swing leg stands at minus the stance angle; the rate of a
+        free shank is the one that a heelstrike gives it.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
@@ -90,12 +101,21 @@ def step_map(
     Raises
     ------
     StudyError
-        If the walker, the slope or the state is invalid, or the step does not end in a heelstrike.
+        If the walker, the slope or the state is invalid, or the step does not end in a
+        heelstrike.
     """
     answer = dispatch.ask("step_map", _params(walker, slope, state, keys))
-    times = (np.nan if (t := answer[f"{name}_time"]) is None else t for name in Times._fields)
-    losses = (np.nan if (e := answer[f"loss_{name}"]) is None else e for name in Losses._fields)
-    arrays = {name: answer[name] for name in ("state", "jacobian", "by_slope", "eigenvalues", "eigenvectors")}
+    times = (
+        np.nan if (t := answer[f"{name}_time"]) is None else t for name in Times._fields
+    )
+    losses = (
+        np.nan if (e := answer[f"loss_{name}"]) is None else e
+        for name in Losses._fields
+    )
+    arrays = {
+        name: answer[name]
+        for name in ("state", "jacobian", "by_slope", "eigenvalues", "eigenvectors")
+    }
     return StepMap(**arrays, times=Times(*times), losses=Losses(*losses))
 
 
@@ -120,29 +140,32 @@ def simulate(
     slope : float [rad]
         Slope of the ground, in [1e-18, 0.5).
     state : sequence of float, shape (3,)
-        (stance_angle, stance_rate, thigh_rate) just after heelstrike, as for `step_map`.
+        (stance_angle, stance_rate, thigh_rate) just after heelstrike, as for
+        `step_map`.
     steps : int
         Number of steps.
     motion : bool
         Sample the motion of every step.
     pushes : mapping, optional
-        By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its start; the state recorded of
-        the step is that before the push.
+        By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its
+        start; the state recorded of the step is that before the push.
     ground : mapping, optional
-        By the number of a step the height by which the ground is higher where it ends (negative: a step down), at
-        right angles to the slope, in the walker's unit of length. It stays so afterwards.
+        By the number of a step the height by which the ground is higher where it ends
+        (negative: a step down), at right angles to the slope, in the walker's unit of
+        length. It stays so afterwards.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
     Returns
     -------
     xarray.Dataset
-        Along `step`, from 0 to `steps`: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`, `shank_rate` just
-        after the heelstrike with which the step begins, the last of them the state that is reached; `period` and
-        `kneestrike_time`; NaN after a fall. `outcome` says in words how the simulation ended, and `reason` in a
-        sentence; `steps_taken` counts the heelstrikes. With `motion` also `time` after the start of the step,
-        `theta_st`, `theta_th`, `theta_sh` and
-        `foot_x`, along `phase` (the knee free, locked) and `sample`.
+        Along `step`, from 0 to `steps`: `stance_angle`, `thigh_angle`, `stance_rate`,
+        `thigh_rate`, `shank_rate` just after the heelstrike with which the step begins,
+        the last of them the state that is reached; `period` and `kneestrike_time`; NaN
+        after a fall. `outcome` says in words how the simulation ended, and `reason` in
+        a sentence; `steps_taken` counts the heelstrikes. With `motion` also `time`
+        after the start of the step, `theta_st`, `theta_th`, `theta_sh` and `foot_x`,
+        along `phase` (the knee free, locked) and `sample`.
 
     Raises
     ------
@@ -150,21 +173,44 @@ def simulate(
         If an argument is invalid.
     """
     steps = Location("", "steps").count(steps, _MAX_STEPS)
-    pushed = {k: _numbers("pushes", v, 2) for k, v in _by_step("pushes", pushes, steps).items()}
-    heights = {k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()}
+    pushed = {
+        k: _numbers("pushes", v, 2)
+        for k, v in _by_step("pushes", pushes, steps).items()
+    }
+    heights = {
+        k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()
+    }
     params = _params(walker, slope, state, keys)
     checks = [dispatch.ask("check_walker", params)]
     answer = dispatch.ask(
-        "simulate", {**params, "steps": steps, "motion": bool(motion), "pushes": pushed, "ground": heights}
+        "simulate",
+        {
+            **params,
+            "steps": steps,
+            "motion": bool(motion),
+            "pushes": pushed,
+            "ground": heights,
+        },
     )
     taken, cause = answer.pop("steps_taken"), answer.pop("cause")
     variables: dict[str, Any] = {}
     for name, values in answer.items():
-        kind, meaning = ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
-        missing = np.full((steps + 1 - len(values), *values.shape[1:]), np.nan)  # of steps that are not taken
-        dims, about = ("step", "phase", "sample")[: values.ndim], units.described(meaning, kind, checks)
+        kind, meaning = (
+            ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
+        )
+        missing = np.full(
+            (steps + 1 - len(values), *values.shape[1:]), np.nan
+        )  # of steps that are not taken
+        dims, about = (
+            ("step", "phase", "sample")[: values.ndim],
+            units.described(meaning, kind, checks),
+        )
         variables[name] = (dims, np.concatenate([values, missing]), about)
-    reason = f"All {steps} steps end in a heelstrike." if taken == steps else f"Step {taken}: {cause}."
+    reason = (
+        f"All {steps} steps end in a heelstrike."
+        if taken == steps
+        else f"Step {taken}: {cause}."
+    )
     for name, value, text in (
         ("outcome", cause, "how the simulation ended"),
         ("reason", reason, "the outcome in a sentence"),
@@ -172,14 +218,23 @@ def simulate(
     ):
         variables[name] = ((), value, {"long_name": text, "units": "1"})
     named = {"long_name": "number of the step", "units": "1"}
-    return xr.Dataset(variables, {"step": ("step", np.arange(steps + 1, dtype=np.int32), named)})
+    return xr.Dataset(
+        variables, {"step": ("step", np.arange(steps + 1, dtype=np.int32), named)}
+    )
 
 
-def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any]) -> dict[str, Any]:
+def _params(
+    walker: object, slope: object, state: object, keys: Mapping[str, Any]
+) -> dict[str, Any]:
     """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
     slopes.check(value)
-    return {"walker": definition(walker), "slope": value, "set": changes(keys), "state": _numbers("state", state, 3)}
+    return {
+        "walker": definition(walker),
+        "slope": value,
+        "set": changes(keys),
+        "state": _numbers("state", state, 3),
+    }
 
 
 def _numbers(name: str, value: Any, count: int) -> list[float]:
@@ -199,6 +254,12 @@ def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
     if not isinstance(value, Mapping):
         raise Location("", name).wrong("must be a mapping from steps", value)
     for k in value:
-        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < steps:
-            raise StudyError(f"`{name}` must name steps from 0 to {steps - 1}; got {k!r}.")
+        if (
+            isinstance(k, bool)
+            or not isinstance(k, int | np.integer)
+            or not 0 <= k < steps
+        ):
+            raise StudyError(
+                f"`{name}` must name steps from 0 to {steps - 1}; got {k!r}."
+            )
     return {int(k): v for k, v in value.items()}

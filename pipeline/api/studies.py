@@ -1,4 +1,6 @@
-"""Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
+"""Functions for notebooks and scripts: the commands of the command line, returning
+Datasets and tables.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +19,15 @@ from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.executors import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
-from gaitsweep.pipeline.study import broadcast, files, model, options, parse, single_point, toml
+from gaitsweep.pipeline.study import (
+    broadcast,
+    files,
+    model,
+    options,
+    parse,
+    single_point,
+    toml,
+)
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.registry import MAX_STEPS
 
@@ -35,15 +45,18 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
     archive : str or Path
         An archive written by `run`.
     table : str, optional
-        A group of the archive: `"fits/scaling"`, `"branches"`, `"special_points"`, `"claims"`, …
+        A group of the archive: `"fits/scaling"`, `"branches"`, `"special_points"`,
+        `"claims"`, …
 
     Returns
     -------
     xarray.Dataset
-        The grid, in memory, with its flags decoded: `status` and `reason` in words, `violations` as booleans along
-        a dimension `violation`, and complex `multipliers` beside their parts. `attrs["tables"]` lists the tables.
+        The grid, in memory, with its flags decoded: `status` and `reason` in words,
+        `violations` as booleans along a dimension `violation`, and complex
+        `multipliers` beside their parts. `attrs["tables"]` lists the tables.
     pandas.DataFrame
-        The requested table; `attrs["units"]` holds the units of its columns, `attrs["meanings"]` what they are.
+        The requested table; `attrs["units"]` holds the units of its columns,
+        `attrs["meanings"]` what they are.
 
     Raises
     ------
@@ -51,48 +64,75 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
         If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = archive_path(archive)
-    with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
+    with read.open_archive(
+        path
+    ) as file:  # unreadable parts of a damaged file are reported as such
         tables = layout.tables(file)
         if table is None:
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
-            for name in grid.variables:  # how strings lie in this file; a part of them lies otherwise in another
+            for name in (
+                grid.variables
+            ):  # how strings lie in this file; a part of them lies otherwise in another
                 grid[name].encoding.pop("char_dim_name", None)
             return Dataset(grid.data_vars, grid.coords, grid.attrs)
         if table not in tables:
-            raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
+            raise ArchiveError(
+                f"{path} has no table {table}; it has {', '.join(tables) or 'none'}."
+            )
         columns = dataset(file[table]).load()
         return unfold.table(columns, dataset(file).coords.to_dataset().load())
 
 
 class Dataset(xr.Dataset):
-    """A loaded grid, which calls itself as xarray's; netCDF has no complex numbers, so `multipliers` are left out."""
+    """A loaded grid, which calls itself as xarray's; netCDF has no complex numbers, so
+    `multipliers` are left out.
+    """
 
     __slots__ = ()
 
     def to_netcdf(self, *args: Any, **options: Any) -> Any:
         """Write the grid as `xarray.Dataset.to_netcdf` does."""
-        return xr.Dataset.to_netcdf(self.drop_vars("multipliers", errors="ignore"), *args, **options)
+        return xr.Dataset.to_netcdf(
+            self.drop_vars("multipliers", errors="ignore"), *args, **options
+        )
 
 
 def _decode(grid: xr.Dataset) -> xr.Dataset:
     """Decode the flags of a grid and combine the parts of its multipliers."""
     texts = {}
     if "status" in grid:
-        names = dict(zip(grid.status.flag_values.tolist(), grid.status.flag_meanings.split(), strict=True))
+        names = dict(
+            zip(
+                grid.status.flag_values.tolist(),
+                grid.status.flag_meanings.split(),
+                strict=True,
+            )
+        )
         texts["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
         texts["reason"] = grid.reason_text.values[grid.reason.values]
     grid = grid.assign(
-        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in texts.items()}
+        {
+            name: (grid[name].dims, text, {"long_name": grid[name].long_name})
+            for name, text in texts.items()
+        }
     ).drop_vars("reason_text", errors="ignore")
     if "violations" in grid:
         bits = grid.violations
-        violation = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
-        masks = xr.DataArray(bits.flag_masks, coords={"violation": violation}, dims="violation")
-        grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
+        violation = xr.DataArray(
+            bits.flag_meanings.split(), dims="violation", name="violation"
+        )
+        masks = xr.DataArray(
+            bits.flag_masks, coords={"violation": violation}, dims="violation"
+        )
+        grid = grid.assign(
+            violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name)
+        )
     if "multiplier_real" in grid and "multiplier_imag" in grid:
         multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
         long_name = grid.multiplier_real.long_name.removeprefix("real part of ")
-        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name=long_name, units="1"))
+        grid = grid.assign(
+            multipliers=multipliers.assign_attrs(long_name=long_name, units="1")
+        )
     return grid
 
 
@@ -113,8 +153,8 @@ def run(
     Parameters
     ----------
     wanted : str, Path or mapping
-        A study: its file, its TOML text, a mapping with the same keys, in which an axis may be an array, or one that
-        comes with gaitsweep, such as `"paper/figure5"`.
+        A study: its file, its TOML text, a mapping with the same keys, in which an axis
+        may be an array, or one that comes with gaitsweep, such as `"paper/figure5"`.
     jobs : int
         Worker processes.
     archive : str or Path, optional
@@ -124,7 +164,8 @@ def run(
     cluster : str, optional
         A Dask scheduler, `tcp://HOST:PORT`, or `local:N`, instead of `jobs`.
     fresh, retry_failed, quiet : bool
-        As on the command line: discard earlier results, retry failed points and tasks, show no progress.
+        As on the command line: discard earlier results, retry failed points and tasks,
+        show no progress.
 
     Returns
     -------
@@ -134,30 +175,49 @@ def run(
     Raises
     ------
     StudyError
-        If the study is invalid: one sentence that names the key, its value and the bound.
+        If the study is invalid: one sentence that names the key, its value and the
+        bound.
     GaitsweepError
         If the run cannot start or continue; finished results are kept.
     """
     jobs = Location("", "jobs").count(jobs, MAX_JOBS)
     if not isinstance(cluster, str | None):
-        raise Location("", "cluster").wrong("must be tcp://HOST:PORT or local:N", cluster)
-    if not isinstance(archive, str | Path | None) or (archive is not None and Path(archive).suffix != ".nc"):
+        raise Location("", "cluster").wrong(
+            "must be tcp://HOST:PORT or local:N", cluster
+        )
+    if not isinstance(archive, str | Path | None) or (
+        archive is not None and Path(archive).suffix != ".nc"
+    ):
         raise Location("", "archive").wrong("must be a name that ends in .nc", archive)
     study = _study(wanted, accuracy)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
-    runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
+    runner.run(
+        [(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet)
+    )
     return load(path)
 
 
-def _study(wanted: str | Path | Mapping[str, object], accuracy: float | None = None) -> model.Study:
+def _study(
+    wanted: str | Path | Mapping[str, object], accuracy: float | None = None
+) -> model.Study:
     if isinstance(wanted, Mapping):
-        wanted = "".join(f"{key} = {toml.written(value, key)}\n" for key, value in wanted.items())
+        wanted = "".join(
+            f"{key} = {toml.written(value, key)}\n" for key, value in wanted.items()
+        )
     elif not isinstance(wanted, str | Path):
-        raise StudyError(f"A study must be a file, a text or a mapping; got {type(wanted).__name__}.")
-    elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
+        raise StudyError(
+            f"A study must be a file, a text or a mapping; got {type(wanted).__name__}."
+        )
+    elif (
+        isinstance(wanted, Path)
+        or "=" not in wanted
+        or ("\n" not in wanted and wanted.endswith(".toml"))
+    ):
         found = files.studies(Path(wanted))
         if len(found) > 1:
-            raise StudyError(f"{wanted} is a folder of {len(found)} studies; `run` takes one.")
+            raise StudyError(
+                f"{wanted} is a folder of {len(found)} studies; `run` takes one."
+            )
         return parse.read(found[0], accuracy)
     try:
         table = toml.read(wanted)
@@ -187,32 +247,39 @@ def gaits(
     slope : float, array or DataArray [rad]
         Slopes of the ground, in [1e-18, 0.5).
     steps : int
-        Number of steps after which a gait repeats, at most 64; those that repeat after fewer are left out. The state
-        is that with the largest stance angle, `period` and losses are of all steps, the multipliers those of all steps.
+        Number of steps after which a gait repeats, at most 64; those that repeat after
+        fewer are left out. The state is that with the largest stance angle, `period`
+        and losses are of all steps, the multipliers those of all steps.
     accuracy : float, optional
-        Largest error bound wanted, from 1e-15 to 1e-2; by default as good as doubles give.
+        Largest error bound wanted, from 1e-15 to 1e-2; by default as good as doubles
+        give.
     variables : sequence of str, optional
-        Names and groups of variables, as in a study; by default all but the violations, and with an accuracy those that
-        a study has.
+        Names and groups of variables, as in a study; by default all but the violations,
+        and with an accuracy those that a study has.
     violation_limits : mapping, optional
-        Limits above which violations are flagged, by name, other than the defaults (docs/archive.md).
+        Limits above which violations are flagged, by name, other than the defaults
+        (docs/archive.md).
     tuned : sequence of str
-        Walker keys that are changed at each point, by least relatively, so that the walker meets the two static
-        conditions for walking at vanishing slopes.
+        Walker keys that are changed at each point, by least relatively, so that the
+        walker meets the two static conditions for walking at vanishing slopes.
     **keys : float, array or DataArray
-        Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
+        Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units;
+        `knees` takes booleans.
 
     Returns
     -------
     xarray.Dataset
-        Variables, units and flags as in an archive, with the dimensions to which the arguments broadcast (`slope` for
-        an array of slopes in one dimension, `dim_0`, … for other arrays, their own for DataArrays), then `gait`. Points
-        with a slope or a walker that cannot be have the status `raised`, and the sentence in `reason_text`.
+        Variables, units and flags as in an archive, with the dimensions to which the
+        arguments broadcast (`slope` for an array of slopes in one dimension, `dim_0`, …
+        for other arrays, their own for DataArrays), then `gait`. Points with a slope or
+        a walker that cannot be have the status `raised`, and the sentence in
+        `reason_text`.
 
     Raises
     ------
     StudyError
-        If an argument is invalid, shapes do not broadcast, or no point at all has a slope and a walker that can be.
+        If an argument is invalid, shapes do not broadcast, or no point at all has a
+        slope and a walker that can be.
 
     Notes
     -----
@@ -220,16 +287,24 @@ def gaits(
     calls faster and does not change them.
     """
     steps = Location("", "steps").count(steps, MAX_STEPS)
-    bound = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
+    bound = (
+        0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
+    )
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
         raise Location("", "variables").wrong("must be a list of names", names)
-    wanted = parse.variables(None if names is None else list(names), Location("", "variables"), bound)
+    wanted = parse.variables(
+        None if names is None else list(names), Location("", "variables"), bound
+    )
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
-        raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
+        raise Location("", "variables").error(
+            "Proofs are of gaits of one step: `proofs` needs `steps` = 1"
+        )
     limits = options.violation_limits(violation_limits or {}, Location(""))
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
-    found = in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
+    found = in_memory.gaits(
+        walker, wanted, {"slope": slope, **keys}, steps, bound, limits
+    )
     if isinstance(slope, xr.DataArray) or np.ndim(slope) != 1 or not found.slope.dims:
         return found
     return found.swap_dims({found.slope.dims[0]: "slope"})
@@ -271,8 +346,9 @@ def solve(
     Returns
     -------
     pandas.DataFrame
-        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. No row if
-        there is no gait; `attrs["search"]` describes the search.
+        One row for each gait, with the columns of archives, and `multipliers` and
+        `violations` as tuples. No row if there is no gait; `attrs["search"]` describes
+        the search.
 
     Raises
     ------
@@ -291,7 +367,10 @@ def solve(
     )
     rows = [
         {
-            **{name: math.nan if value is None else value for name, value in gait.items()},
+            **{
+                name: math.nan if value is None else value
+                for name, value in gait.items()
+            },
             "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
             "violations": tuple(gait["violations"] or ()),
         }

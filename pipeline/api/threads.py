@@ -5,7 +5,8 @@ import threading
 
 
 class _Turn(contextlib.ContextDecorator):
-    """Lets one thread at a time call functions: compiled integrators hold one state, as the HDF5 library does.
+    """Lets one thread at a time call functions: compiled integrators hold one state, as
+    the HDF5 library does.
 
     A run closes every worker process at its end.
     """

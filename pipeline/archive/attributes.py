@@ -16,7 +16,10 @@ from gaitsweep.tasks.registry import PROVED, VIOLATIONS, Variable
 
 #: Attributes of coordinates, and of the sentences.
 GAIT = {"long_name": "gait by its character", "units": "1"}
-MULTIPLIER = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
+MULTIPLIER = {
+    "long_name": "number of the eigenvalue, largest magnitude first",
+    "units": "1",
+}
 REASON_TEXT = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
 
 
@@ -26,7 +29,8 @@ def put(owner: Any, values: dict[str, Any]) -> None:
     Raises
     ------
     RuntimeError
-        If they cannot be set, or are missing afterwards: short of memory, the library may lose them silently.
+        If they cannot be set, or are missing afterwards: short of memory, the library
+        may lose them silently.
     """
     try:
         owner.setncatts(values)
@@ -40,10 +44,13 @@ def put(owner: Any, values: dict[str, Any]) -> None:
 def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """CF attributes of an axis.
 
-    Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as JSON, by what `tasks` reports
-    of each walker.
+    Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as
+    JSON, by what `tasks` reports of each walker.
     """
-    about = {"long_name": EXTRA_AXES.get(name, f"walker's {name}"), "units": units.axis_units(name, checks)}
+    about = {
+        "long_name": EXTRA_AXES.get(name, f"walker's {name}"),
+        "units": units.axis_units(name, checks),
+    }
     found = [check["way"] for check in checks if "way" in check]
     if name != "detuning" or not found:
         return about
@@ -58,13 +65,19 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 def of_dataset(study: Study) -> dict[str, Any]:
     """Attributes of the results of a study, in a file or in memory."""
     source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
-    about: dict[str, Any] = {"Conventions": "CF-1.11", "source": source, "references": PAPER}
+    about: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "source": source,
+        "references": PAPER,
+    }
     about |= {"accuracy": study.accuracy} if study.accuracy else {}
     meaning = (
         f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
         f"losses are of all {study.steps} steps, a violation is the worst of them"
     )
-    return about | ({"steps": np.int32(study.steps), "comment": meaning} if study.steps > 1 else {})
+    return about | (
+        {"steps": np.int32(study.steps), "comment": meaning} if study.steps > 1 else {}
+    )
 
 
 def over_steps(long_name: str, steps: int) -> str:
@@ -72,15 +85,22 @@ def over_steps(long_name: str, steps: int) -> str:
     if steps == 1:
         return long_name
     iterated = f"the {steps} times iterated step map's eigenvalues"
-    return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterated)
+    return long_name.replace("one step", f"{steps} steps").replace(
+        "the step map's eigenvalues", iterated
+    )
 
 
 def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
     """CF attributes of a variable of a study."""
-    attrs = units.described(over_steps(variable.long_name, study.steps), variable.kind, study.checks)
+    attrs = units.described(
+        over_steps(variable.long_name, study.steps), variable.kind, study.checks
+    )
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
-        attrs |= {"flag_values": np.array(list(flags.values()), np.int8), "flag_meanings": " ".join(flags)}
+        attrs |= {
+            "flag_values": np.array(list(flags.values()), np.int8),
+            "flag_meanings": " ".join(flags),
+        }
     elif variable.name == "violations":
         masks = np.array([1 << i for i in range(len(VIOLATIONS))], np.int32)
         attrs |= {"flag_masks": masks, "flag_meanings": " ".join(VIOLATIONS)}
@@ -94,4 +114,6 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
 
 def violation_limits(study: Study) -> dict[str, float]:
     """Limit of every violation, by name in the order of their bits."""
-    return {v.name: v.limit for v in VIOLATIONS.values()} | study.options.get("violation_limits", {})
+    return {v.name: v.limit for v in VIOLATIONS.values()} | study.options.get(
+        "violation_limits", {}
+    )

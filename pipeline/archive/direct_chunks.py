@@ -1,4 +1,6 @@
-"""Packed chunks of large variables, written unchanged by what HDF5 calls direct chunk write."""
+"""Packed chunks of large variables, written unchanged by what HDF5 calls direct chunk
+write.
+"""
 
 import contextlib
 import ctypes
@@ -12,7 +14,9 @@ _ID = ctypes.c_int64  # hid_t
 
 
 @contextlib.contextmanager
-def direct_chunks(path: Path) -> Iterator[Callable[[str, tuple[int, ...], bytes], None]]:
+def direct_chunks(
+    path: Path,
+) -> Iterator[Callable[[str, tuple[int, ...], bytes], None]]:
     """Open a netCDF-4 file that is closed elsewhere, to write packed chunks into.
 
     Yields
@@ -25,7 +29,8 @@ def direct_chunks(path: Path) -> Iterator[Callable[[str, tuple[int, ...], bytes]
     OSError
         If HDF5 cannot open, write or close it.
     """
-    # The HDF5 that netCDF4 is linked to: a second one in the process may have another version.
+    # The HDF5 that netCDF4 is linked to: a second one in the process may have another
+    # version.
     hdf5 = ctypes.CDLL(importlib.import_module("netCDF4._netCDF4").__file__)
 
     def call(name: str, *arguments: Any) -> int:
@@ -42,8 +47,19 @@ def direct_chunks(path: Path) -> Iterator[Callable[[str, tuple[int, ...], bytes]
         if name not in variables:
             variables[name] = _ID(call("H5Dopen2", file, name.encode(), _ID(0)))
             stack.callback(call, "H5Dclose", variables[name])
-        offset, size = (ctypes.c_uint64 * len(corner))(*corner), ctypes.c_size_t(len(data))
-        call("H5Dwrite_chunk", variables[name], _ID(0), ctypes.c_uint32(0), offset, size, data)
+        offset, size = (
+            (ctypes.c_uint64 * len(corner))(*corner),
+            ctypes.c_size_t(len(data)),
+        )
+        call(
+            "H5Dwrite_chunk",
+            variables[name],
+            _ID(0),
+            ctypes.c_uint32(0),
+            offset,
+            size,
+            data,
+        )
 
     with contextlib.ExitStack() as stack:
         file = _ID(call("H5Fopen", bytes(path), ctypes.c_uint(_READ_WRITE), _ID(0)))

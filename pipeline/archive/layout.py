@@ -29,7 +29,9 @@ def dims(variable: Any) -> tuple[str, ...]:
 
 
 def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Variables of an open archive by name, and columns of its tables, as "fits/scaling/exponent"."""
+    """Variables of an open archive by name, and columns of its tables, as
+    "fits/scaling/exponent".
+    """
     for name, variable in parent.variables.items():
         yield f"{path}{name}", variable
     for name, group in parent.groups.items():
@@ -38,10 +40,16 @@ def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def tables(file: Any) -> list[str]:
     """Names of the tables in an open archive, as "fits/scaling"."""
-    return list(dict.fromkeys(name.rpartition("/")[0] for name, _ in variables(file) if "/" in name))
+    return list(
+        dict.fromkeys(
+            name.rpartition("/")[0] for name, _ in variables(file) if "/" in name
+        )
+    )
 
 
-def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+def split(
+    values: np.ndarray, box: Box, extent: tuple[int, ...]
+) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
     """Split a box that starts at the corner of a chunk into chunks.
 
     Parameters
@@ -61,11 +69,15 @@ def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tup
     """
     start = (*(s.start for s in box), *(0,) * (values.ndim - len(box)))
     for part in boxes({str(k): n for k, n in enumerate(values.shape)}, extent, 0):
-        yield tuple(a + span.start for a, span in zip(start, part, strict=True)), values[part]
+        yield (
+            tuple(a + span.start for a, span in zip(start, part, strict=True)),
+            values[part],
+        )
 
 
 def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
-    """Checksum of a chunk from that of its values; that of the variable is the sum over its chunks modulo 2^32.
+    """Checksum of a chunk from that of its values; that of the variable is the sum over
+    its chunks modulo 2^32.
 
     Parameters
     ----------
@@ -74,7 +86,9 @@ def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
     corner : tuple of int
         Start of the chunk in the variable.
     """
-    return zlib.crc32(checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode()))
+    return zlib.crc32(
+        checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode())
+    )
 
 
 def checksum(values: np.ndarray) -> int:

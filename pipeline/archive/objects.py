@@ -1,7 +1,9 @@
-"""Objects of an HDF5 file that may be foreign or damaged, looked at before the netCDF library opens it.
+"""Objects of an HDF5 file that may be foreign or damaged, looked at before the netCDF
+library opens it.
 
-That library follows every link, and reads whatever a variable names: other files, data put together from others, types
-and filters of libraries that are loaded for them. It cannot say that it does, so h5py is asked, which follows nothing.
+That library follows every link, and reads whatever a variable names: other files, data
+put together from others, types and filters of libraries that are loaded for them. It
+cannot say that it does, so h5py is asked, which follows nothing.
 """
 
 import math
@@ -14,15 +16,23 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
-_MOST_OBJECTS, _MOST_ATTRIBUTES, _MOST_LEVELS = 1 << 12, 1 << 10, 8  # of a file, of an object, of groups in groups
+_MOST_OBJECTS, _MOST_ATTRIBUTES, _MOST_LEVELS = (
+    1 << 12,
+    1 << 10,
+    8,
+)  # of a file, of an object, of groups in groups
 _MOST_TEXTS = 16  # of varying length, in an attribute
 _LARGEST_CHUNK = 1 << 26  # [byte]
 _FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32
-_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")  # attributes by which variables and their dimensions find each other
+_REFERENCES = (
+    "DIMENSION_LIST",
+    "REFERENCE_LIST",
+)  # attributes by which variables and their dimensions find each other
 
 
 def fault(path: Path) -> str:
-    """What an archive never holds, if the file holds it: a sentence without a full stop, else empty.
+    """What an archive never holds, if the file holds it: a sentence without a full
+    stop, else empty.
 
     Raises
     ------
@@ -41,7 +51,9 @@ def fault(path: Path) -> str:
 
 @dataclass
 class _Inspection:
-    """An inspection of a file of so many bytes: where the objects lie that it has met, and the length of texts."""
+    """An inspection of a file of so many bytes: where the objects lie that it has met,
+    and the length of texts.
+    """
 
     size: int
     met: set[int] = field(default_factory=set)
@@ -85,8 +97,14 @@ class _Inspection:
         names = list[bytes]()
         h5a.iterate(owner, lambda name, *_: names.append(name))
         for name in names:
-            attribute, called = h5a.open(owner, name), f"the attribute `{name.decode(errors='replace')}` of `{at}`"
-            kind, n = attribute.get_type(), attribute.get_space().get_simple_extent_npoints()
+            attribute, called = (
+                h5a.open(owner, name),
+                f"the attribute `{name.decode(errors='replace')}` of `{at}`",
+            )
+            kind, n = (
+                attribute.get_type(),
+                attribute.get_space().get_simple_extent_npoints(),
+            )
             if n * kind.get_size() > self.size:
                 yield f"{called} is declared larger than the file"
             if name.decode(errors="replace") in _REFERENCES:
@@ -102,7 +120,9 @@ class _Inspection:
 
 
 def _of_variable(variable: Any, at: str) -> Iterator[str]:
-    """Faults of a variable: whence its values come, their type, and how they are packed."""
+    """Faults of a variable: whence its values come, their type, and how they are
+    packed.
+    """
     made = variable.get_create_plist()
     layout = made.get_layout()
     if made.get_external_count():
@@ -115,23 +135,36 @@ def _of_variable(variable: Any, at: str) -> Iterator[str]:
         yield f"`{at}` has a type that no archive has"
     if not {made.get_filter(i)[0] for i in range(made.get_nfilters())} <= _FILTERS:
         yield f"`{at}` is packed by a filter that no archive has"
-    if layout == h5d.CHUNKED and math.prod(made.get_chunk()) * kind.get_size() > _LARGEST_CHUNK:
+    if (
+        layout == h5d.CHUNKED
+        and math.prod(made.get_chunk()) * kind.get_size() > _LARGEST_CHUNK
+    ):
         yield f"`{at}` has chunks larger than {_LARGEST_CHUNK >> 20} MiB"
 
     # HDF5 reads as many entries into memory for as many dimensions.
     if h5a.exists(variable, b"DIMENSION_LIST"):
-        entries = h5a.open(variable, b"DIMENSION_LIST").get_space().get_simple_extent_npoints()
+        entries = (
+            h5a.open(variable, b"DIMENSION_LIST")
+            .get_space()
+            .get_simple_extent_npoints()
+        )
         if entries != variable.rank:
             yield f"the attribute `DIMENSION_LIST` of `{at}` has another number of dimensions"
 
 
 def _is_plain(kind: Any) -> bool:
     """Whether a type is one of numbers or of text, defined nowhere else."""
-    return not kind.committed() and kind.get_class() in (h5t.INTEGER, h5t.FLOAT, h5t.STRING)
+    return not kind.committed() and kind.get_class() in (
+        h5t.INTEGER,
+        h5t.FLOAT,
+        h5t.STRING,
+    )
 
 
 def _is_varying(kind: Any) -> bool:
-    """Whether a type is text of varying length, of which many values may be one text in the file."""
+    """Whether a type is text of varying length, of which many values may be one text in
+    the file.
+    """
     return kind.get_class() == h5t.STRING and kind.is_variable_str()
 
 

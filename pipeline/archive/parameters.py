@@ -1,4 +1,6 @@
-"""Parameters of the walkers in the archive: variables along the axes where they vary, attributes where they do not."""
+"""Parameters of the walkers in the archive: variables along the axes where they vary,
+attributes where they do not.
+"""
 
 import json
 from collections.abc import Collection, Mapping, Sequence
@@ -25,32 +27,52 @@ def write(file: Any, study: Study) -> None:
     Notes
     -----
     A parameter that the walkers of a study do not share is a variable along `walker`, one that axes such as `detuning`
-    move, or that is tuned anew along them, is one along these; so `ds.where(ds.R > 0.2)` selects by either. All others
-    are global attributes under their own names. Exact offsets of tuned walkers are in the attribute `exact_offsets`.
+    move, or that is tuned anew along them, is one along these; so `ds.where(ds.R >
+    0.2)` selects by either. All others are global attributes under their own names.
+    Exact offsets of tuned walkers are in the attribute `exact_offsets`.
     """
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
     for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
         if key in axes:
             continue
-        owners = {owner for check in study.checks for owner in check["varied"].get(key, ())}
+        owners = {
+            owner for check in study.checks for owner in check["varied"].get(key, ())
+        }
         across = tuple(axis for axis in axes if axis in owners)
         values = np.array([float(table[key]) for table in tables])
         is_own = study.walker_axis and (across or len(set(values)) > 1)
         dims = (*(["walker"] if is_own else []), *across)
         if across:
-            values = np.array([_on_grid(w, key, {axis: axes[axis] for axis in across}) for w in study.walkers])
+            values = np.array(
+                [
+                    _on_grid(w, key, {axis: axes[axis] for axis in across})
+                    for w in study.walkers
+                ]
+            )
         if not dims:
             put(file, {key: float(values.ravel()[0])})
             continue
         shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
         about = described(key, study.checks, bool(across))
         write_variable(file, key, dims, values.reshape(shape), about)
-    moved = {key for check in study.checks for key, owners in check["varied"].items() if axes.keys() & owners}
-    put(file, exact_offsets({*axes, *moved}, tables, study.names if study.walker_axis else ()))
+    moved = {
+        key
+        for check in study.checks
+        for key, owners in check["varied"].items()
+        if axes.keys() & owners
+    }
+    put(
+        file,
+        exact_offsets(
+            {*axes, *moved}, tables, study.names if study.walker_axis else ()
+        ),
+    )
 
 
-def described(key: str, checks: Sequence[Mapping[str, Any]], is_moved: bool) -> dict[str, str]:
+def described(
+    key: str, checks: Sequence[Mapping[str, Any]], is_moved: bool
+) -> dict[str, str]:
     """CF attributes of a parameter, which axes may move."""
     about = units.described(f"walker's {key}", units.kinds()[key], checks)
     return about | ({"comment": _OFFSET} if is_moved and key in ("w_t", "w_s") else {})
@@ -60,14 +82,18 @@ _OFFSET = "where the walker is tuned to rounding, the double nearest the offset 
 
 
 def exact_offsets(
-    varying: Collection[str], tables: Sequence[Mapping[str, Any]], names: Sequence[str] = ()
+    varying: Collection[str],
+    tables: Sequence[Mapping[str, Any]],
+    names: Sequence[str] = (),
 ) -> dict[str, str]:
-    """The attribute with the exact offsets of tuned walkers, of which others hold the nearest doubles.
+    """The attribute with the exact offsets of tuned walkers, of which others hold the
+    nearest doubles.
 
     Parameters
     ----------
     varying : collection of str
-        Keys that vary along axes; those of the static conditions leave no constant offsets.
+        Keys that vary along axes; those of the static conditions leave no constant
+        offsets.
     tables : sequence of mapping
         The walkers.
     names : sequence of str
@@ -76,28 +102,45 @@ def exact_offsets(
     Returns
     -------
     dict
-        `exact_offsets`, JSON: decimal numbers by key, by walker where there are several. Empty without such walkers.
+        `exact_offsets`, JSON: decimal numbers by key, by walker where there are
+        several. Empty without such walkers.
     """
     if {*varying} & {*dispatch.resolve("gaitsweep.tasks.walkers.statics:CONDITIONED")}:
         return {}
     walker, exact = (
-        dispatch.resolve(f"gaitsweep.tasks.walkers.{name}") for name in ("walker:Walker", "exact:exact_offsets")
+        dispatch.resolve(f"gaitsweep.tasks.walkers.{name}")
+        for name in ("walker:Walker", "exact:exact_offsets")
     )
     found = [exact(walker(**table)) for table in tables]
     if not any(found):
         return {}
-    about = {name: offsets for name, offsets in zip(names, found, strict=True) if offsets} if names else found[0]
+    about = (
+        {name: offsets for name, offsets in zip(names, found, strict=True) if offsets}
+        if names
+        else found[0]
+    )
     return {"exact_offsets": json.dumps(about)}
 
 
-def _on_grid(walker: Definition, key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:
-    """A walker's parameter at every point of a grid of axes, flattened; NaN where it cannot be tuned."""
-    grid = [values.ravel().astype(float) for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")]
+def _on_grid(
+    walker: Definition, key: str, axes: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """A walker's parameter at every point of a grid of axes, flattened; NaN where it
+    cannot be tuned.
+    """
+    grid = [
+        values.ravel().astype(float)
+        for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")
+    ]
     return of_walkers(walker, key, dict(zip(axes, grid, strict=True)))
 
 
 def of_walkers(walker: Definition, key: str, changes: Mapping[str, Any]) -> np.ndarray:
-    """A parameter of a walker with n values of keys, (n,), and others that all share; NaN where it cannot be tuned."""
-    walkers = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")(walker, changes)
+    """A parameter of a walker with n values of keys, (n,), and others that all share;
+    NaN where it cannot be tuned.
+    """
+    walkers = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")(
+        walker, changes
+    )
     n = max(np.size(value) for value in changes.values())
     return np.broadcast_to(getattr(walkers, key), n)

@@ -1,4 +1,6 @@
-"""The main group of a study of kind `grid`: every variable over the grid and its gaits, chunk by chunk."""
+"""The main group of a study of kind `grid`: every variable over the grid and its gaits,
+chunk by chunk.
+"""
 
 import functools
 import itertools
@@ -12,11 +14,23 @@ import numpy as np
 
 from gaitsweep.pipeline.archive import attributes, layout
 from gaitsweep.pipeline.archive.direct_chunks import direct_chunks
-from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
+from gaitsweep.pipeline.archive.written import (
+    Sentences,
+    Written,
+    line_description,
+    write_strings,
+    write_variable,
+)
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.grid import Chunk, Shape
 from gaitsweep.pipeline.outcomes import count
-from gaitsweep.pipeline.statuses import ANSWERS, NOT_ATTEMPTED, OF_GAITS, STATUS_NAMES, of_atlas
+from gaitsweep.pipeline.statuses import (
+    ANSWERS,
+    NOT_ATTEMPTED,
+    OF_GAITS,
+    STATUS_NAMES,
+    of_atlas,
+)
 from gaitsweep.pipeline.store.packing import Packed, pack_values
 from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
@@ -40,13 +54,19 @@ class PointWriter:
         self._same = functools.lru_cache(256)(self._pack_same)
         self._unfinished = functools.lru_cache(256)(self._pack_ending)
         self.columns = [GAITS.index(g) for g in self.study.gaits]
-        others_wanted = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
-        self._is_solved = np.array([others_wanted or not GAITS[c].startswith("other") for c in self.columns])
+        others_wanted = "other" in " ".join(self.study.gaits) and len(
+            self.study.gaits
+        ) < len(GAITS)
+        self._is_solved = np.array(
+            [others_wanted or not GAITS[c].startswith("other") for c in self.columns]
+        )
         self._texts: dict[int, str] = {}
         for chunk, key in self._chunks():
             self._survey(chunk, key)
         self.sentences = Sentences(self._texts)
-        self.columns = self.columns[: max(np.flatnonzero(self._is_solved), default=0) + 1]
+        self.columns = self.columns[
+            : max(np.flatnonzero(self._is_solved), default=0) + 1
+        ]
         self.dims = (*self.grid.sizes, "gait")
 
     def _chunks(self) -> Iterator[tuple[Chunk, str]]:
@@ -55,8 +75,14 @@ class PointWriter:
             yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk)
 
     def _survey(self, chunk: Chunk, key: str) -> None:
-        """Count the points of a chunk, and note its sentences and the gaits that it has."""
-        head = self.plan.store.chunk(key) if key in self.plan.store else Head(self._record(chunk, key)[0])
+        """Count the points of a chunk, and note its sentences and the gaits that it
+        has.
+        """
+        head = (
+            self.plan.store.chunk(key)
+            if key in self.plan.store
+            else Head(self._record(chunk, key)[0])
+        )
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), OF_GAITS).any(axis=0)
@@ -75,7 +101,9 @@ class PointWriter:
         points = self.plan.store.points(key)
         failed = ~np.isin(points.values["status"][:, self.columns], ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
-        reasons = points.values["reason"][:, self.columns][rows, failed[rows].argmax(axis=1)]
+        reasons = points.values["reason"][:, self.columns][
+            rows, failed[rows].argmax(axis=1)
+        ]
         for number in np.unique(reasons):
             own = rows[reasons == number]
             yield points.sentences[int(number)], len(own), int(own[0])
@@ -84,24 +112,36 @@ class PointWriter:
         """Record of a chunk; of one that is not stored, why it is not."""
         if key in self.plan.store:
             return self.plan.store.get(key)
-        atlas = None if len(chunk.numbers) > 1 else self.plan.outcome_of_line(int(chunk.numbers[0]))
+        atlas = (
+            None
+            if len(chunk.numbers) > 1
+            else self.plan.outcome_of_line(int(chunk.numbers[0]))
+        )
         if atlas is None or atlas.status == "ok":
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
 
-    def _pack_ending(self, shape: Shape, ending: str, reason: str) -> tuple[bytes, bytes]:
-        points = Points.of_ending(math.prod(shape.sizes), ending, reason, self.plan.graph.variables)
+    def _pack_ending(
+        self, shape: Shape, ending: str, reason: str
+    ) -> tuple[bytes, bytes]:
+        points = Points.of_ending(
+            math.prod(shape.sizes), ending, reason, self.plan.graph.variables
+        )
         return pack(points, Packing(shape, self.grid.multipliers, self.study.gaits))
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
         file.createDimension("gait", len(self.columns))
-        write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], attributes.GAIT)
+        write_strings(
+            file, "gait", "gait", [GAITS[c] for c in self.columns], attributes.GAIT
+        )
         names, multipliers = self.plan.graph.variables, self.grid.multipliers
         if any(has_multipliers(n) for n in names):
             file.createDimension("multiplier", multipliers)
             numbers = np.arange(multipliers, dtype=np.int32)
-            write_variable(file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER)
+            write_variable(
+                file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER
+            )
         for name in names:
             description = VARIABLES[name]
             variable = file.createVariable(
@@ -110,7 +150,8 @@ class PointWriter:
                 (*self.grid.sizes, *description.dims),
                 **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
-                # For one gait: which trailing gaits are absent is known only once all points are.
+                # For one gait: which trailing gaits are absent is known only once all
+                # points are.
                 chunksizes=(*self.chunk, *(1, multipliers)[: len(description.dims)]),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
@@ -130,26 +171,50 @@ class PointWriter:
                     write(name, corner, piece.data)
                     self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
 
-    def _pieces(self, shape: Shape, head: Head, payload: memoryview) -> dict[tuple[str, int], Packed]:
-        """Pieces of a chunk, by variable and place of the gait; its sentences have the numbers of the archive."""
-        head.unpack(payload, "status")  # what it says of every point must be readable, whatever its checksum
-        pieces, reasons = dict[tuple[str, int], Packed](), self.sentences.renumbered(head.unpack(payload, "reason"))
-        for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
+    def _pieces(
+        self, shape: Shape, head: Head, payload: memoryview
+    ) -> dict[tuple[str, int], Packed]:
+        """Pieces of a chunk, by variable and place of the gait; its sentences have the
+        numbers of the archive.
+        """
+        head.unpack(
+            payload, "status"
+        )  # what it says of every point must be readable, whatever its checksum
+        pieces, reasons = (
+            dict[tuple[str, int], Packed](),
+            self.sentences.renumbered(head.unpack(payload, "reason")),
+        )
+        for name, (g, column) in itertools.product(
+            self.dtypes, enumerate(self.columns)
+        ):
             if name == "reason":
-                pieces[name, g] = pack_values(shape.unfold(reasons[:, column]), self.chunk)
+                pieces[name, g] = pack_values(
+                    shape.unfold(reasons[:, column]), self.chunk
+                )
             else:
-                pieces[name, g] = head.piece(payload, name, column) or self._same(name, shape.sizes)
+                pieces[name, g] = head.piece(payload, name, column) or self._same(
+                    name, shape.sizes
+                )
         return pieces
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""
         more = (self.grid.multipliers,) if has_multipliers(name) else ()
-        return pack_values(np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]), (*self.chunk, *more))
+        return pack_values(
+            np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]),
+            (*self.chunk, *more),
+        )
 
 
 def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
-    """Options by which netCDF records how many bits an accuracy leaves values; bounds have fewer."""
+    """Options by which netCDF records how many bits an accuracy leaves values; bounds
+    have fewer.
+    """
     bits = significant_bits(accuracy)
-    if bits == MANTISSA or variable.dtype != "f8" or variable.name.endswith("error_bound"):
+    if (
+        bits == MANTISSA
+        or variable.dtype != "f8"
+        or variable.name.endswith("error_bound")
+    ):
         return {}
     return {"significant_digits": bits, "quantize_mode": "BitRound"}

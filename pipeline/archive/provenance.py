@@ -1,4 +1,6 @@
-"""Origin of an archive: study, walkers, versions, processor and commit, as one JSON string."""
+"""Origin of an archive: study, walkers, versions, processor and commit, as one JSON
+string.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +23,56 @@ if TYPE_CHECKING:
     from gaitsweep.pipeline.graph.plan import Plan
     from gaitsweep.pipeline.study.model import Study
 
-_BEGINNING, _MAX_HEADER = '{"commit": ', 1 << 22  # of the provenance in an archive, and where it is [byte]
+_BEGINNING, _MAX_HEADER = (
+    '{"commit": ',
+    1 << 22,
+)  # of the provenance in an archive, and where it is [byte]
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
 #: Those of them on which numbers depend.
 _NUMERICAL = ("gaitsweep", "heyoka", "numpy", "scipy")
-#: Processor features that determine the instructions of compiled code, and so the last bits of results.
-_FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512dq", "avx512bw", "avx512vl", "asimd", "sve")
+#: Processor features that determine the instructions of compiled code, and so the last
+#: bits of results.
+_FEATURES = (
+    "sse4_2",
+    "avx",
+    "avx2",
+    "fma",
+    "avx512f",
+    "avx512dq",
+    "avx512bw",
+    "avx512vl",
+    "asimd",
+    "sve",
+)
 
 
 def provenance(plan: Plan) -> str:
-    """Provenance of the results of a plan. Equal studies on equal processors give equal strings."""
+    """Provenance of the results of a plan. Equal studies on equal processors give equal
+    strings.
+    """
     study = plan.study
     return json.dumps(
         {
             "study": study.text,
             "walkers": [check["table"] for check in study.checks],
-            "violation_limits": list(attributes.violation_limits(study).items()),  # in the order of their bits
-            "varied": {key: axes for check in study.checks for key, axes in check["varied"].items()},
+            "violation_limits": list(
+                attributes.violation_limits(study).items()
+            ),  # in the order of their bits
+            "varied": {
+                key: axes
+                for check in study.checks
+                for key, axes in check["varied"].items()
+            },
             "tuned": sorted({key for check in study.checks for key in check["tuned"]}),
-            **({"ways": ways} if (ways := [check["way"] for check in study.checks if "way" in check]) else {}),
-            "tasks": {name: layer.task.version for name, layer in plan.graph.layers.items()},
+            **(
+                {"ways": ways}
+                if (ways := [check["way"] for check in study.checks if "way" in check])
+                else {}
+            ),
+            "tasks": {
+                name: layer.task.version for name, layer in plan.graph.layers.items()
+            },
             "packages": {name: version(name) for name in _PACKAGES},
             "python": platform.python_version(),
             "cpu": cpu_features(),
@@ -52,22 +83,33 @@ def provenance(plan: Plan) -> str:
 
 
 def stored(path: Path) -> dict[str, Any]:
-    """Provenance of an archive, found in its first bytes without the netCDF library, which a damaged file can crash.
+    """Provenance of an archive, found in its first bytes without the netCDF library,
+    which a damaged file can crash.
 
     Empty if there is no archive, or its study or walkers cannot be read.
     """
     try:
         with open(path, "rb") as file:
             text = file.read(_MAX_HEADER).decode("latin-1")
-        record: dict[str, Any] = json.JSONDecoder().raw_decode(text, text.index(_BEGINNING))[0]
+        record: dict[str, Any] = json.JSONDecoder().raw_decode(
+            text, text.index(_BEGINNING)
+        )[0]
         toml.read(record["study"])
         return {**record, "walkers": [dict(walker) for walker in record["walkers"]]}
-    except (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError):
+    except (
+        OSError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ):
         return {}
 
 
 def check_same_study(path: Path, study: Study) -> None:
-    """Check that an archive, if there is one, is of the study that is to replace it, perhaps with other axes and wants.
+    """Check that an archive, if there is one, is of the study that is to replace it,
+    perhaps with other axes and wants.
 
     Studies are the same if their kind is, and at least one of their walkers.
 
@@ -85,7 +127,9 @@ def check_same_study(path: Path, study: Study) -> None:
         difference = f"its kind is {kind}, not {study.kind}"
     elif walkers and own and not any(_is_same(a, b) for a in walkers for b in own):
         changes = (
-            f"{key} = {walkers[0][key]}, not {own[0][key]}" for key in own[0] if not _is_same(walkers[0], own[0], [key])
+            f"{key} = {walkers[0][key]}, not {own[0][key]}"
+            for key in own[0]
+            if not _is_same(walkers[0], own[0], [key])
         )
         difference = f"its walker has {next(changes)}"
     else:
@@ -98,7 +142,12 @@ def check_same_study(path: Path, study: Study) -> None:
 def _is_same(a: dict[str, Any], b: dict[str, Any], keys: Iterable[str] = ()) -> bool:
     """Whether two walkers have the same parameters but for rounding."""
     return all(
-        a[key] == b[key] or (isinstance(a[key], float) and isinstance(b[key], float) and math.isclose(a[key], b[key]))
+        a[key] == b[key]
+        or (
+            isinstance(a[key], float)
+            and isinstance(b[key], float)
+            and math.isclose(a[key], b[key])
+        )
         for key in keys or a.keys() & b.keys()
         if key in a
     )
@@ -115,9 +164,13 @@ def version(package: str) -> str:
 
 @functools.cache
 def code_digest(folder: str = "tasks") -> str:
-    """Digest of the code of a folder and of its tables, without docstrings, comments and layout."""
+    """Digest of the code of a folder and of its tables, without docstrings, comments
+    and layout.
+    """
     digest = hashlib.sha256()
-    for file in sorted(file for kind in ("py", "toml") for file in (_ROOT / folder).rglob(f"*.{kind}")):
+    for file in sorted(
+        file for kind in ("py", "toml") for file in (_ROOT / folder).rglob(f"*.{kind}")
+    ):
         without_docstrings = "".join(file.read_text(encoding="utf-8").split('"""')[::2])
         text = re.sub(r"#[^\n]*", "", without_docstrings)
         digest.update(" ".join(text.split()).encode())
@@ -126,15 +179,22 @@ def code_digest(folder: str = "tasks") -> str:
 
 @functools.cache
 def software() -> dict[str, str]:
-    """Versions of packages, and the digest of the code of `tasks`, on which numbers depend."""
-    return {**{name: version(name) for name in _NUMERICAL}, "code of `tasks`": code_digest()[:12]}
+    """Versions of packages, and the digest of the code of `tasks`, on which numbers
+    depend.
+    """
+    return {
+        **{name: version(name) for name in _NUMERICAL},
+        "code of `tasks`": code_digest()[:12],
+    }
 
 
 def cpu_features() -> list[str]:
     """Architecture of the processor and its features that affect results."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        flags = next(line for line in lines if line.lower().startswith(("flags", "features"))).split()
+        flags = next(
+            line for line in lines if line.lower().startswith(("flags", "features"))
+        ).split()
     except (OSError, StopIteration):
         flags = []
     return [platform.machine(), *(f for f in _FEATURES if f in flags)]

@@ -22,12 +22,19 @@ from gaitsweep.pipeline.grid import boxes as grid
 from gaitsweep.pipeline.paths import kind_of
 
 SCHEMA = 2
-# Processor time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
+# Processor time [s] and speed [byte/s] allowed to read an archive, which may hold much
+# in few bytes.
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
-_MAX_VALUES, _MAX_POINTS = 1 << 20, 1 << 16  # values, and points of a variable, read at a time
+_MAX_VALUES, _MAX_POINTS = (
+    1 << 20,
+    1 << 16,
+)  # values, and points of a variable, read at a time
 _LITTLE_MEMORY = 1 << 23  # numbers, more than any part that is read at a time
 _MOST_PACKED = 1100  # bytes into one, more than deflate packs
-_MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
+_MAGIC, _HEADER = (
+    b"\x89HDF\r\n\x1a\n",
+    1 << 16,
+)  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
 @contextlib.contextmanager
@@ -41,14 +48,18 @@ def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]
     """
     import netCDF4
 
-    file = netCDF4.Dataset(os.path.join(os.curdir, path), mode)  # the library drops leading blanks
+    file = netCDF4.Dataset(
+        os.path.join(os.curdir, path), mode
+    )  # the library drops leading blanks
     try:
         yield file
         if mode != "r":
             file.sync()
     except BaseException:
         if mode != "r":
-            file._isopen = 0  # the library crashes when it closes a file that it cannot write; it is left open
+            # The library crashes when it closes a file that it cannot write; it is left
+            # open.
+            file._isopen = 0
         raise
     finally:
         if file.isopen():
@@ -56,7 +67,9 @@ def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]
 
 
 def is_nameable(path: Path) -> bool:
-    """Whether the netCDF library can open a file of that name: no backslash, and no bytes that are not UTF-8."""
+    """Whether the netCDF library can open a file of that name: no backslash, and no
+    bytes that are not UTF-8.
+    """
     name = os.fsencode(path).decode(errors="replace")
     return "\\" not in name and "\ufffd" not in name
 
@@ -84,7 +97,9 @@ def size_of(path: Path) -> int:
 
 
 def _check_limits(path: Path) -> None:
-    """Say what the netCDF library does not: that the system opens no more files, or gives no more memory."""
+    """Say what the netCDF library does not: that the system opens no more files, or
+    gives no more memory.
+    """
     size_of(path)
     np.empty(_LITTLE_MEMORY)
 
@@ -100,8 +115,12 @@ def open_archive(path: Path) -> Iterator[Any]:
     """
     size_of(path)
     if not is_nameable(path):
-        raise ArchiveError(f"The netCDF library opens no file of such a name as {path}; name it from its own folder.")
-    from gaitsweep.pipeline.archive import objects  # h5py, which it imports, takes longer than most commands
+        raise ArchiveError(
+            f"The netCDF library opens no file of such a name as {path}; name it from its own folder."
+        )
+    from gaitsweep.pipeline.archive import (
+        objects,
+    )  # h5py, which it imports, takes longer than most commands
 
     opened = open_netcdf(path)
     try:
@@ -115,7 +134,9 @@ def open_archive(path: Path) -> Iterator[Any]:
         try:
             schema = getattr(file, "gaitsweep_schema", None)
             if not isinstance(schema, np.integer) or schema != SCHEMA:
-                raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
+                raise ArchiveError(
+                    f"{path} is not an archive of gaitsweep (schema {SCHEMA})."
+                )
             _check_sizes(file, path)
             yield file
         finally:
@@ -124,17 +145,22 @@ def open_archive(path: Path) -> Iterator[Any]:
 
 
 def _check_sizes(file: Any, path: Path) -> None:
-    """Check that the variables of an open file are not larger than what may be packed into its bytes."""
+    """Check that the variables of an open file are not larger than what may be packed
+    into its bytes.
+    """
     size, most = 0, _MOST_PACKED * size_of(path)
     for name, variable in layout.variables(file):
         size += math.prod(variable.shape) * variable.dtype.itemsize
         if size > most:
-            raise ArchiveError(f"{path} is not an archive of gaitsweep: `{name}` is larger than can be packed into it.")
+            raise ArchiveError(
+                f"{path} is not an archive of gaitsweep: `{name}` is larger than can be packed into it."
+            )
 
 
 @contextlib.contextmanager
 def blamed_if_damaged(path: Path) -> Iterator[None]:
-    """Say of an error over a damaged archive that this is damaged; any other is raised as it is.
+    """Say of an error over a damaged archive that this is damaged; any other is raised
+    as it is.
 
     Raises
     ------
@@ -169,18 +195,25 @@ def changes(file: Any) -> Iterator[str]:
 
 
 def damage(path: Path) -> str:
-    """Damage to an archive, or its departure from gaitsweep's layout; empty if there is none, though it be incomplete.
+    """Damage to an archive, or its departure from gaitsweep's layout; empty if there is
+    none, though it be incomplete.
 
     Raises
     ------
     ArchiveError, WorkerError
         If the system does not open it.
     """
-    from gaitsweep.pipeline.archive import structure  # only a fault needs its registry tables
+    from gaitsweep.pipeline.archive import (
+        structure,
+    )  # only a fault needs its registry tables
 
     try:
         with open_netcdf(path) as file:
-            misfits = (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
+            misfits = (
+                misfit
+                for misfit in structure.misfits(file)
+                if "not_attempted" not in misfit
+            )
             try:
                 return next(itertools.chain(changes(file), misfits), "")
             except MemoryError:
@@ -196,9 +229,18 @@ def _checksum(variable: Any) -> int:
     """Checksum of a variable."""
     if not is_over_grid(variable):
         return layout.checksum(np.ma.getdata(variable[...])) % 2**32
-    pieces = (layout.split(np.ma.getdata(variable[box]), box, _chunk(variable)) for box in boxes(variable))
+    pieces = (
+        layout.split(np.ma.getdata(variable[box]), box, _chunk(variable))
+        for box in boxes(variable)
+    )
     parts = itertools.chain.from_iterable(pieces)
-    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts) % 2**32
+    return (
+        sum(
+            layout.chunk_checksum(zlib.crc32(part.tobytes()), corner)
+            for corner, part in parts
+        )
+        % 2**32
+    )
 
 
 def is_over_grid(variable: Any) -> bool:
@@ -218,14 +260,17 @@ def _points(variable: Any) -> dict[str, int]:
 
 
 def _chunk(variable: Any) -> tuple[int, ...]:
-    """Shape of the chunks in which a variable of points was written, even if it was rechunked since."""
+    """Shape of the chunks in which a variable of points was written, even if it was
+    rechunked since.
+    """
     points = _points(variable)
     inner = variable.shape[len(points) :]
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
 
 def probe(paths: Iterable[Path]) -> None:
-    """Read archives completely in another process first: a damaged file can crash or hang the netCDF library.
+    """Read archives completely in another process first: a damaged file can crash or
+    hang the netCDF library.
 
     Raises
     ------
@@ -236,7 +281,8 @@ def probe(paths: Iterable[Path]) -> None:
     """
     paths = list(paths)
     if len(paths) > 1:
-        # To start Python takes longer than to read most; each is tried alone only to find the one that is damaged.
+        # To start Python takes longer than to read most; each is tried alone only to
+        # find the one that is damaged.
         with contextlib.suppress(ArchiveError, WorkerError):
             _probe(paths)
             return
@@ -250,17 +296,30 @@ def _probe(paths: list[Path]) -> None:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     path, size = paths[0], sum(size_of(path) for path in paths)
     seconds = int(_TIMEOUT + size / _MIN_SPEED)
-    command = [sys.executable, "-P", "-m", "gaitsweep.pipeline.archive.read", str(seconds), *map(str, paths)]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "gaitsweep.pipeline.archive.read",
+        str(seconds),
+        *map(str, paths),
+    ]
     try:
         null = subprocess.DEVNULL
-        code = subprocess.run(command, stdin=null, stdout=null, stderr=null, env=environment).returncode
+        code = subprocess.run(
+            command, stdin=null, stdout=null, stderr=null, env=environment
+        ).returncode
     except OSError as error:
-        raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
+        raise WorkerError(
+            f"{path} cannot be tried in another process: {error.strerror}."
+        ) from error
     if code < 0:
         what = "hangs" if code == -signal.SIGXCPU else "crashes"
         raise ArchiveError(f"{path} is damaged: the netCDF library {what} on it.")
     if code:
-        raise WorkerError(f"{path} cannot be tried in another process: that ended with {code}.")
+        raise WorkerError(
+            f"{path} cannot be tried in another process: that ended with {code}."
+        )
 
 
 def _read_whole(path: Path) -> None:
@@ -270,7 +329,9 @@ def _read_whole(path: Path) -> None:
         for _, variable in layout.variables(file):
             with contextlib.suppress(Exception):
                 stored = variable.chunking()
-                chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
+                chunk = (
+                    (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
+                )
                 sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
                 for box in grid.boxes(sizes, chunk, _MAX_VALUES):
                     variable[box or ...]
@@ -281,7 +342,8 @@ def _one_line(error: Exception) -> str:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that nothing, or an archive of gaitsweep, which may be damaged, stands where one is to be written.
+    """Check that nothing, or an archive of gaitsweep, which may be damaged, stands
+    where one is to be written.
 
     Raises
     ------
@@ -308,7 +370,9 @@ def check_replaceable(path: Path) -> None:
 
 
 def not_attempted(path: Path) -> int | None:
-    """Number of points of an archive that were not attempted; None if there is no archive."""
+    """Number of points of an archive that were not attempted; None if there is no
+    archive.
+    """
     try:
         probe([path])
         with open_archive(path) as file:
@@ -318,7 +382,9 @@ def not_attempted(path: Path) -> int | None:
 
 
 def _limit_time(seconds: int) -> None:
-    """Let the kernel end this process after so much processor time, which one that is suspended does not spend."""
+    """Let the kernel end this process after so much processor time, which one that is
+    suspended does not spend.
+    """
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
     limit = seconds if most == resource.RLIM_INFINITY else min(seconds, most)
     resource.setrlimit(resource.RLIMIT_CPU, (limit, most))

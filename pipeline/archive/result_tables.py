@@ -1,4 +1,6 @@
-"""Tables in the archive: one netCDF group each, its columns along the dimension `row`, or arrays over the grid."""
+"""Tables in the archive: one netCDF group each, its columns along the dimension `row`,
+or arrays over the grid.
+"""
 
 import math
 import re
@@ -17,7 +19,8 @@ from gaitsweep.tasks import registry
 from gaitsweep.tasks.columns import table_columns
 
 Columns = dict[str, np.ndarray]
-#: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
+#: Dimensions of each array after those of the lines, by the columns that hold their
+#: coordinates.
 _LAYOUTS = {
     "basin": ("slope", "stance_angle", "stance_rate"),
     "stable_manifold": ("slope", "point"),
@@ -31,16 +34,22 @@ _FILTERS = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
 
 
 def write(file: Any, plan: Plan) -> None:
-    """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
+    """Write the tables of all tasks of a study; of failed tasks, their names and
+    reasons.
+    """
     for name, layer in plan.graph.layers.items():
-        if name in registry.INTERNAL or (name in registry.OPTIONS and name != plan.study.kind):
+        if name in registry.INTERNAL or (
+            name in registry.OPTIONS and name != plan.study.kind
+        ):
             continue
         parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
         for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
             tables = split(plan.store.result(key) or {})
             tables.pop("nothing", None)  # its reason is the line's
             for group, columns in tables.items():
-                parts.setdefault(group, []).append((numbers, {**_repeat(coordinates, columns), **columns}))
+                parts.setdefault(group, []).append(
+                    (numbers, {**_repeat(coordinates, columns), **columns})
+                )
         for group in sorted(parts):
             places, tables_of_jobs = zip(*parts[group], strict=True)
             columns = _stack(tables_of_jobs)
@@ -50,17 +59,29 @@ def write(file: Any, plan: Plan) -> None:
                 columns = {name: values[order] for name, values in columns.items()}
             _group(file, plan, group, columns)
     if failures := list(failed(plan)):
-        columns = dict(zip(("task", "outcome", "reason"), map(np.array, zip(*failures, strict=True)), strict=True))
+        columns = dict(
+            zip(
+                ("task", "outcome", "reason"),
+                map(np.array, zip(*failures, strict=True)),
+                strict=True,
+            )
+        )
         _group(file, plan, "failed_tasks", columns)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
 
 
 def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
-    """Name, outcome and reason of failed tasks; points report an atlas that only they need."""
+    """Name, outcome and reason of failed tasks; points report an atlas that only they
+    need.
+    """
     for name, layer in plan.graph.layers.items():
         if name != "points" and (name != "atlas" or plan.graph.atlas_readers):
-            runs = (key for _, key, _ in _task_runs(plan, name, layer.per_line)) if name != "charts" else _charts(plan)
+            runs = (
+                (key for _, key, _ in _task_runs(plan, name, layer.per_line))
+                if name != "charts"
+                else _charts(plan)
+            )
             for key in runs:
                 ending = plan.store.outcome(key)
                 if ending and ending.status != "ok":
@@ -70,17 +91,26 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
 def _charts(plan: Plan) -> Iterable[str]:
     """Keys of all charts: a million lines of a plane share them."""
     chunks = map(plan.graph.grid.chunk, range(plan.graph.grid.chunks))
-    return dict.fromkeys(charts.key.key for chunk in chunks for charts in plan.charts_of(chunk))
+    return dict.fromkeys(
+        charts.key.key for chunk in chunks for charts in plan.charts_of(chunk)
+    )
 
 
-def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:
-    """Coordinates, key and numbers of the lines of every execution of a task, in the order of the grid."""
+def _task_runs(
+    plan: Plan, name: str, per_line: bool
+) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:
+    """Coordinates, key and numbers of the lines of every execution of a task, in the
+    order of the grid.
+    """
     if not per_line:
         yield {}, plan.graph.study_keys[name].key, np.zeros(0, int)
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
-        coordinates = {"walker": plan.study.name_of(int(numbers[0])), **plan.study.batch_line(i)["set"]}
+        coordinates = {
+            "walker": plan.study.name_of(int(numbers[0])),
+            **plan.study.batch_line(i)["set"],
+        }
         yield coordinates, plan.graph.line_keys(i)[name].key, numbers
 
 
@@ -105,7 +135,11 @@ def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
     groups: dict[str, Columns] = {}
     for name, values in table.items():
         group, _, column = name.rpartition("/")
-        if not re.fullmatch(r"\w+(/\w+)?", group) or not re.fullmatch(r"\w+", column) or np.ndim(values) != 1:
+        if (
+            not re.fullmatch(r"\w+(/\w+)?", group)
+            or not re.fullmatch(r"\w+", column)
+            or np.ndim(values) != 1
+        ):
             raise ValueError(f"`{name}` is no column of a table")
         groups.setdefault(group, {})[column] = values
     for group, columns in groups.items():
@@ -116,15 +150,30 @@ def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
 
 def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
     n = len(next(iter(columns.values())))
-    return {name: np.full(n, value) for name, value in coordinates.items() if name not in columns}
+    return {
+        name: np.full(n, value)
+        for name, value in coordinates.items()
+        if name not in columns
+    }
 
 
 def _stack(parts: Sequence[Columns]) -> Columns:
-    """The rows of all parts; a column that some lack, such as a rate of other walkers, is NaN or empty there."""
-    absent = {name: "" if values.dtype.kind == "U" else np.nan for part in parts for name, values in part.items()}
+    """The rows of all parts; a column that some lack, such as a rate of other walkers,
+    is NaN or empty there.
+    """
+    absent = {
+        name: "" if values.dtype.kind == "U" else np.nan
+        for part in parts
+        for name, values in part.items()
+    }
     lengths = [len(next(iter(part.values()))) for part in parts]
     return {
-        name: np.concatenate([part.get(name, np.full(n, nothing)) for part, n in zip(parts, lengths, strict=True)])
+        name: np.concatenate(
+            [
+                part.get(name, np.full(n, nothing))
+                for part, n in zip(parts, lengths, strict=True)
+            ]
+        )
         for name, nothing in absent.items()
     }
 
@@ -140,25 +189,41 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         if values.dtype.kind == "U":
             write_strings(netcdf_group, name, "row", values.tolist(), attributes)
             continue
-        options = {"fill_value": np.nan if values.dtype.kind == "f" else False, **layout.filters(len(values))}
+        options = {
+            "fill_value": np.nan if values.dtype.kind == "f" else False,
+            **layout.filters(len(values)),
+        }
         write_variable(netcdf_group, name, ("row",), values, attributes, **options)
 
 
 def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    """Write the rows of a table as arrays over the lines' axes and the table's own dimensions.
+    """Write the rows of a table as arrays over the lines' axes and the table's own
+    dimensions.
 
-    A coordinate that differs from case to case, as the ranges of basins do by default, is an array over the cases and
-    its own index.
+    A coordinate that differs from case to case, as the ranges of basins do by default,
+    is an array over the cases and its own index.
     """
     study, lines = plan.study, plan.graph.grid
     dims = [*lines.line_dims, "slope"]
-    known = {"walker": np.array(study.names), **{axis.name: axis.values for axis in study.axes}}
+    known = {
+        "walker": np.array(study.names),
+        **{axis.name: axis.values for axis in study.axes},
+    }
     sizes, orders = [len(known[d]) for d in dims], [np.argsort(known[d]) for d in dims]
-    places = [order[np.searchsorted(known[d], columns[d], sorter=order)] for d, order in zip(dims, orders, strict=True)]
+    places = [
+        order[np.searchsorted(known[d], columns[d], sorter=order)]
+        for d, order in zip(dims, orders, strict=True)
+    ]
     case = np.ravel_multi_index(places, sizes)
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("slope", len(study.slope))
-    _variable(netcdf_group, "slope", ("slope",), study.slope, _attributes(plan, group, "slope"))
+    _variable(
+        netcdf_group,
+        "slope",
+        ("slope",),
+        study.slope,
+        _attributes(plan, group, "slope"),
+    )
     inner: dict[str, tuple[np.ndarray, int]] = {}
     for name in _LAYOUTS[group][1:]:
         dim = _RENAMED.get(name, name)
@@ -171,7 +236,13 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
             array = np.full((math.prod(sizes), values.shape[-1]), np.nan)
             array[np.unique(case)] = values
             shaped = array.reshape(*sizes, -1)
-            _variable(netcdf_group, f"{name}_values", (*dims, dim), shaped, _attributes(plan, group, name))
+            _variable(
+                netcdf_group,
+                f"{name}_values",
+                (*dims, dim),
+                shaped,
+                _attributes(plan, group, name),
+            )
     for name, values in columns.items():
         if name in (*dims, "walker", *inner):
             continue
@@ -179,41 +250,70 @@ def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         if values.dtype.kind == "U":
             words, values = np.unique(values, return_inverse=True)
             meanings = " ".join(str(word).replace(" ", "_") for word in words)
-            described |= {"flag_values": np.arange(len(words), dtype=np.int8), "flag_meanings": meanings}
+            described |= {
+                "flag_values": np.arange(len(words), dtype=np.int8),
+                "flag_meanings": meanings,
+            }
         is_whole = values.dtype.kind in "iu"
-        dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1) if is_whole else np.dtype(float)
+        dtype = (
+            np.min_scalar_type(-int(values.max(initial=0)) - 1)
+            if is_whole
+            else np.dtype(float)
+        )
         kept = [c for c in inner if c not in _CONSTANT.get(name, ())]
         shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
         array = np.full(shape, -1 if is_whole else np.nan, dtype)
         array[(case, *(inner[c][0] for c in kept))] = values
         names = (*dims, *(_RENAMED.get(c, c) for c in kept))
-        _variable(netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described)
+        _variable(
+            netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described
+        )
 
 
 def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of each coordinate, and the coordinates: shape (n,) if all cases share them, else (cases, n)."""
+    """Index of each coordinate, and the coordinates: shape (n,) if all cases share
+    them, else (cases, n).
+    """
     every, place = np.unique(values, return_inverse=True)
     cases, number = np.unique(case, return_inverse=True)
-    of_each, at = np.unique(number * len(every) + place, return_inverse=True)  # the coordinates of each case
+    of_each, at = np.unique(
+        number * len(every) + place, return_inverse=True
+    )  # the coordinates of each case
     if values.dtype.kind != "f" or len(of_each) == len(cases) * len(every):
         return place, every
     first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
     return at - first[number], every[of_each % len(every)].reshape(len(cases), -1)
 
 
-def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any]) -> None:
+def _variable(
+    group: Any,
+    name: str,
+    dims: tuple[str, ...],
+    values: np.ndarray,
+    attributes: dict[str, Any],
+) -> None:
     fill = np.nan if values.dtype.kind == "f" and name not in dims else False
     filters = _FILTERS if values.size and dims else {}
     write_variable(group, name, dims, values, attributes, fill_value=fill, **filters)
 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
-    """Kind of quantity and meaning of a column; one without a description is called by its name."""
+    """Kind of quantity and meaning of a column; one without a description is called by
+    its name.
+    """
     kinds, known = units.kinds(), table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    own = EXTRA_AXES.get(name, f"walker's {name}") if name in kinds else name.replace("_", " ")
-    kind, meaning = known.get(f"{group}/{name}") or known.get(name) or (kinds.get(name, "number"), "")
+    own = (
+        EXTRA_AXES.get(name, f"walker's {name}")
+        if name in kinds
+        else name.replace("_", " ")
+    )
+    kind, meaning = (
+        known.get(f"{group}/{name}")
+        or known.get(name)
+        or (kinds.get(name, "number"), "")
+    )
     return kind, meaning or own
 
 
@@ -221,12 +321,17 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column."""
     if group == "overlay" and name.endswith("_error"):
         measured = _attributes(plan, group, name.removesuffix("_error"))
-        return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
+        return {
+            **measured,
+            "long_name": f"standard error of the measured {measured['long_name']}",
+        }
     study = plan.study
     kind, meaning = meaning_of(name, group)
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
-        attributes["units"] = units.axis_units(str(registry.options("curve", study.options)["key"]), study.checks)
+        attributes["units"] = units.axis_units(
+            str(registry.options("curve", study.options)["key"]), study.checks
+        )
     return attributes

@@ -8,7 +8,8 @@ import xarray as xr
 
 
 def dataset(group: Any, **options: Any) -> xr.Dataset:
-    """Return a group of an open archive, not yet read; opening the file again can crash the library.
+    """Return a group of an open archive, not yet read; opening the file again can crash
+    the library.
 
     Whoever opened the file closes it.
 
@@ -24,14 +25,17 @@ def dataset(group: Any, **options: Any) -> xr.Dataset:
 
 
 class _Shared(dict[str, str]):
-    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
+    """Words on the columns of a frame, which pandas copies with every column that is
+    read unless they are shared.
+    """
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "_Shared":
         return self
 
 
 def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something.
+    """A group as a frame: its columns along `row`, or its arrays with a row per element
+    that holds something.
 
     Parameters
     ----------
@@ -53,27 +57,41 @@ def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         rows = max((len(v) for v in columns.values()), default=0)
         frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
     for what, attribute in (("units", "units"), ("meanings", "long_name")):
-        frame.attrs[what] = _Shared({str(k): str(v.attrs.get(attribute, "")) for k, v in variables.items()})
+        frame.attrs[what] = _Shared(
+            {str(k): str(v.attrs.get(attribute, "")) for k, v in variables.items()}
+        )
     return frame
 
 
 def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """Turn arrays of a group into rows again, flags into words; rows without a number or a flag are left out."""
+    """Turn arrays of a group into rows again, flags into words; rows without a number
+    or a flag are left out.
+    """
     dims = max((v.dims for v in dataset.variables.values()), key=len)
-    whole = dataset.assign_coords({d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords})
+    whole = dataset.assign_coords(
+        {d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords}
+    )
     own = {f"{d}_values" for d in dims}
-    frame = whole.drop_vars([n for n in whole.data_vars if not set(whole[n].dims) <= set(dims)]).to_dataframe()
+    frame = whole.drop_vars(
+        [n for n in whole.data_vars if not set(whole[n].dims) <= set(dims)]
+    ).to_dataframe()
     frame = frame.reset_index()
     for name in own & set(frame):
         frame[name.removesuffix("_values")] = frame.pop(name)
     numbers = frame.columns.difference([str(d) for d in dims])
     empty = np.ones(len(frame), bool)
     for name in numbers:
-        meanings = str(dataset[name].attrs.get("flag_meanings", "")).split() if name in dataset else []
+        meanings = (
+            str(dataset[name].attrs.get("flag_meanings", "")).split()
+            if name in dataset
+            else []
+        )
         values = frame[name].to_numpy()
         if values.dtype.kind != "O":
             empty &= np.isnan(values) if values.dtype.kind == "f" else values < 0
         if meanings:
             words = [word.replace("_", " ") for word in meanings]
-            frame[name] = pd.Categorical.from_codes(np.where(values < len(words), values, -1), words)
+            frame[name] = pd.Categorical.from_codes(
+                np.where(values < len(words), values, -1), words
+            )
     return frame[~empty].reset_index(drop=True)

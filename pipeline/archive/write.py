@@ -1,7 +1,8 @@
-"""The archive: results of a study as one CF netCDF-4 file, written as a draft and then moved into place.
+"""The archive: results of a study as one CF netCDF-4 file, written as a draft and then
+moved into place.
 
-Its bytes depend on the study and the results only: not on the time, paths, workers or order of arrival. It is written
-chunk by chunk, so memory does not limit its size.
+Its bytes depend on the study and the results only: not on the time, paths, workers or
+order of arrival. It is written chunk by chunk, so memory does not limit its size.
 """
 
 import contextlib
@@ -16,12 +17,30 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline import paths
-from gaitsweep.pipeline.archive import attributes, layout, parameters, read, result_tables
+from gaitsweep.pipeline.archive import (
+    attributes,
+    layout,
+    parameters,
+    read,
+    result_tables,
+)
 from gaitsweep.pipeline.archive.points import PointWriter
 from gaitsweep.pipeline.archive.provenance import code_digest, provenance
 from gaitsweep.pipeline.archive.read import SCHEMA
-from gaitsweep.pipeline.archive.written import Sentences, Written, line_description, write_strings, write_variable
-from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
+from gaitsweep.pipeline.archive.written import (
+    Sentences,
+    Written,
+    line_description,
+    write_strings,
+    write_variable,
+)
+from gaitsweep.pipeline.errors import (
+    ArchiveError,
+    DiskFullError,
+    is_disk_full,
+    shortage,
+    unwritten,
+)
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.record import sentence_number
@@ -31,15 +50,21 @@ from gaitsweep.tasks.registry import VARIABLES
 
 
 def update(plan: Plan, path: Path) -> Written:
-    """Write the results in the store as `write` does, unless the archive at `path` was last written of the same ones.
+    """Write the results in the store as `write` does, unless the archive at `path` was
+    last written of the same ones.
 
     What it was written of is noted in the store, with the checksum of its bytes.
     """
     study = plan.study
     measured = {name: column.tolist() for name, column in study.overlay.items()}
-    # Names, units and meanings are in the tables of all folders, and of measures of other packages in these.
+    # Names, units and meanings are in the tables of all folders, and of measures of
+    # other packages in these.
     code = code_digest("pipeline"), code_digest("tasks")
-    others = {v.name: attributes.of_variable(v, study) for v in VARIABLES.values() if v.measure}
+    others = {
+        v.name: attributes.of_variable(v, study)
+        for v in VARIABLES.values()
+        if v.measure
+    }
     origin = provenance(plan), study.accuracy, measured, plan.store.last, code, others
     results = hashlib.sha256(repr(origin).encode()).hexdigest()
     with plan.store.reading():
@@ -95,7 +120,9 @@ def write(plan: Plan, path: Path) -> Written:
     except (OSError, RuntimeError, MemoryError) as error:
         cause = shortage(error, draft)
         if cause and is_disk_full(cause):
-            raise DiskFullError(f"The disk is full: {path} is unchanged; finished results are kept.") from error
+            raise DiskFullError(
+                f"The disk is full: {path} is unchanged; finished results are kept."
+            ) from error
         if cause:
             raise unwritten(path, cause) from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
@@ -114,7 +141,9 @@ def check_path(path: Path) -> None:
     """
     target = _target(path)
     if not read.is_nameable(target):
-        raise ArchiveError(f"{path} cannot be written: the netCDF library opens no file of such a name.")
+        raise ArchiveError(
+            f"{path} cannot be written: the netCDF library opens no file of such a name."
+        )
     try:
         paths.of(target).touch()
     except OSError as error:
@@ -124,7 +153,9 @@ def check_path(path: Path) -> None:
 
 
 def _target(path: Path) -> Path:
-    """The file to replace, or a link's target; otherwise as given: the folder may have any name."""
+    """The file to replace, or a link's target; otherwise as given: the folder may have
+    any name.
+    """
     return path.resolve() if path.is_symlink() else path
 
 
@@ -147,11 +178,18 @@ def _write(plan: Plan, draft: Path) -> Written:
 
 
 def _described(group: Any) -> dict[str, Any]:
-    """Dimensions, attributes, variables and groups of an open group, all but the values of its variables."""
+    """Dimensions, attributes, variables and groups of an open group, all but the values
+    of its variables.
+    """
     return {
         "attributes": _attributes(group),
-        "dimensions": {name: len(dimension) for name, dimension in group.dimensions.items()},
-        "variables": {n: (str(v.dtype), v.dimensions, _attributes(v)) for n, v in group.variables.items()},
+        "dimensions": {
+            name: len(dimension) for name, dimension in group.dimensions.items()
+        },
+        "variables": {
+            n: (str(v.dtype), v.dimensions, _attributes(v))
+            for n, v in group.variables.items()
+        },
         "groups": {name: _described(below) for name, below in group.groups.items()},
     }
 
@@ -177,27 +215,45 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
             "not_attempted": np.int64(writer.written.counts["not_attempted"]),
             "figures": " ".join(study.figures),
             "provenance": provenance(plan),
-            **({"walker_notes": "\n".join(notes)} if (notes := corners.notes(study)) else {}),
+            **(
+                {"walker_notes": "\n".join(notes)}
+                if (notes := corners.notes(study))
+                else {}
+            ),
         },
     )
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
         if name == "walker":
-            write_strings(file, name, name, study.names, {"long_name": "walker", "units": "1"})
+            write_strings(
+                file, name, name, study.names, {"long_name": "walker", "units": "1"}
+            )
             known = ["SI" if c["si"] else "1" for c in study.checks]
-            about = {"long_name": "units of each walker: SI, or 1 for any consistent ones", "units": "1"}
+            about = {
+                "long_name": "units of each walker: SI, or 1 for any consistent ones",
+                "units": "1",
+            }
             write_strings(file, "walker_units", name, known, about)
             continue
         axis = next(a for a in study.axes if a.name == name)
         about = attributes.of_axis(name, study.checks)
-        write_variable(file, name, (name,), axis.values.astype(float), about, fletcher32=True)
+        write_variable(
+            file, name, (name,), axis.values.astype(float), about, fletcher32=True
+        )
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences.texts))
-    write_strings(file, "reason_text", "reason_index", writer.sentences.texts, attributes.REASON_TEXT)
+    write_strings(
+        file,
+        "reason_text",
+        "reason_index",
+        writer.sentences.texts,
+        attributes.REASON_TEXT,
+    )
 
 
 def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str, str]:
-    """Write the checksum of every variable, and the shape of the chunks whose sums are those of large variables.
+    """Write the checksum of every variable, and the shape of the chunks whose sums are
+    those of large variables.
 
     Returns
     -------
@@ -206,12 +262,26 @@ def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str
     """
     sums = writer.sums
     file.set_auto_mask(False)  # a mask is as long as a line
-    small = ((name, variable) for name, variable in layout.variables(file) if name not in sums)
-    checksums = {name: layout.checksum(np.ma.getdata(variable[...])) for name, variable in small}
-    chunk = {"checksum_chunk": np.array(writer.chunk, np.int64)} if isinstance(writer, PointWriter) else {}
+    small = (
+        (name, variable)
+        for name, variable in layout.variables(file)
+        if name not in sums
+    )
+    checksums = {
+        name: layout.checksum(np.ma.getdata(variable[...])) for name, variable in small
+    }
+    chunk = (
+        {"checksum_chunk": np.array(writer.chunk, np.int64)}
+        if isinstance(writer, PointWriter)
+        else {}
+    )
     modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
     attributes.put(file, {**chunk, "checksums": json.dumps(modulo, sort_keys=True)})
-    return {name: value for name, value in _attributes(file).items() if name.startswith("checksum")}
+    return {
+        name: value
+        for name, value in _attributes(file).items()
+        if name.startswith("checksum")
+    }
 
 
 class _LineWriter:
@@ -225,9 +295,13 @@ class _LineWriter:
             end = self._outcome(plan.graph.line_keys(i))
             for number in plan.study.batch(i).tolist():
                 ends[number] = end
-        self.sentences = Sentences({sentence_number(reason): reason for _, reason in ends})
+        self.sentences = Sentences(
+            {sentence_number(reason): reason for _, reason in ends}
+        )
         shape = tuple(self.grid.sizes.values())
-        self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
+        self.status = np.array(
+            [ALL_STATUSES[status] for status, _ in ends], np.int8
+        ).reshape(shape)
         numbers = np.array([sentence_number(reason) for _, reason in ends], np.uint64)
         self.reason = self.sentences.renumbered(numbers).reshape(shape)
         self.written = Written(Counter(status for status, _ in ends))
@@ -236,14 +310,21 @@ class _LineWriter:
                 self.written.add_failure(reason, 1, line_description(plan.study, i))
 
     def _outcome(self, keys: dict[str, Key]) -> tuple[str, str]:
-        # Of a study whose own result is known, the atlas may be lost, or never have been needed.
+        # Of a study whose own result is known, the atlas may be lost, or never have
+        # been needed.
         is_known = keys[self.study.kind].key in self.plan.store
         for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
-            outcome = self.plan.store.outcome(keys[name].key) if name in keys else Outcome("ok", "")
+            outcome = (
+                self.plan.store.outcome(keys[name].key)
+                if name in keys
+                else Outcome("ok", "")
+            )
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
-                return outcome.status, of_atlas(outcome.reason) if name == "atlas" else outcome.reason
+                return outcome.status, of_atlas(
+                    outcome.reason
+                ) if name == "atlas" else outcome.reason
         result = self.plan.store.result(keys[self.study.kind].key)
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):
@@ -253,7 +334,13 @@ class _LineWriter:
     def define(self, file: Any) -> None:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
-            write_variable(file, name, self.dims, values, attributes.of_variable(VARIABLES[name], self.study))
+            write_variable(
+                file,
+                name,
+                self.dims,
+                values,
+                attributes.of_variable(VARIABLES[name], self.study),
+            )
 
     def fill(self, draft: Path) -> None:
         """Do nothing: all values are written by `define`."""

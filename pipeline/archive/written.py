@@ -14,7 +14,9 @@ from gaitsweep.pipeline.study.model import Study
 
 @dataclass
 class Written:
-    """Contents of an archive: points (or lines) by status, and failures by reason with an example of each."""
+    """Contents of an archive: points (or lines) by status, and failures by reason with
+    an example of each.
+    """
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: Counter[str] = field(default_factory=Counter)
@@ -40,27 +42,44 @@ class Sentences:
         places = {text: place for place, text in enumerate(self.texts)}
         self.dtype = np.dtype("i4" if len(places) > np.iinfo(np.int16).max else "i2")
         self._known = np.array(sorted(texts), np.uint64)
-        self._places = np.array([places[texts[number]] for number in self._known.tolist()], self.dtype)
+        self._places = np.array(
+            [places[texts[number]] for number in self._known.tolist()], self.dtype
+        )
 
     def renumbered(self, reason: np.ndarray) -> np.ndarray:
-        """Numbers in the archive of those in records; of a number that is not known, any."""
+        """Numbers in the archive of those in records; of a number that is not known,
+        any.
+        """
         place = np.searchsorted(self._known, reason)
         return self._places[np.minimum(place, len(self._known) - 1)]
 
 
 def write_variable(
-    group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any], **options: Any
+    group: Any,
+    name: str,
+    dims: tuple[str, ...],
+    values: np.ndarray,
+    attributes: dict[str, Any],
+    **options: Any,
 ) -> None:
-    """Write a small variable with its attributes; the options are those of netCDF4, without a fill value if none."""
-    variable = group.createVariable(name, values.dtype.newbyteorder("="), dims, **{"fill_value": False, **options})
+    """Write a small variable with its attributes; the options are those of netCDF4,
+    without a fill value if none.
+    """
+    variable = group.createVariable(
+        name, values.dtype.newbyteorder("="), dims, **{"fill_value": False, **options}
+    )
     put(variable, attributes)
     variable[...] = values
 
 
-def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attributes: dict[str, str]) -> None:
-    """Write a variable of strings as characters, which netCDF4 and xarray read as strings.
+def write_strings(
+    group: Any, name: str, dim: str, values: Iterable[str], attributes: dict[str, str]
+) -> None:
+    """Write a variable of strings as characters, which netCDF4 and xarray read as
+    strings.
 
-    HDF5 crashes where strings of varying length are read of a file that the same process has opened several times.
+    HDF5 crashes where strings of varying length are read of a file that the same
+    process has opened several times.
     """
     encoded = [value.encode() for value in values]
     length = max(map(len, encoded), default=0) or 1
@@ -76,4 +95,9 @@ def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attrib
 
 def line_description(study: Study, number: int) -> str:
     """Name of a line in messages: its walker and parameters."""
-    return " ".join([study.name_of(number), *(f"{key}={value!r}" for key, value in study.line(number)["set"].items())])
+    return " ".join(
+        [
+            study.name_of(number),
+            *(f"{key}={value!r}" for key, value in study.line(number)["set"].items()),
+        ]
+    )

@@ -18,11 +18,14 @@ _FOLDER = Path("data", "archive")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the results of claims in the order of the paper, each as soon as it is known; returns the exit code.
+    """Print the results of claims in the order of the paper, each as soon as it is
+    known; returns the exit code.
 
-    The first ones take a second or two; those of its appendix need all gaits with knees.
+    The first ones take a second or two; those of its appendix need all gaits with
+    knees.
 
-    Results in archives of `data/archive` of the present versions of all tasks are not computed again.
+    Results in archives of `data/archive` of the present versions of all tasks are not
+    computed again.
 
     Raises
     ------
@@ -32,7 +35,9 @@ def run(options: argparse.Namespace) -> int:
     ids = options.ids
     unknown = [name for name in ids if name not in CLAIMS]
     if unknown:
-        raise StudyError(f"There is no claim {unknown[0]!r}; there are {', '.join(CLAIMS)}.")
+        raise StudyError(
+            f"There is no claim {unknown[0]!r}; there are {', '.join(CLAIMS)}."
+        )
     results = _results(name for name in CLAIMS if not ids or name in ids)
     if options.json:
         print(json.dumps(list(results)))
@@ -43,24 +48,44 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """Results of claims: from the archives of studies that check them, all others computed."""
-    archives = {name: path for path in sorted(_FOLDER.glob("*.nc")) for name in _claims_of(path)}
+    """Results of claims: from the archives of studies that check them, all others
+    computed.
+    """
+    archives = {
+        name: path for path in sorted(_FOLDER.glob("*.nc")) for name in _claims_of(path)
+    }
     tables: dict[Path, dict[str, dict[str, Any]]] = {}
     for name in ids:
         path = archives.get(name)
         if path and path not in tables:
             tables[path] = _table(path)
-            terminal.say(f"Claims are read from {path}; `run --fresh` of its study computes them again.")
-        yield tables[path][name] if path and name in tables[path] else ask("claims", {"ids": [name]})[0]
+            terminal.say(
+                f"Claims are read from {path}; `run --fresh` of its study computes them again."
+            )
+        yield (
+            tables[path][name]
+            if path and name in tables[path]
+            else ask("claims", {"ids": [name]})[0]
+        )
 
 
 def _claims_of(path: Path) -> list[str]:
-    """Claims that a study checks, if its archive was written by the present versions of its tasks."""
+    """Claims that a study checks, if its archive was written by the present versions of
+    its tasks.
+    """
     record = provenance.stored(path)
-    with contextlib.suppress(AttributeError, LookupError, TypeError):  # of a record that somebody else made
+    with contextlib.suppress(
+        AttributeError, LookupError, TypeError
+    ):  # of a record that somebody else made
         versions = record["tasks"]
-        if "claims" in versions and all(TASKS[name].version == version for name, version in versions.items()):
-            return [name for name in toml.read(record["study"])["want"]["claims"] if name in CLAIMS]
+        if "claims" in versions and all(
+            TASKS[name].version == version for name, version in versions.items()
+        ):
+            return [
+                name
+                for name in toml.read(record["study"])["want"]["claims"]
+                if name in CLAIMS
+            ]
     return []
 
 
@@ -74,17 +99,27 @@ def _table(path: Path) -> dict[str, dict[str, Any]]:
     except ArchiveError as error:
         terminal.say(f"gaitsweep: {error}")
         return {}
-    return {row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows}
+    return {
+        row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows
+    }
 
 
 def _lines(claim: dict[str, Any]) -> Iterator[str]:
-    """Result of a claim, a paragraph: the paper's words, the printed and the computed number, the verdict."""
+    """Result of a claim, a paragraph: the paper's words, the printed and the computed
+    number, the verdict.
+    """
     yield f"{claim['id']}: {claim['verdict']}"
     yield f'  the paper   "{claim["quotation"]}" ({claim["source"]})'
     if claim["printed_value"] is not None:
         half = claim["printed_half_unit"]
-        yield f"  printed     {claim['printed_value']:.6g}" + (f" +- {half:.2g}" if half else "")
+        yield f"  printed     {claim['printed_value']:.6g}" + (
+            f" +- {half:.2g}" if half else ""
+        )
     if claim["value"] is not None:
-        allowed = f" (rounding of the printed parameters allows {claim['interval']})" if claim["interval"] else ""
+        allowed = (
+            f" (rounding of the printed parameters allows {claim['interval']})"
+            if claim["interval"]
+            else ""
+        )
         yield f"  number      {claim['value']:.12g}{allowed}"
     yield f"  computed    {claim['computed']}"

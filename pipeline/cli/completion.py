@@ -22,18 +22,33 @@ def run(options: argparse.Namespace) -> int:
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
-    (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    walkers = [*dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE"), *extensions.names("walkers")]
-    keys, one_link = (dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
-    words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
+    (commands,) = (
+        a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction)
+    )
+    walkers = [
+        *dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE"),
+        *extensions.names("walkers"),
+    ]
+    keys, one_link = (
+        dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}")
+        for name in ("NUMBERS", "ONE_LINK")
+    )
+    words = {
+        name: [*_options(command), *_choices(command)]
+        for name, command in commands.items()
+    }
     words["walkers"] += walkers
     filled = {
         "commands": "|".join(commands),
         "top": " ".join([*commands, *_options(parser)]),
-        "cases": "\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
+        "cases": "\n".join(
+            f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()
+        ),
         "walkers": " ".join(walkers),
         "keys": " ".join(keys),
-        "settings": " ".join(f"{key}=" for key in (*keys, *one_link, *[*EXTRA_AXES][1:], "knees")),
+        "settings": " ".join(
+            f"{key}=" for key in (*keys, *one_link, *[*EXTRA_AXES][1:], "knees")
+        ),
     }
     text = Path(__file__).with_suffix(".bash").read_text(encoding="utf-8")
     text = re.sub("@([a-z]+)@", lambda place: filled[place[1]], text)
@@ -42,9 +57,19 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 def _options(parser: argparse.ArgumentParser) -> list[str]:
     """Options that a parser shows in its help."""
-    return [name for action in parser._actions if action.help != argparse.SUPPRESS for name in action.option_strings]
+    return [
+        name
+        for action in parser._actions
+        if action.help != argparse.SUPPRESS
+        for name in action.option_strings
+    ]
 
 
 def _choices(parser: argparse.ArgumentParser) -> list[str]:
     """Choices of positional arguments."""
-    return [word for action in parser._actions if not action.option_strings for word in action.choices or ()]
+    return [
+        word
+        for action in parser._actions
+        if not action.option_strings
+        for word in action.choices or ()
+    ]

@@ -6,7 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gaitsweep.pipeline import terminal
-from gaitsweep.pipeline.errors import DiskFullError, GaitsweepError, described, is_disk_full, reached_limit, unwritten
+from gaitsweep.pipeline.errors import (
+    DiskFullError,
+    GaitsweepError,
+    described,
+    is_disk_full,
+    reached_limit,
+    unwritten,
+)
 
 
 @contextlib.contextmanager

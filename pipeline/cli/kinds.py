@@ -1,4 +1,6 @@
-"""Kinds of arguments of the command line, each says in one line what is wrong; and output for machines."""
+"""Kinds of arguments of the command line, each says in one line what is wrong; and
+output for machines.
+"""
 
 import json
 from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, Namespace
@@ -9,8 +11,14 @@ from typing import Any
 
 def count(text: str, most: int = 10**9) -> int:
     """A whole number from 1."""
-    if not (text.isascii() and text.isdecimal()) or len(text) > 10 or not 1 <= int(text) <= most:
-        raise ArgumentTypeError(f"must be a whole number from 1 to {most:,}; got {text[:60]}")
+    if (
+        not (text.isascii() and text.isdecimal())
+        or len(text) > 10
+        or not 1 <= int(text) <= most
+    ):
+        raise ArgumentTypeError(
+            f"must be a whole number from 1 to {most:,}; got {text[:60]}"
+        )
     return int(text)
 
 
@@ -81,7 +89,10 @@ def setting(text: str) -> tuple[str, float | bool | str]:
         raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
     if key == "toward":
         return key, value
-    return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value, key)
+    return key, {"true": True, "false": False}[value] if value in (
+        "true",
+        "false",
+    ) else number(value, key)
 
 
 def limit(text: str) -> tuple[str, float]:
@@ -105,19 +116,27 @@ def decimal_setting(text: str) -> tuple[str, str | bool]:
 
 
 class Studies(Action):
-    """Collects the files of studies: of those named, of folders, and of those that the package brings."""
+    """Collects the files of studies: of those named, of folders, and of those that the
+    package brings.
+    """
 
-    def __call__(self, parser: ArgumentParser, options: Namespace, names: Any, *_: Any) -> None:
+    def __call__(
+        self, parser: ArgumentParser, options: Namespace, names: Any, *_: Any
+    ) -> None:
         """Set the files."""
         from gaitsweep.pipeline.study import files
 
-        setattr(options, self.dest, [file for name in names for file in files.studies(name)])
+        setattr(
+            options, self.dest, [file for name in names for file in files.studies(name)]
+        )
 
 
 class Settings(Action):
     """Collects names, of walker keys or violations, and their values."""
 
-    def __call__(self, parser: ArgumentParser, options: Namespace, setting: Any, *_: Any) -> None:
+    def __call__(
+        self, parser: ArgumentParser, options: Namespace, setting: Any, *_: Any
+    ) -> None:
         """Add a name that is not there yet."""
         (key, value), known = setting, getattr(options, self.dest)
         if key in known:

@@ -31,12 +31,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
-    """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
+    """Describe a plan: for each task what runs and why, what is cached, and what is not
+    requested.
+    """
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
     axes, total = study.axes, counted(study.points, "point")
     if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
-        axes, total = study.line_axes, counted(study.lines, "design" if study.kind == "design" else "line")
+        axes, total = (
+            study.line_axes,
+            counted(study.lines, "design" if study.kind == "design" else "line"),
+        )
     shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
     yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
     for name, layer in planned.graph.layers.items():
@@ -54,7 +59,11 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         yield f"  integrated: about {integrated:,} points to an accuracy of {study.accuracy:g}, all others not"
     yield from (f"  note: {sentence}" for sentence in corners.notes(study))
     yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
-    yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
+    yield (
+        f"  about {duration(counts.seconds)} of work for one core"
+        if counts.seconds
+        else "  nothing to do"
+    )
 
 
 def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
@@ -70,15 +79,19 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        `study`, `archive`, `points` of the grid; of these (of the lines, in studies of other kinds) how many are
-        `new`, `changed` (failures that are tried again included) and `cached`; `not_wanted`, names of variables and
-        tasks; `flown`, about how many points are integrated; `seconds` of work for one core; and `tasks`, the counts
-        of each.
+        `study`, `archive`, `points` of the grid; of these (of the lines, in studies of
+        other kinds) how many are `new`, `changed` (failures that are tried again
+        included) and `cached`; `not_wanted`, names of variables and tasks; `flown`,
+        about how many points are integrated; `seconds` of work for one core; and
+        `tasks`, the counts of each.
     """
     study = planned.study
     main = "points" if study.kind == "grid" else study.kind
     new, every = counts.todo[main]["new"], sum(counts.todo[main].values())
-    tasks = {name: {**dict(todo), "cached": counts.cached[name]} for name, todo in counts.todo.items()}
+    tasks = {
+        name: {**dict(todo), "cached": counts.cached[name]}
+        for name, todo in counts.todo.items()
+    }
     return {
         "study": study.name,
         "archive": str(path),
@@ -87,7 +100,9 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         "changed": every - new,
         "cached": counts.cached[main],
         "not_wanted": _omitted(planned),
-        "flown": costs.integrated(study, every, planned.graph.method) if main == "points" else 0,
+        "flown": costs.integrated(study, every, planned.graph.method)
+        if main == "points"
+        else 0,
         "seconds": counts.seconds,
         "tasks": tasks,
     }
@@ -96,9 +111,18 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
 def _omitted(planned: Plan) -> list[str]:
     """What the study does not want: whole groups, other variables, and tasks."""
     graph = planned.graph
-    names = [name for name in TASKS if name in (*FITS, "trace", "claims") and name not in graph.layers]
+    names = [
+        name
+        for name in TASKS
+        if name in (*FITS, "trace", "claims") and name not in graph.layers
+    ]
     if planned.study.kind != "grid":
         return names
-    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in graph.variables}
+    groups = {v.group for v in VARIABLES.values()} - {
+        VARIABLES[v].group for v in graph.variables
+    }
     left = [v for v in VARIABLES.values() if v.name not in graph.variables]
-    return list(dict.fromkeys(v.group if v.group in groups else v.name for v in left)) + names
+    return (
+        list(dict.fromkeys(v.group if v.group in groups else v.name for v in left))
+        + names
+    )

@@ -22,7 +22,15 @@ from gaitsweep.tasks.registry import GAITS
 #: Relative radii that may be asked for.
 _LEAST, _MOST = 1e-30, 1e-6
 #: Variables read for every gait, if the archive has them.
-_VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
+_VALUES = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "kneestrike_time",
+    "period",
+    "error_bound",
+)
 _NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
 #: Events of a step in words; strikes are called so.
 _EVENTS = {"legs_pass": "the legs pass", "knee_flexes": "the knee flexes"}
@@ -32,29 +40,46 @@ _DRAW = 0
 
 def run(options: argparse.Namespace) -> int:
     """Prove what the options request and print it; returns the exit code."""
-    if (options.archive is None) == (options.walker is None) or (options.walker is None) != (options.slope is None):
-        raise StudyError("Prove either the gaits of an archive, or those of a `--walker` on a `--slope`.")
+    if (options.archive is None) == (options.walker is None) or (
+        options.walker is None
+    ) != (options.slope is None):
+        raise StudyError(
+            "Prove either the gaits of an archive, or those of a `--walker` on a `--slope`."
+        )
     for name in ("set", "gait") if options.archive else ("sample",):
         if getattr(options, name):
-            raise StudyError(f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}.")
+            raise StudyError(
+                f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}."
+            )
     parse.need_proofs(Location("", "proofs"))
     if not _LEAST <= options.accuracy <= _MOST:
-        raise Location("", "accuracy").wrong(f"must lie in [{_LEAST:g}, {_MOST:g}]", options.accuracy)
-    answer: dict[str, Any] = _of_archive(options) if options.archive else _of_walker(options)
+        raise Location("", "accuracy").wrong(
+            f"must lie in [{_LEAST:g}, {_MOST:g}]", options.accuracy
+        )
+    answer: dict[str, Any] = (
+        _of_archive(options) if options.archive else _of_walker(options)
+    )
     gaits = []
     for gait in answer["gaits"]:
         gaits.append(gait)
         if not options.json:
             print(_shown(gait), flush=True)
     if not gaits:
-        print(answer["others"] or "\n".join(answer["search"]) or "The archive holds no gait.", file=sys.stderr)
+        print(
+            answer["others"]
+            or "\n".join(answer["search"])
+            or "The archive holds no gait.",
+            file=sys.stderr,
+        )
     if options.json:
         print(json.dumps(gaits))
     return 0 if gaits and all(gait["proved"] for gait in gaits) else 1
 
 
 def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
-    """Proofs of a walker's gaits at one slope, and the search for them; numbers are the decimals written."""
+    """Proofs of a walker's gaits at one slope, and the search for them; numbers are the
+    decimals written.
+    """
     slope, gait = options.slope, options.gait
     slopes.check(float(slope))
     Location("", "gait").check_names([] if gait is None else [gait], GAITS)
@@ -69,14 +94,25 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
 def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
     """Proofs of the gaits in an archive, in its order, each with `at`, where it stands."""
     # Where joblib cannot make semaphores, proofs are made one after the other.
-    warnings.filterwarnings("ignore", ".*joblib will operate in serial mode", UserWarning)
+    warnings.filterwarnings(
+        "ignore", ".*joblib will operate in serial mode", UserWarning
+    )
     from joblib import Parallel, delayed
 
     read.probe([options.archive])
-    wanted = [{**gait, "accuracy": options.accuracy} for gait in _stored(options.archive, options.sample)]
-    parallel = Parallel(n_jobs=min(options.jobs, max(1, len(wanted))), return_as="generator", batch_size=1)
+    wanted = [
+        {**gait, "accuracy": options.accuracy}
+        for gait in _stored(options.archive, options.sample)
+    ]
+    parallel = Parallel(
+        n_jobs=min(options.jobs, max(1, len(wanted))),
+        return_as="generator",
+        batch_size=1,
+    )
     proofs = parallel(delayed(ask)("prove_stored", gait) for gait in wanted)
-    found = ({"at": gait["at"], **proof} for gait, proof in zip(wanted, proofs, strict=True))
+    found = (
+        {"at": gait["at"], **proof} for gait, proof in zip(wanted, proofs, strict=True)
+    )
     return {"gaits": found, "search": (), "others": ""}
 
 
@@ -85,27 +121,54 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
     with read.open_archive(path) as file:
         missing = [name for name in ("status", *_NEEDED) if name not in file.variables]
         if missing or "gait" not in file.dimensions:
-            raise ArchiveError(f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}.")
+            raise ArchiveError(
+                f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}."
+            )
         if "steps" in file.ncattrs():
-            raise ArchiveError(f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step.")
-        dims, names = file["status"].dimensions, [n for n in _VALUES if n in file.variables]
+            raise ArchiveError(
+                f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step."
+            )
+        dims, names = (
+            file["status"].dimensions,
+            [n for n in _VALUES if n in file.variables],
+        )
         try:
             provenance = json.loads(file.provenance)
-            tables, varied = provenance["walkers"], {key: file[key] for key in provenance["varied"]}
-            walkers = [tables[k] for k in range(file.dimensions["walker"].size if "walker" in dims else 1)]
-            lost = [key for key, values in varied.items() if not {*values.dimensions} <= {*dims}]
+            tables, varied = (
+                provenance["walkers"],
+                {key: file[key] for key in provenance["varied"]},
+            )
+            walkers = [
+                tables[k]
+                for k in range(
+                    file.dimensions["walker"].size if "walker" in dims else 1
+                )
+            ]
+            lost = [
+                key
+                for key, values in varied.items()
+                if not {*values.dimensions} <= {*dims}
+            ]
             if lost or not all(isinstance(walker, str | dict) for walker in walkers):
                 raise ValueError(lost)
         except (ValueError, LookupError, TypeError) as error:
             raise ArchiveError(f"{path} does not say which walker it is of.") from error
-        if "kneestrike_time" not in names and all(isinstance(w, dict) and w.get("knees", True) for w in walkers):
+        if "kneestrike_time" not in names and all(
+            isinstance(w, dict) and w.get("knees", True) for w in walkers
+        ):
             raise ArchiveError(
                 f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
             )
         status = np.ma.getdata(file["status"][...])
         places = np.argwhere(np.isin(status, FOUND))
         if sample is not None and sample < len(places):
-            places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
+            places = places[
+                np.sort(
+                    np.random.default_rng(_DRAW).choice(
+                        len(places), sample, replace=False
+                    )
+                )
+            ]
         coordinates = {d: file[d][...].tolist() for d in dims}
         if not np.isfinite(np.array(coordinates["slope"], float)).all():
             raise ArchiveError(f"{path} has a slope that is no number.")
@@ -113,20 +176,39 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
             place = dict(zip(dims, index, strict=True))
             at = {d: coordinates[d][i] for d, i in place.items()}
             # What an axis such as `detuning` moves is stored key by key.
-            moved = {k: float(values[tuple(place[d] for d in values.dimensions)]) for k, values in varied.items()}
+            moved = {
+                k: float(values[tuple(place[d] for d in values.dimensions)])
+                for k, values in varied.items()
+            }
             numbers = {n: float(np.ma.filled(file[n][index], np.nan)) for n in names}
             walker = walkers[place.get("walker", 0)]
-            given = {"walker": walker, "set": moved, "slope": at["slope"], "gait": at["gait"]}
+            given = {
+                "walker": walker,
+                "set": moved,
+                "slope": at["slope"],
+                "gait": at["gait"],
+            }
             yield {"at": at, **given, "values": numbers}
 
 
 def _shown(proof: Mapping[str, Any]) -> str:
     """One proof in words, on one line."""
-    at = {k: v for k, v in proof.get("at", {"slope": proof["exact_slope"]}).items() if k != "gait"}
-    head = ", ".join([f"{proof['gait'].capitalize()} gait", *(f"{key} {value}" for key, value in at.items())])
+    at = {
+        k: v
+        for k, v in proof.get("at", {"slope": proof["exact_slope"]}).items()
+        if k != "gait"
+    }
+    head = ", ".join(
+        [
+            f"{proof['gait'].capitalize()} gait",
+            *(f"{key} {value}" for key, value in at.items()),
+        ]
+    )
     if not proof["proved"]:
         return f"{head}: not proved. {proof['reason']}"
-    stable = {True: "stable", False: "unstable", None: "stability not shown"}[proof["stable"]]
+    stable = {True: "stable", False: "unstable", None: "stability not shown"}[
+        proof["stable"]
+    ]
     middle, radius = proof["box"]["stance_angle"]
     events = ", then ".join(_EVENTS.get(event, event) for event in proof["events"])
     return (

@@ -13,7 +13,9 @@ _QUIET = 2.0
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make the pages, and print the path of their index, and then that of the page of a single archive."""
+    """Make the pages, and print the path of their index, and then that of the page of a
+    single archive.
+    """
     with _pages_counted(len(options.archives)) as tell:
         page = write(options.archives, options.out, options.only, options.bundle, tell)
     index = options.out / "index.html"
@@ -35,13 +37,19 @@ def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
     def tell(made: int) -> None:
         nonlocal said, shown, first
         now = time.monotonic()
-        if not made:  # what comes before is done once: libraries are loaded, archives read
+        if (
+            not made
+        ):  # what comes before is done once: libraries are loaded, archives read
             first = now
             return
-        if now - begin > _QUIET and now - said > (0.5 if terminal.is_terminal() else 10):
+        if now - begin > _QUIET and now - said > (
+            0.5 if terminal.is_terminal() else 10
+        ):
             said, shown = now, terminal.is_terminal()
             text = f"{made} of {total} pages, {(now - first) / made * (total - made):.0f} s to go"
-            terminal.say(f"\r\033[K{text}" if shown else text, end="" if shown else "\n")
+            terminal.say(
+                f"\r\033[K{text}" if shown else text, end="" if shown else "\n"
+            )
 
     try:
         yield tell

@@ -39,15 +39,34 @@ def run(options: argparse.Namespace) -> int:
     return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
 
 
-def _after(ends: list[runner.StudyRun], unfinished: list[str], seconds: float) -> Iterator[str]:
-    """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see the results."""
-    archives, counts = [end.path for end in ends], sum((end.counts for end in ends), Counter[str]())
+def _after(
+    ends: list[runner.StudyRun], unfinished: list[str], seconds: float
+) -> Iterator[str]:
+    """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see
+    the results.
+    """
+    archives, counts = (
+        [end.path for end in ends],
+        sum((end.counts for end in ends), Counter[str]()),
+    )
     if len(archives) + len(unfinished) > 1:
-        count = f"{len(archives)} of {len(archives) + len(unfinished)}" if unfinished else f"{len(archives)}"
+        count = (
+            f"{len(archives)} of {len(archives) + len(unfinished)}"
+            if unfinished
+            else f"{len(archives)}"
+        )
         parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
         parts += [f"not run to the end: {', '.join(unfinished)}"] if unfinished else []
         yield f"{count} studies in {terminal.duration(seconds)}: {'; '.join(parts)}"
     if archives:
-        folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
-        shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
+        folder = (
+            archives[0].parent / "*.nc"
+            if len(archives) > 1 and len({p.parent for p in archives}) == 1
+            else None
+        )
+        shown = (
+            str(folder)
+            if folder
+            else " ".join(shlex.quote(str(path)) for path in archives)
+        )
         yield f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"

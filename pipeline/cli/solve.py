@@ -14,10 +14,19 @@ from gaitsweep.tasks.registry import SLOPES, VARIABLES
 
 #: Rows of a gait unless all variables are asked for.
 _FIRST = (
-    *("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "speed", "cost_of_transport"),
+    *(
+        "stance_angle",
+        "stance_rate",
+        "thigh_rate",
+        "shank_rate",
+        "period",
+        "speed",
+        "cost_of_transport",
+    ),
     *("multipliers", "violations", "error_bound"),
 )
-#: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
+#: Units in degrees for those in radians; a rate of a walker in consistent units has the
+#: unit 1.
 _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 
 
@@ -26,7 +35,9 @@ def run(options: argparse.Namespace) -> int:
     slope = math.radians(options.slope) if options.degrees else options.slope
     if options.degrees and not slopes.is_slope(slope):
         low, high = map(math.degrees, SLOPES)
-        raise StudyError(f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}.")
+        raise StudyError(
+            f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}."
+        )
     asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
     answer = solve(options.walker, slope, options.set, *asked)
     for line in answer.get("search", []):
@@ -35,30 +46,57 @@ def run(options: argparse.Namespace) -> int:
         terminal.say("Slopes in the lines above are in rad.")
     if options.json:
         # JSON has no infinite numbers; `float` reads the word.
-        gaits = [{k: "inf" if v == math.inf else v for k, v in gait.items()} for gait in answer["gaits"]]
+        gaits = [
+            {k: "inf" if v == math.inf else v for k, v in gait.items()}
+            for gait in answer["gaits"]
+        ]
         print(json.dumps(gaits, allow_nan=False))
     else:
-        print("\n".join([*_lines(answer["gaits"], answer["units"], options), *answer["absent"]]) or "no gait")
+        print(
+            "\n".join(
+                [*_lines(answer["gaits"], answer["units"], options), *answer["absent"]]
+            )
+            or "no gait"
+        )
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
-def _lines(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], options: argparse.Namespace) -> Iterator[str]:
-    """Gaits at one point, a paragraph each, with units; angles and rates in degrees if asked."""
+def _lines(
+    all_gaits: Iterable[dict[str, Any]],
+    units: dict[str, str],
+    options: argparse.Namespace,
+) -> Iterator[str]:
+    """Gaits at one point, a paragraph each, with units; angles and rates in degrees if
+    asked.
+    """
     every = options.all_variables
     digits, of_multipliers = (15, 12) if every else (6, 6)
     has_others = False
     for gait in all_gaits:
-        left_out = {"gait", "stable", "status", "contact_mass_matrix", *(() if every else gait.keys() - {*_FIRST})}
-        rows = {key: value for key, value in gait.items() if value is not None and key not in left_out}
+        left_out = {
+            "gait",
+            "stable",
+            "status",
+            "contact_mass_matrix",
+            *(() if every else gait.keys() - {*_FIRST}),
+        }
+        rows = {
+            key: value
+            for key, value in gait.items()
+            if value is not None and key not in left_out
+        }
         width = max(16, *map(len, rows))
         yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
         for key, value in rows.items():
             if key == "multipliers":
-                value = ", ".join(_multiplier(re, im, of_multipliers) for re, im in value)
+                value = ", ".join(
+                    _multiplier(re, im, of_multipliers) for re, im in value
+                )
             elif isinstance(value, float):
                 unit = units.get(key, "1")
                 if options.degrees and (
-                    key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))
+                    key == "slope"
+                    or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))
                 ):
                     value, unit = math.degrees(value), _DEGREES[unit]
                 value = f"{value:.{digits}g} {unit}".removesuffix(" 1")
@@ -73,4 +111,8 @@ def _lines(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], options: 
 def _multiplier(real: float, imaginary: float, digits: int) -> str:
     """A number, real if no digit that is shown says otherwise."""
     is_real = abs(imaginary) < 10.0**-digits * abs(real) or not imaginary
-    return f"{real:.{digits}g}" if is_real else f"{real:.{digits}g}{imaginary:+.{digits}g}j"
+    return (
+        f"{real:.{digits}g}"
+        if is_real
+        else f"{real:.{digits}g}{imaginary:+.{digits}g}j"
+    )

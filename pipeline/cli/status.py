@@ -15,23 +15,33 @@ from gaitsweep.pipeline.terminal import counted, duration
 def run(options: argparse.Namespace) -> int:
     """Print the state of every run."""
     logs = sorted(Path("data/archive").glob("*.events.jsonl"))
-    recorded = [log.with_name(log.name.removesuffix(".events.jsonl") + ".nc") for log in logs]
+    recorded = [
+        log.with_name(log.name.removesuffix(".events.jsonl") + ".nc") for log in logs
+    ]
     every = [options.archive] if options.archive else recorded
     archives = [path for _, path in studies.archives(options)] or every
     states = {path: state_of(path) for path in archives}
     record = [{"archive": str(path), **(state or {})} for path, state in states.items()]
     lines = [line for path, state in states.items() for line in _lines(path, state)]
-    kinds.show(options, record, lines or ["There is no record of a run in data/archive."])
+    kinds.show(
+        options, record, lines or ["There is no record of a run in data/archive."]
+    )
     return 0
 
 
 def state_of(path: Path) -> dict[str, Any] | None:
-    """State of the run of an archive, with `running` and, if so, its `holder`; None without a record."""
+    """State of the run of an archive, with `running` and, if so, its `holder`; None
+    without a record.
+    """
     last = last_state(sidecar_path(path, ".events.jsonl"))
     if last is None:
         return None
     holder = locks.holder(path)
-    return {**last, "running": holder is not None, **({"holder": holder} if holder else {})}
+    return {
+        **last,
+        "running": holder is not None,
+        **({"holder": holder} if holder else {}),
+    }
 
 
 def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
@@ -41,7 +51,12 @@ def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
         return
     try:
         yield from list(_described(path, run_state))
-    except (LookupError, TypeError, ValueError, AttributeError):  # of another version, or of another program
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+    ):  # of another version, or of another program
         yield f"{path}: its record of a run is not one of this version."
 
 
@@ -49,15 +64,28 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
     condition = "finished" if run_state.get("over") else "stopped"
     if run_state["running"]:
         holder = run_state.get("holder", {})
-        condition = f"running as process {holder['pid']} on {holder['host']}" if holder else "running"
-    elapsed, done = duration(run_state["elapsed"]), run_state["cached"] + run_state["done"]
+        condition = (
+            f"running as process {holder['pid']} on {holder['host']}"
+            if holder
+            else "running"
+        )
+    elapsed, done = (
+        duration(run_state["elapsed"]),
+        run_state["cached"] + run_state["done"],
+    )
     if condition == "finished":
         points = f"{counted(done, 'point')} in " if done else "in "
         yield f"{path}: finished: {points}{elapsed}"
     else:
         yield f"{path}: {condition}; {sentence(run_state)}"
-        yield f"  after {elapsed}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(
-            f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in run_state["workers"]
+        yield (
+            f"  after {elapsed}; memory {run_state['memory'] / 2**20:.0f} MiB"
+            + "".join(
+                f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB"
+                for w in run_state["workers"]
+            )
         )
     if run_state["counts"]:
-        yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(run_state["counts"].items()))
+        yield "  " + ", ".join(
+            f"{name} {n:,}" for name, n in sorted(run_state["counts"].items())
+        )

@@ -1,4 +1,6 @@
-"""`gaitsweep tune`: the nearest walker that meets the conditions of walking at vanishing slope."""
+"""`gaitsweep tune`: the nearest walker that meets the conditions of walking at
+vanishing slope.
+"""
 
 import argparse
 from collections.abc import Iterator
@@ -20,7 +22,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lines(answer: dict[str, Any]) -> Iterator[str]:
-    """Nearest tuned walker as a TOML table; changed keys and residuals of the conditions precede it as comments."""
+    """Nearest tuned walker as a TOML table; changed keys and residuals of the
+    conditions precede it as comments.
+    """
     if not answer["moved"]:
         yield "# It meets the zero-slope conditions already; no key was changed."
     for key, (old, new) in answer["moved"].items():

@@ -23,5 +23,10 @@ def run(options: argparse.Namespace) -> int:
     except ArchiveError as error:
         problems = [str(error)]
     record = {"archive": str(archive), "valid": not problems, "problems": problems}
-    kinds.show(options, record, problems or [f"{archive} is intact, complete and valid (schema {read.SCHEMA})."])
+    kinds.show(
+        options,
+        record,
+        problems
+        or [f"{archive} is intact, complete and valid (schema {read.SCHEMA})."],
+    )
     return int(bool(problems))

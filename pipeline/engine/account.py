@@ -15,7 +15,8 @@ class Account:
     start : float [s]
         Monotonic time.
     occupied, cpu, integrating : float [s]
-        Time of jobs; of it processor time of the workers, and that in compiled integrators.
+        Time of jobs; of it processor time of the workers, and that in compiled
+        integrators.
     memory : int [byte]
         Largest resident memory of a worker after a job.
     """
@@ -46,9 +47,10 @@ class Account:
         Returns
         -------
         dict
-            `workers_cpu`, `integrators`, `python`: processor time of the workers for this study, in compiled
-            integrators and functions of a step, and outside [s]; `parent_cpu` [s], `workers_idle` (share of their
-            time) and peaks of memory [byte], of all studies of the command until this one was finished.
+            `workers_cpu`, `integrators`, `python`: processor time of the workers for
+            this study, in compiled integrators and functions of a step, and outside
+            [s]; `parent_cpu` [s], `workers_idle` (share of their time) and peaks of
+            memory [byte], of all studies of the command until this one was finished.
         """
         elapsed = time.monotonic() - whole.start
         return {
@@ -56,7 +58,9 @@ class Account:
             "integrators": round(self.integrating, 3),
             "python": round(max(0.0, self.cpu - self.integrating), 3),
             "parent_cpu": round(time.process_time(), 3),
-            "workers_idle": round(max(0.0, 1 - whole.occupied / max(jobs * elapsed, 1e-9)), 4),
+            "workers_idle": round(
+                max(0.0, 1 - whole.occupied / max(jobs * elapsed, 1e-9)), 4
+            ),
             "parent_memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
             "worker_memory": whole.memory,
         }

@@ -13,7 +13,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gaitsweep.pipeline.archive.provenance import software
-from gaitsweep.pipeline.errors import StudyError, WorkerError, described, reached_limit, unwritten
+from gaitsweep.pipeline.errors import (
+    StudyError,
+    WorkerError,
+    described,
+    reached_limit,
+    unwritten,
+)
 
 #: Interval of counting the workers [s].
 RECOUNT = 5.0
@@ -21,8 +27,13 @@ RECOUNT = 5.0
 PATIENCE = 300.0
 _Result = TypeVar("_Result")
 _LOOK = 0.1  # interval of looking for a signal [s]
-_TIMEOUT = 20  # time to find the scheduler and a first worker, and for which workers may take to load gaitsweep [s]
-_ANSWER, _CLOSING = 5.0, 2  # time for a scheduler to count its workers, and to take leave of a client [s]
+# Time to find the scheduler and a first worker, and for which workers may take to load
+# gaitsweep [s].
+_TIMEOUT = 20
+_ANSWER, _CLOSING = (
+    5.0,
+    2,
+)  # time for a scheduler to count its workers, and to take leave of a client [s]
 
 
 def _never() -> None:
@@ -31,7 +42,8 @@ def _never() -> None:
 
 @contextlib.contextmanager
 def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
-    """Connect to the scheduler at `address`, or to N workers in this process for "local:N".
+    """Connect to the scheduler at `address`, or to N workers in this process for
+    "local:N".
 
     Parameters
     ----------
@@ -48,35 +60,51 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
     """
     local = re.fullmatch(r"local:([1-9][0-9]{0,2})", address)
     if not local and not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:[0-9]{1,5}", address):
-        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}.")
+        raise StudyError(
+            f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}."
+        )
     try:
         import distributed
     except ImportError as error:
-        raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
+        raise StudyError(
+            '`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".'
+        ) from error
     # Their messages are replaced by one line of this package.
     for name in list(logging.root.manager.loggerDict):
         if name.startswith(("distributed", "tornado", "asyncio")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     if address.startswith(("tls:", "wss:")) and not _has_certificates():
         # Without them a client hangs on closing.
-        raise StudyError(f"`--cluster` {address} needs certificates in dask's configuration, distributed.comm.tls.")
+        raise StudyError(
+            f"`--cluster` {address} needs certificates in dask's configuration, distributed.comm.tls."
+        )
 
     with contextlib.ExitStack() as stack:
         hook = sys.unraisablehook
         stack.callback(setattr, sys, "unraisablehook", hook)
-        sys.unraisablehook = lambda error: None if _is_of_distributed(error.object) else hook(error)
+        sys.unraisablehook = lambda error: (
+            None if _is_of_distributed(error.object) else hook(error)
+        )
         try:
-            place = stack.enter_context(_in_process(int(local[1]))) if local else address
+            place = (
+                stack.enter_context(_in_process(int(local[1]))) if local else address
+            )
             options: dict[str, Any] = {"timeout": _TIMEOUT, "set_as_default": False}
-            client: Any = _patiently(lambda: distributed.Client(place, **options), check)
+            client: Any = _patiently(
+                lambda: distributed.Client(place, **options), check
+            )
             stack.callback(client.close, _CLOSING)
             _patiently(lambda: client.wait_for_workers(1, timeout=_TIMEOUT), check)
         except (OSError, TimeoutError, RuntimeError) as error:
             if limit := reached_limit(error):
                 raise unwritten(Path(), limit) from error
             if local:
-                raise WorkerError(f"The workers of {address} cannot be started: {described(error)}.") from error
-            raise WorkerError(f"No cluster with a worker answers at {address}.") from error
+                raise WorkerError(
+                    f"The workers of {address} cannot be started: {described(error)}."
+                ) from error
+            raise WorkerError(
+                f"No cluster with a worker answers at {address}."
+            ) from error
         yield client
 
 
@@ -84,7 +112,8 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
 def _in_process(n: int) -> Iterator[Any]:
     """A scheduler and `n` workers of one thread in this process, which open no port.
 
-    Whoever reached one could run code as this user. Each worker's jobs run in a process of their own as elsewhere.
+    Whoever reached one could run code as this user. Each worker's jobs run in a process
+    of their own as elsewhere.
     """
     import distributed
 
@@ -100,7 +129,9 @@ def _in_process(n: int) -> Iterator[Any]:
     # Each worker would measure the memory of the whole process.
     worker = {"cls": Worker, "options": {**shared, "nthreads": 1, "memory_limit": 0}}
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address")  # there may be no network
+        warnings.filterwarnings(
+            "ignore", "Couldn't detect a suitable IP address"
+        )  # there may be no network
         cluster = distributed.SpecCluster(
             workers=dict.fromkeys(range(n), worker),
             scheduler={"cls": Scheduler, "options": shared},
@@ -110,8 +141,12 @@ def _in_process(n: int) -> Iterator[Any]:
         yield cluster
 
 
-def _patiently(call: Callable[[], _Result], check: Callable[[], None], most: float = float("inf")) -> _Result | None:
-    """Result of a call that may never return, made in another thread while `check` is called; None after `most` s."""
+def _patiently(
+    call: Callable[[], _Result], check: Callable[[], None], most: float = float("inf")
+) -> _Result | None:
+    """Result of a call that may never return, made in another thread while `check` is
+    called; None after `most` s.
+    """
     answer: futures.Future[_Result] = futures.Future()
 
     def run() -> None:
@@ -165,7 +200,8 @@ class Team:
         self._is_told = False
 
     def count(self) -> str:
-        """Count the workers if it is time; a sentence if none is left and the run waits.
+        """Count the workers if it is time; a sentence if none is left and the run
+        waits.
 
         Raises
         ------
@@ -190,25 +226,32 @@ class Team:
         return f"The cluster has no worker; the run waits {PATIENCE:g} s for one."
 
     def _try(self, addresses: list[str]) -> None:
-        """Have new workers load gaitsweep: one that cannot would end at its first job without a word."""
+        """Have new workers load gaitsweep: one that cannot would end at its first job
+        without a word.
+        """
         if not addresses:
             return
 
         def answers() -> dict[str, Any]:
             return dict(self.client.run(software, workers=addresses, on_error="return"))
 
-        for address, answer in (_patiently(answers, self.check, _TIMEOUT) or {}).items():
+        for address, answer in (
+            _patiently(answers, self.check, _TIMEOUT) or {}
+        ).items():
             if isinstance(answer, OSError):  # it has left meanwhile
                 continue
             if isinstance(answer, Exception):
-                raise WorkerError(f"The cluster's worker at {address} cannot load gaitsweep: {described(answer)}.")
+                raise WorkerError(
+                    f"The cluster's worker at {address} cannot load gaitsweep: {described(answer)}."
+                )
             self._tried.add(address)
 
 
 def results(
     team: Team, run: Callable[..., _Result], take: Callable[[], tuple[Any, ...] | None]
 ) -> Generator[_Result | str, None, None]:
-    """Run jobs on the cluster and yield their results as they arrive; each worker has a second one waiting.
+    """Run jobs on the cluster and yield their results as they arrive; each worker has a
+    second one waiting.
 
     Sentences come between them, for who waits.
 

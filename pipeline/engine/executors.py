@@ -1,4 +1,6 @@
-"""Executors: worker processes on this computer, each guarded by a thread, or the same guards on cluster nodes."""
+"""Executors: worker processes on this computer, each guarded by a thread, or the same
+guards on cluster nodes.
+"""
 
 import contextlib
 import platform
@@ -20,9 +22,11 @@ _Results = Generator[tuple[int, dict[str, Any]] | str, None, None]
 
 @dataclass
 class Engine:
-    """Executor of jobs: `jobs` worker processes, or the cluster at `address` ("local:4" starts one).
+    """Executor of jobs: `jobs` worker processes, or the cluster at `address` ("local:4"
+    starts one).
 
-    `check` is called while nothing comes from a cluster; what it raises ends the wait. `account` is of all studies.
+    `check` is called while nothing comes from a cluster; what it raises ends the wait.
+    `account` is of all studies.
     """
 
     jobs: int = 2
@@ -32,24 +36,40 @@ class Engine:
 
     @contextlib.contextmanager
     def parallel(self) -> Iterator[Callable[[Callable[[], bool], _Take], _Results]]:
-        """Provide a function that runs numbered requests and yields their numbered results as they arrive.
+        """Provide a function that runs numbered requests and yields their numbered
+        results as they arrive.
 
-        Between them come sentences on what it waits for. Its arguments tell whether there is a request, and take the
-        most urgent. The results must be closed inside.
+        Between them come sentences on what it waits for. Its arguments tell whether
+        there is a request, and take the most urgent. The results must be closed inside.
         """
         if self.address is None:
-            options = {"backend": "threading", "return_as": "generator_unordered", "batch_size": 1}
+            options = {
+                "backend": "threading",
+                "return_as": "generator_unordered",
+                "batch_size": 1,
+            }
             with warnings.catch_warnings():
                 # It is said in the words of this package.
-                warnings.filterwarnings("ignore", ".*joblib will operate in serial mode", UserWarning)
-                # A run that is stopped says so itself; joblib would report the tasks that end with it.
-                warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
+                warnings.filterwarnings(
+                    "ignore", ".*joblib will operate in serial mode", UserWarning
+                )
+                # A run that is stopped says so itself; joblib would report the tasks
+                # that end with it.
+                warnings.filterwarnings(
+                    "ignore",
+                    r"\d+ tasks (which were|have been) ",
+                    UserWarning,
+                    "joblib",
+                )
                 import joblib
 
-                # Joblib has no threads where it cannot make semaphores, though they need none.
+                # Joblib has no threads where it cannot make semaphores, though they
+                # need none.
                 is_serial = self.jobs > 1 and joblib.effective_n_jobs(self.jobs) == 1
                 self.jobs = 1 if is_serial else self.jobs
-                with joblib.Parallel(self.jobs, pre_dispatch=self.jobs, **options) as parallel:
+                with joblib.Parallel(
+                    self.jobs, pre_dispatch=self.jobs, **options
+                ) as parallel:
 
                     def here(is_there: Callable[[], bool], take: _Take) -> _Results:
                         nonlocal is_serial
@@ -57,7 +77,10 @@ class Engine:
                             yield "One worker computes at a time: /dev/shm cannot be written."
                             is_serial = False
                         # Joblib looks ahead: a job is chosen when a worker begins it.
-                        calls = (joblib.delayed(_run_next)(take) for _ in iter(is_there, False))
+                        calls = (
+                            joblib.delayed(_run_next)(take)
+                            for _ in iter(is_there, False)
+                        )
                         yield from filter(None, parallel(calls))
 
                     yield here
@@ -83,8 +106,11 @@ def _run_next(take: _Take) -> tuple[int, dict[str, Any]] | None:
     return worker_process.run(*job) if job else None
 
 
-def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Request) -> tuple[int, dict[str, Any]]:
-    """Run a numbered request on a cluster node; numbers of other software must not be archived as the run's own.
+def _run_elsewhere(
+    software_of_run: dict[str, str], number: int, request: Request
+) -> tuple[int, dict[str, Any]]:
+    """Run a numbered request on a cluster node; numbers of other software must not be
+    archived as the run's own.
 
     Raises
     ------
@@ -93,5 +119,7 @@ def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Reques
     """
     for name, version in software().items():
         if version != (wanted := software_of_run.get(name)):
-            raise WorkerError(f"The cluster's worker on {platform.node()} has {name} {version}; the run has {wanted}.")
+            raise WorkerError(
+                f"The cluster's worker on {platform.node()} has {name} {version}; the run has {wanted}."
+            )
     return worker_process.run(number, request)

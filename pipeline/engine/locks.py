@@ -40,16 +40,32 @@ def lock_archive(path: Path) -> Iterator[None]:
         except (BlockingIOError, PermissionError) as error:
             name = "its process is not known yet."
             with contextlib.suppress(KeyError):
-                name = "process {pid} on {host}, started {started}.".format_map(_holder(file))
+                name = "process {pid} on {host}, started {started}.".format_map(
+                    _holder(file)
+                )
             raise BusyError(f"{path} is held by another run: {name}") from error
         except OSError as error:  # as on some network disks
-            raise ArchiveError(f"{path} cannot be locked: its disk has no locks; choose another folder.") from error
-        for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
+            raise ArchiveError(
+                f"{path} cannot be locked: its disk has no locks; choose another folder."
+            ) from error
+        for file_path in (
+            path.resolve(),
+            sidecar_path(path, ".journal"),
+            sidecar_path(path, ".run.json"),
+        ):
             paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()
         started = time.strftime("%Y-%m-%d %H:%M:%S")
-        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started, "drafts": paths.SECRET}, file)
+        json.dump(
+            {
+                "pid": os.getpid(),
+                "host": platform.node(),
+                "started": started,
+                "drafts": paths.SECRET,
+            },
+            file,
+        )
         file.flush()
         yield
 

@@ -1,4 +1,6 @@
-"""Run studies from their locks to their archives: journal, plan, execution, archive and the record of the run."""
+"""Run studies from their locks to their archives: journal, plan, execution, archive and
+the record of the run.
+"""
 
 import contextlib
 import json
@@ -13,7 +15,12 @@ from typing import Any
 
 from gaitsweep.pipeline import dispatch, paths, terminal
 from gaitsweep.pipeline.archive import read, result_tables, write
-from gaitsweep.pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
+from gaitsweep.pipeline.archive.provenance import (
+    check_same_study,
+    code_digest,
+    cpu_features,
+    version,
+)
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.executors import Engine
 from gaitsweep.pipeline.engine.jobs import Jobs
@@ -21,7 +28,14 @@ from gaitsweep.pipeline.engine.locks import lock_archive
 from gaitsweep.pipeline.engine.progress import Display, Progress
 from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
-from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
+from gaitsweep.pipeline.errors import (
+    ArchiveError,
+    DiskFullError,
+    StoppedError,
+    StudyError,
+    reached_limit,
+    unwritten,
+)
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.paths import sidecar_path
@@ -31,7 +45,9 @@ from gaitsweep.pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
 _MAX_REPAIRS = 3  # damages of a journal in one run before it is given up
-_MIN_BYTES = 0.005  # per packed number in an archive: 16,384 equal ones take 104 bytes at best
+_MIN_BYTES = (
+    0.005  # per packed number in an archive: 16,384 equal ones take 104 bytes at best
+)
 _MAX_REASONS = 10  # reasons listed at the end of a run
 _SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
@@ -51,9 +67,12 @@ class Options:
 
 
 def run(
-    targets: Sequence[tuple[Study, Path]], options: Options, report: Callable[[Exception], None] | None = None
+    targets: Sequence[tuple[Study, Path]],
+    options: Options,
+    report: Callable[[Exception], None] | None = None,
 ) -> list["StudyRun"]:
-    """Run studies into archives, all as one graph; one that fails does not end the others.
+    """Run studies into archives, all as one graph; one that fails does not end the
+    others.
 
     Parameters
     ----------
@@ -61,7 +80,8 @@ def run(
         Studies and the paths of their archives.
     options : Options
     report : callable, optional
-        Receives the error of each study that ends with one; a signal is reported once. By default the first is raised.
+        Receives the error of each study that ends with one; a signal is reported once.
+        By default the first is raised.
 
     Returns
     -------
@@ -71,11 +91,17 @@ def run(
     Raises
     ------
     GaitsweepError
-        If a study cannot start or continue, and `report` is not given; finished results are kept.
+        If a study cannot start or continue, and `report` is not given; finished results
+        are kept.
     """
-    dispatch.resolve("gaitsweep.tasks.mechanics.compile_cache:usable_folder")()  # here it can say why it is not used
+    dispatch.resolve(
+        "gaitsweep.tasks.mechanics.compile_cache:usable_folder"
+    )()  # here it can say why it is not used
     errors: list[Exception] = []
-    studies = [StudyRun(study, path, options, report or errors.append) for study, path in targets]
+    studies = [
+        StudyRun(study, path, options, report or errors.append)
+        for study, path in targets
+    ]
     signals = Signals()
     with contextlib.ExitStack() as stack:
         stack.callback(signals.restore)
@@ -97,7 +123,9 @@ def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
     """Run what the studies lack, each opened when there is room for its jobs."""
     engine = Engine(options.jobs, options.cluster, signals.check)
     waiting, by_jobs = deque(studies), dict[Jobs, StudyRun]()
-    points = [study.study.points if study.study.kind == "grid" else 0 for study in studies]
+    points = [
+        study.study.points if study.study.kind == "grid" else 0 for study in studies
+    ]
     with contextlib.ExitStack() as stack:
         stack.callback(worker_process.close_all)
         display = stack.enter_context(Display(points, options.quiet))
@@ -127,11 +155,18 @@ def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
 
 
 def _check_room(study: Study, path: Path) -> None:
-    """Refuse a grid whose archive the disk cannot hold, however few gaits exist and however well they are packed."""
-    needed, free = _MIN_BYTES * study.points * len(variables(study)), shutil.disk_usage(path.parent).free
+    """Refuse a grid whose archive the disk cannot hold, however few gaits exist and
+    however well they are packed.
+    """
+    needed, free = (
+        _MIN_BYTES * study.points * len(variables(study)),
+        shutil.disk_usage(path.parent).free,
+    )
     if study.kind == "grid" and needed > free:
         room = f"in {path.parent} {free / 1e9:,.1f} are free"
-        raise DiskFullError(f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {room}.")
+        raise DiskFullError(
+            f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {room}."
+        )
 
 
 class StudyRun:
@@ -158,7 +193,13 @@ class StudyRun:
         Points, or lines, by outcome, once it is finished.
     """
 
-    def __init__(self, study: Study, path: Path, options: Options, report: Callable[[Exception], None]):
+    def __init__(
+        self,
+        study: Study,
+        path: Path,
+        options: Options,
+        report: Callable[[Exception], None],
+    ):
         self.study, self.path, self.options, self.report = study, path, options, report
         self.is_open, self.is_over = False, False
         self.code, self.counts = 1, Counter[str]()
@@ -180,7 +221,10 @@ class StudyRun:
     def _open(self) -> None:
         """Lock the archive, and with `fresh` forget earlier results."""
         self._clock = time.monotonic()
-        self._record |= {"began": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "cpu": cpu_features()}
+        self._record |= {
+            "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "cpu": cpu_features(),
+        }
         self.path.parent.mkdir(parents=True, exist_ok=True)
         _check_room(self.study, self.path)
         read.check_replaceable(self.path)
@@ -194,7 +238,8 @@ class StudyRun:
             forget(sidecar_path(self.path, ".journal"))
 
     def begin(self, engine: Engine, signals: Signals) -> Jobs | None:
-        """Open the study, compare it with its journal, and lay out the jobs that are missing.
+        """Open the study, compare it with its journal, and lay out the jobs that are
+        missing.
 
         None if this ends it, or its journal was damaged and is repaired.
         """
@@ -203,10 +248,14 @@ class StudyRun:
             if not self.is_open:
                 self._open()
             self._store = Store(sidecar_path(self.path, ".journal"))
-            plan = Plan(self.study, self._store, self.options.retry_failed, signals.check)
+            plan = Plan(
+                self.study, self._store, self.options.retry_failed, signals.check
+            )
             todo = summary(plan)
             log = sidecar_path(self.path, ".events.jsonl")
-            self.progress = progress = Progress(plan, todo, log, engine, self.options.quiet, self.options.verbose)
+            self.progress = progress = Progress(
+                plan, todo, log, engine, self.options.quiet, self.options.verbose
+            )
             progress.begin()
             _warn_of_changed_code(plan, todo, progress)
             listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
@@ -225,7 +274,11 @@ class StudyRun:
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptStoreError(jobs.store.path)
             failures = result_tables.failed(jobs.plan)
-            failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
+            failed = [
+                f"{name}: {outcome}; {reason}"
+                for name, outcome, reason in failures
+                if name != self.study.kind
+            ]
             self._record |= {
                 "account": jobs.account.record(jobs.engine.account, jobs.engine.jobs),
                 "points": sum(written.counts.values()),
@@ -251,7 +304,9 @@ class StudyRun:
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """End the study with an error raised inside, unless it repairs its journal, and is to be planned again."""
+        """End the study with an error raised inside, unless it repairs its journal, and
+        is to be planned again.
+        """
         try:
             try:
                 yield
@@ -269,18 +324,25 @@ class StudyRun:
             raise ArchiveError(f"{journal} cannot be repaired; run again with --fresh.")
         repair(journal)
         if not self.options.quiet:
-            terminal.say(f"{journal} was damaged; it is repaired, and lost results are computed again.")
+            terminal.say(
+                f"{journal} was damaged; it is repaired, and lost results are computed again."
+            )
 
     def end(self, error: Exception | None, quietly: bool = False) -> None:
         """Write the record of the run and unlock the archive."""
         self.pause()
-        if error and (system := error if isinstance(error, OSError) else reached_limit(error)):
+        if error and (
+            system := error if isinstance(error, OSError) else reached_limit(error)
+        ):
             error = unwritten(self.path, system)
         if error:
             self.code = getattr(error, "exit_code", StudyError.exit_code)
             self._record["error"] = str(error)
         if self.is_open:
-            self._record |= {"exit_code": self.code, "seconds": round(time.monotonic() - self._clock, 3)}
+            self._record |= {
+                "exit_code": self.code,
+                "seconds": round(time.monotonic() - self._clock, 3),
+            }
             record = sidecar_path(self.path, ".run.json")
             try:
                 _write_record(record, self._record)
@@ -301,8 +363,13 @@ class StudyRun:
 def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None:
     """Warn if the code of `tasks` changed since results were stored and no version did."""
     stored_digest, digest = plan.store.note("code"), code_digest()
-    versions = json.dumps({name: layer.task.version for name, layer in plan.graph.layers.items()}, sort_keys=True)
-    has_changed = stored_digest not in (None, digest) and plan.store.note("versions") == versions
+    versions = json.dumps(
+        {name: layer.task.version for name, layer in plan.graph.layers.items()},
+        sort_keys=True,
+    )
+    has_changed = (
+        stored_digest not in (None, digest) and plan.store.note("versions") == versions
+    )
     if has_changed and any(todo.cached.values()):
         progress.say(
             "The code of `tasks` has changed since some of these results were stored, its versions have not; "
@@ -313,7 +380,9 @@ def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None
 
 
 class _Snapshots:
-    """Passes events on to the progress, and publishes the archive of a long run from time to time."""
+    """Passes events on to the progress, and publishes the archive of a long run from
+    time to time.
+    """
 
     def __init__(self, plan: Plan, path: Path, every: float, progress: Progress):
         self.plan, self.path, self.progress = plan, path, progress
@@ -329,20 +398,35 @@ class _Snapshots:
             try:
                 write.write(self.plan, self.path)
             except DiskFullError as error:  # the journal may grow yet
-                self.progress.say(f"The archive is not published before the end: {error}")
+                self.progress.say(
+                    f"The archive is not published before the end: {error}"
+                )
         duration = time.monotonic() - began
         self.next = time.monotonic() + max(self.every, _SNAPSHOT_PAUSE * duration)
 
 
-def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:
+def _summarise(
+    plan: Plan,
+    progress: Progress,
+    written: write.Written,
+    failed: list[str],
+    path: Path,
+) -> None:
     what = "point" if plan.study.kind == "grid" else "line"
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
-    took, n = terminal.duration(time.monotonic() - progress.start), sum(written.counts.values())
-    progress.say(f"{plan.study.name}: {terminal.counted(n, what)} ({by_status}) in {took}; {path}")
+    took, n = (
+        terminal.duration(time.monotonic() - progress.start),
+        sum(written.counts.values()),
+    )
+    progress.say(
+        f"{plan.study.name}: {terminal.counted(n, what)} ({by_status}) in {took}; {path}"
+    )
     for reason, n in written.failures.most_common(_MAX_REASONS):
         progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
     if len(written.failures) > _MAX_REASONS:
-        progress.say(f"  ... and {len(written.failures) - _MAX_REASONS:,} more reasons: see reason_text in the archive")
+        progress.say(
+            f"  ... and {len(written.failures) - _MAX_REASONS:,} more reasons: see reason_text in the archive"
+        )
     for sentence in failed:
         progress.say(f"  {sentence}")
 

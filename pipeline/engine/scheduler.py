@@ -1,8 +1,8 @@
 """The order in which the jobs of all studies of a command run.
 
-The ready jobs of all studies are one finite iterator, which joblib or a cluster runs; it is made anew while there are
-ready jobs.
-Results are recorded as they arrive, and between them a signal is looked for.
+The ready jobs of all studies are one finite iterator, which joblib or a cluster runs;
+it is made anew while there are ready jobs. Results are recorded as they arrive, and
+between them a signal is looked for.
 """
 
 import contextlib
@@ -22,9 +22,14 @@ from gaitsweep.pipeline.graph.graph import Node
 
 #: Studies whose files are open at a time, five each.
 MOST_OPEN = 32
-_MOST_KEPT, _KEPT_BYTES = 64, 1 << 20  # results that studies which begin later may want, and the largest [byte]
+_MOST_KEPT, _KEPT_BYTES = (
+    64,
+    1 << 20,
+)  # results that studies which begin later may want, and the largest [byte]
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
-_PATIENCE = 1.0  # longest time for which a thread waits until its result is recorded [s]
+_PATIENCE = (
+    1.0  # longest time for which a thread waits until its result is recorded [s]
+)
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
 _Begin = Callable[[], Jobs | None]
 _Finish = Callable[[Jobs], None]
@@ -41,7 +46,8 @@ class Scheduler:
     finish : callable, optional
         Called with each study when no job of it is left, while the others go on.
     begin : callable, optional
-        Called while fewer than `MOST_OPEN` studies are open; returns the jobs of another, None if none is left.
+        Called while fewer than `MOST_OPEN` studies are open; returns the jobs of
+        another, None if none is left.
     """
 
     def __init__(
@@ -56,14 +62,27 @@ class Scheduler:
         self.finish, self.begin = finish, begin
         self.running: dict[int, tuple[Jobs, Node]] = {}
         self._numbers = itertools.count()
-        self._wanted: dict[Jobs, set[str]] = {}  # by open study, if there is more than one in the command
-        self._kept: OrderedDict[str, tuple[str, Node, bytes]] = OrderedDict()  # results, and the keys that want them
-        self._are_several, self._are_left = len(studies) > 1, False  # studies; some that are to begin
-        self._held: dict[str, list[tuple[Jobs, Node]]] = {}  # jobs whose result another study is computing
+        self._wanted: dict[
+            Jobs, set[str]
+        ] = {}  # by open study, if there is more than one in the command
+        self._kept: OrderedDict[str, tuple[str, Node, bytes]] = (
+            OrderedDict()
+        )  # results, and the keys that want them
+        self._are_several, self._are_left = (
+            len(studies) > 1,
+            False,
+        )  # studies; some that are to begin
+        self._held: dict[
+            str, list[tuple[Jobs, Node]]
+        ] = {}  # jobs whose result another study is computing
         self._compiling: int | None = None  # number of the first job with knees
-        self._lock = threading.RLock()  # jobs are taken by a thread of the executor, and their results recorded by ours
+        # Jobs are taken by a thread of the executor, and their results recorded by
+        # ours.
+        self._lock = threading.RLock()
         self._recorded = threading.Condition(self._lock)
-        self._latest: dict[int, int] = {}  # number of the job that each other thread has taken
+        self._latest: dict[
+            int, int
+        ] = {}  # number of the job that each other thread has taken
         self._thread = threading.get_ident()  # which records
         self._welcome()
 
@@ -87,7 +106,9 @@ class Scheduler:
                 with self.engine.parallel() as parallel:
                     while self._has_jobs():
                         self.signals.check()
-                        with contextlib.closing(parallel(self._has_jobs, self._next)) as results:
+                        with contextlib.closing(
+                            parallel(self._has_jobs, self._next)
+                        ) as results:
                             for answer in results:
                                 self.signals.check()
                                 if isinstance(answer, str):
@@ -103,7 +124,9 @@ class Scheduler:
                 broken += 1
                 message = described(error)
                 if broken > _MAX_RETRIES:
-                    raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
+                    raise WorkerError(
+                        f"Workers cannot be kept alive: {message}."
+                    ) from error
                 self._tell({"error": message})
                 time.sleep(broken)
                 with self._lock:
@@ -118,9 +141,14 @@ class Scheduler:
             study.listen("engine", details)
 
     def _ready(self) -> list[tuple[Jobs, Node]]:
-        """The next job of each study; none if results are read more slowly than they arrive: joblib would keep all."""
+        """The next job of each study; none if results are read more slowly than they
+        arrive: joblib would keep all.
+        """
         with self._lock:
-            if len(self.running) >= _JOBS_PER_WORKER * self.engine.jobs or self.signals.received:
+            if (
+                len(self.running) >= _JOBS_PER_WORKER * self.engine.jobs
+                or self.signals.received
+            ):
                 return []
             return [(study, node) for study in self.studies if (node := study.peek())]
 
@@ -130,13 +158,22 @@ class Scheduler:
     def _next(self) -> tuple[int, Request] | None:
         """Number and request of the most urgent job; None if there is none.
 
-        The most urgent job of a thread may be one that waits for the result that it has just brought.
+        The most urgent job of a thread may be one that waits for the result that it has
+        just brought.
         """
         with self._lock:
             me = threading.get_ident()
-            self._recorded.wait_for(lambda: not self._is_awaited(self._latest.get(me, -1)), _PATIENCE)
+            self._recorded.wait_for(
+                lambda: not self._is_awaited(self._latest.get(me, -1)), _PATIENCE
+            )
             while ready := self._ready():
-                study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
+                study, _ = max(
+                    ready,
+                    key=lambda pair: (
+                        not self._waits(pair[0]),
+                        pair[0].seconds(pair[1]),
+                    ),
+                )
                 taken = study.take()
                 if taken is None:
                     continue
@@ -163,9 +200,11 @@ class Scheduler:
         return study.awaits(node)
 
     def _waits(self, study: Jobs) -> bool:
-        """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
+        """Whether other studies go first, until one worker has compiled the equations
+        of knees, and all may load them.
 
-        Where there is no cached code it takes a quarter of a minute; other equations take a few seconds.
+        Where there is no cached code it takes a quarter of a minute; other equations
+        take a few seconds.
         """
         return study.has_knees and self._compiling in self.running
 
@@ -174,16 +213,24 @@ class Scheduler:
             study, node = self.running.pop(number)
             study.record(node, result)
             for other, held in self._held.pop(node.key.key, ()):
-                other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
+                other.put_back(
+                    held
+                )  # limits of studies differ; a result that is copied is not computed again
             if self._are_several and result.get("outcome") == "ok":
                 self._share(study, node, result["data"])
             self._recorded.notify_all()
         self._fill()
 
     def _share(self, study: Jobs, node: Node, data: bytes) -> None:
-        """Copy a result to the other studies that want it, and keep it for those that are to begin."""
+        """Copy a result to the other studies that want it, and keep it for those that
+        are to begin.
+        """
         # Who wants the charts of a plane wants those of its boxes.
-        wanting = study.graph.line_keys(node.line)["charts"] if node.line is not None and node.box else node.key
+        wanting = (
+            study.graph.line_keys(node.line)["charts"]
+            if node.line is not None and node.box
+            else node.key
+        )
         for other, wanted in self._wanted.items():
             if wanting.key in wanted and other is not study:
                 other.copy(node, data)

@@ -10,13 +10,17 @@ from typing import Any
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.errors import StoppedError
 
-_ONE = 1.0  # signals within this time count once: `timeout` sends it to its command and again to the group [s]
+# Signals within this time count once: `timeout` sends it to its command and again to
+# the group [s].
+_ONE = 1.0
 
 
 class Signals:
-    """INT, TERM or HUP end the workers, so that results come at once, and set `received`; a second one kills.
+    """INT, TERM or HUP end the workers, so that results come at once, and set
+    `received`; a second one kills.
 
-    The run looks at it between results. Signals that were ignored at the start, as under `nohup`, stay ignored.
+    The run looks at it between results. Signals that were ignored at the start, as
+    under `nohup`, stay ignored.
     """
 
     def __init__(self) -> None:
@@ -24,7 +28,8 @@ class Signals:
         self._handlers: dict[int, Any] = {}
 
     def handle(self) -> None:
-        """Handle signals until `restore`, so that a repeat does not keep a run from reporting how it ended.
+        """Handle signals until `restore`, so that a repeat does not keep a run from
+        reporting how it ended.
 
         Only the main thread can.
         """
@@ -36,7 +41,9 @@ class Signals:
             }
 
     def restore(self) -> None:
-        """Leave signals to their earlier handlers; after one, another run may have workers."""
+        """Leave signals to their earlier handlers; after one, another run may have
+        workers.
+        """
         if self.received:
             worker_process.close_all()
         for signum, handler in self._handlers.items():
@@ -52,7 +59,9 @@ class Signals:
         """
         if self.received:
             name = signal.Signals(self.received).name
-            raise StoppedError(self.received, f"Stopped by {name}; finished results are kept.") from None
+            raise StoppedError(
+                self.received, f"Stopped by {name}; finished results are kept."
+            ) from None
 
     def _receive(self, signum: int, frame: FrameType | None) -> None:
         if self.received:

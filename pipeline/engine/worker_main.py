@@ -1,6 +1,7 @@
 """Program of a worker process, which answers requests.
 
-Started as `python -m gaitsweep.pipeline.engine.worker_main PARENT CONNECTION` by `worker_process`.
+Started as `python -m gaitsweep.pipeline.engine.worker_main PARENT CONNECTION` by
+`worker_process`.
 """
 
 from __future__ import annotations
@@ -27,7 +28,9 @@ _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
 
 
 def serve(parent: int, number: int) -> None:
-    """Answer requests of the process `parent` over a connection, until it closes that or ends."""
+    """Answer requests of the process `parent` over a connection, until it closes that
+    or ends.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -65,7 +68,13 @@ def serve(parent: int, number: int) -> None:
         connection.send(("started", memory))
         outcome, result = _answer(function, params, inputs, request.packing)
         before, used = used, (time.process_time(), _integrating())
-        connection.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
+        connection.send(
+            (
+                outcome,
+                tuple(now - then for now, then in zip(used, before, strict=True)),
+                result,
+            )
+        )
 
 
 def _integrating() -> float:
@@ -74,22 +83,34 @@ def _integrating() -> float:
 
 
 def _limit_memory(growth: int) -> None:
-    """Limit the growth of this process [byte]; the parent, which samples its memory, ends it well before."""
+    """Limit the growth of this process [byte]; the parent, which samples its memory,
+    ends it well before.
+    """
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = _pages(5) + growth + _SLACK
-    resource.setrlimit(resource.RLIMIT_DATA, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+    resource.setrlimit(
+        resource.RLIMIT_DATA,
+        (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard),
+    )
 
 
 def _pages(field: int) -> int:
-    """Memory of this process [byte]: field 1 of `/proc/self/statm` is resident memory, 5 is data."""
+    """Memory of this process [byte]: field 1 of `/proc/self/statm` is resident memory,
+    5 is data.
+    """
     with open("/proc/self/statm") as file:
         return int(file.read().split()[field]) * resource.getpagesize()
 
 
 def _answer(
-    function: Callable[..., Any], params: dict[str, Any], inputs: list[Any], packing: Packing | None = None
+    function: Callable[..., Any],
+    params: dict[str, Any],
+    inputs: list[Any],
+    packing: Packing | None = None,
 ) -> tuple[str, Any]:
-    """How a task ended, and its result; of a chunk head and payload of its record, and the atlases of its lines."""
+    """How a task ended, and its result; of a chunk head and payload of its record, and
+    the atlases of its lines.
+    """
     from gaitsweep.pipeline import serialize
 
     try:
@@ -99,10 +120,15 @@ def _answer(
         from gaitsweep.pipeline.store.record import Points, pack
 
         atlases = [atlas for atlas, _ in returned] if params.get("atlases") else []
-        return "ok", [*pack(Points.of_task(returned, params), packing), *map(serialize.dump, atlases)]
+        return "ok", [
+            *pack(Points.of_task(returned, params), packing),
+            *map(serialize.dump, atlases),
+        ]
     except MemoryError:
         return "out_of_memory", ""
-    except BaseException as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
+    except (
+        BaseException
+    ) as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
         return "raised", described(error)
 
 

@@ -1,7 +1,9 @@
-"""A guarded worker process: a crash, hang or excess of memory fails only the point that caused it.
+"""A guarded worker process: a crash, hang or excess of memory fails only the point that
+caused it.
 
-Engines execute `run` in a thread of this process or on a node of a cluster. Each thread has one worker process. A
-chunk that fails is divided and tried again, down to the point responsible.
+Engines execute `run` in a thread of this process or on a node of a cluster. Each thread
+has one worker process. A chunk that fails is divided and tried again, down to the point
+responsible.
 """
 
 import contextlib
@@ -28,18 +30,31 @@ from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.record import Packing, Points, joined, pack, unpacked
 from gaitsweep.pipeline.store.store import MAX_PAYLOAD
 
-_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and largest time charged to it for one [s]
+_POLL_INTERVAL, _MAX_CHARGED = (
+    0.1,
+    0.5,
+)  # interval of checks of a worker, and largest time charged to it for one [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
+_THREADS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+)
 _PROGRAM = "gaitsweep.pipeline.engine.worker_main"
 _PIECES = 16  # parts of a chunk that failed
-_EXTERNAL = ("worker_died", "out_of_memory")  # what may have a cause outside; a second time it has none
+_EXTERNAL = (
+    "worker_died",
+    "out_of_memory",
+)  # what may have a cause outside; a second time it has none
 #: Place of a line in its chunk, and outcome, reason and data of its atlas.
 Atlas = tuple[int, str, str, bytes]
 Record = tuple[bytes, bytes]
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
-_is_closing = False  # an event has a lock, which a signal handler may find taken by its own thread
+# An event has a lock, which a signal handler may find taken by its own thread.
+_is_closing = False
 
 
 class WorkerProcess:
@@ -48,17 +63,37 @@ class WorkerProcess:
     def __init__(self) -> None:
         if _is_closing:
             raise WorkerError("The run is being stopped.")
-        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
+        environment = {
+            **os.environ,
+            **dict.fromkeys(_THREADS, "1"),
+            "PYTHONHASHSEED": "0",
+        }
         self._connection, end = Pipe()
-        command = [sys.executable, "-P", "-m", _PROGRAM, str(os.getpid()), str(end.fileno())]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            _PROGRAM,
+            str(os.getpid()),
+            str(end.fileno()),
+        ]
         null = subprocess.DEVNULL
         try:  # in its own process group, so that Ctrl-C reaches only the parent
             self.process = subprocess.Popen(
-                command, env=environment, pass_fds=[end.fileno()], stdin=null, stdout=null, stderr=null, process_group=0
+                command,
+                env=environment,
+                pass_fds=[end.fileno()],
+                stdin=null,
+                stdout=null,
+                stderr=null,
+                process_group=0,
             )
         finally:
             end.close()
-        self.used = 0.0, 0.0  # processor time of the last request, and that in integrators [s]
+        self.used = (
+            0.0,
+            0.0,
+        )  # processor time of the last request, and that in integrators [s]
         _workers.add(self)
 
     def close(self) -> int:
@@ -71,15 +106,22 @@ class WorkerProcess:
         return self.process.wait()
 
     def ask(self, request: Request) -> tuple[str, Any]:
-        """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
+        """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts
+        of the answer or a sentence.
+        """
         self.used = 0.0, 0.0
-        too_much = "out_of_memory", f"It needed more than {_size(request.memory)} of memory."
+        too_much = (
+            "out_of_memory",
+            f"It needed more than {_size(request.memory)} of memory.",
+        )
         try:
             self._connection.send(request)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == "broken":
                 raise WorkerError(f"A worker cannot begin its task: {parts[0]}.")
-            outcome, self.used, parts = self._answer(request.time_limit, parts[0] + request.memory)
+            outcome, self.used, parts = self._answer(
+                request.time_limit, parts[0] + request.memory
+            )
         except TimeoutError:
             self.close()
             return "timed_out", f"It took longer than {request.time_limit:g} s."
@@ -99,7 +141,8 @@ class WorkerProcess:
         while not self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
             if _is_closing:
                 raise WorkerError("The run is being stopped.")
-            # A late check means that this process was suspended, and the worker with it.
+            # A late check means that this process was suspended, and the worker with
+            # it.
             clock = time.monotonic()
             seconds, last_poll = seconds - min(_MAX_CHARGED, clock - last_poll), clock
             if seconds <= 0:
@@ -110,9 +153,13 @@ class WorkerProcess:
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(5)  # wait for its own exit code instead of that of our signal
+            self.process.wait(
+                5
+            )  # wait for its own exit code instead of that of our signal
         code = self.close()
-        cause = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        cause = (
+            f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        )
         return f"The worker died {cause}."
 
 
@@ -151,16 +198,24 @@ def close_all() -> None:
 
 
 def members() -> list[dict[str, Any]]:
-    """Host, process id and resident memory [byte] of every worker process of this process."""
+    """Host, process id and resident memory [byte] of every worker process of this
+    process.
+    """
     return [_member(c) for c in list(_workers)]
 
 
 def _member(worker: WorkerProcess) -> dict[str, Any]:
-    return {"host": platform.node(), "pid": worker.process.pid, "memory": resident(worker.process.pid)}
+    return {
+        "host": platform.node(),
+        "pid": worker.process.pid,
+        "memory": resident(worker.process.pid),
+    }
 
 
 def _ask(request: Request, *again: str) -> tuple[str, Any]:
-    """Ask the worker process of this thread; once more if it fails by one of `again`, whose cause may be external."""
+    """Ask the worker process of this thread; once more if it fails by one of `again`,
+    whose cause may be external.
+    """
     for attempt in (again, ()):
         worker = getattr(_local, "worker", None)
         if worker and worker.process.poll() is not None:  # killed, or tired of waiting
@@ -175,7 +230,8 @@ def _ask(request: Request, *again: str) -> tuple[str, Any]:
 
 
 def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
-    """Run a numbered request in the worker process of this thread; errors of the task are returned, not raised.
+    """Run a numbered request in the worker process of this thread; errors of the task
+    are returned, not raised.
 
     Parameters
     ----------
@@ -186,9 +242,10 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
     -------
     number : int
     answer : dict
-        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; of a chunk its
-        `record`, and the `atlases` of lines side by side, each its place, outcome, reason and data; of
-        another task `outcome`, and `data` (packed result) or `reason`; `worker`, the process that ran it.
+        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in
+        compiled integrators; of a chunk its `record`, and the `atlases` of lines side
+        by side, each its place, outcome, reason and data; of another task `outcome`,
+        and `data` (packed result) or `reason`; `worker`, the process that ran it.
 
     Raises
     ------
@@ -200,23 +257,40 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
     _local.used = [0.0, 0.0]
     if request.packing:
         lines = request.params.get("lines")
-        record, atlases = _run_part(request, None if lines is None else np.arange(len(lines)))
+        record, atlases = _run_part(
+            request, None if lines is None else np.arange(len(lines))
+        )
         answer = {"record": record, "atlases": atlases}
     else:
         outcome, result = _ask(request, *_EXTERNAL)
         if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
-            outcome, result = "raised", f"Its result of {_size(len(result[0]))} is larger than a journal can hold."
+            outcome, result = (
+                "raised",
+                f"Its result of {_size(len(result[0]))} is larger than a journal can hold.",
+            )
         is_ok = outcome == "ok"
-        answer = {"outcome": outcome, "data": result[0] if is_ok else b"", "reason": "" if is_ok else result}
+        answer = {
+            "outcome": outcome,
+            "data": result[0] if is_ok else b"",
+            "reason": "" if is_ok else result,
+        }
     worker = getattr(_local, "worker", None)
     if worker:
         answer["worker"] = _member(worker)
     used = dict(zip(("cpu", "integrating"), _local.used, strict=True))
-    return number, {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
+    return number, {
+        **answer,
+        **used,
+        "seconds": time.perf_counter() - start,
+        "pid": os.getpid(),
+    }
 
 
-def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list[Atlas]]:
-    """Record of the points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
+def _run_part(
+    request: Request, places: np.ndarray | None
+) -> tuple[Record, list[Atlas]]:
+    """Record of the points of a part of a chunk: of its line, or of the lines side by
+    side at some `places` in it.
 
     If they fail together, they are run in smaller parts, down to the point responsible.
     """
@@ -232,7 +306,9 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list
     if outcome == "ok":
         head, payload, *atlases = parts
         of_lines = [] if places is None else places.tolist()
-        return (head, payload), [(k, "ok", "", atlas) for k, atlas in zip(of_lines, atlases, strict=False)]
+        return (head, payload), [
+            (k, "ok", "", atlas) for k, atlas in zip(of_lines, atlases, strict=False)
+        ]
     if is_point:
         return pack(Points.of_ending(1, outcome, parts, params["want"]), packing), []
     if places is not None and lines == 1 and has_atlases:
@@ -244,29 +320,45 @@ def _run_part(request: Request, places: np.ndarray | None) -> tuple[Record, list
         assert request.most
         sizes = _at_most(request.most, lines, len(slopes), has_atlases)
     found, rows, found_atlases = list[Points](), list[np.ndarray](), list[Atlas]()
-    for some, at in itertools.product(_ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])):
+    for some, at in itertools.product(
+        _ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])
+    ):
         part = {**params, "slope": slopes[at]}
         if places is not None:
             part["lines"] = [params["lines"][k] for k in some.tolist()]
-        smaller = replace(packing, shape=Shape.of_rows(len(some), len(at)), digests=None)
+        smaller = replace(
+            packing, shape=Shape.of_rows(len(some), len(at)), digests=None
+        )
         own = None if places is None else places[some]
-        record, atlases_of_part = _run_part(replace(request, params=part, packing=smaller), own)
+        record, atlases_of_part = _run_part(
+            replace(request, params=part, packing=smaller), own
+        )
         found.append(unpacked(*record))
         rows.append((some[:, None] * len(slopes) + at).ravel())
         found_atlases += atlases_of_part
-    return pack(joined(found).take(np.argsort(np.concatenate(rows))), packing), found_atlases
+    return pack(
+        joined(found).take(np.argsort(np.concatenate(rows))), packing
+    ), found_atlases
 
 
 def _fewer(lines: int, slopes: int) -> tuple[int, int]:
-    """Lines and slopes of each smaller part of one that failed: the lines are divided, or the slopes of one."""
-    return (math.ceil(lines / _PIECES), slopes) if lines > 1 else (1, math.ceil(slopes / _PIECES))
+    """Lines and slopes of each smaller part of one that failed: the lines are divided,
+    or the slopes of one.
+    """
+    return (
+        (math.ceil(lines / _PIECES), slopes)
+        if lines > 1
+        else (1, math.ceil(slopes / _PIECES))
+    )
 
 
 def _at_most(most: int, lines: int, slopes: int, has_atlases: bool) -> tuple[int, int]:
-    """Lines and slopes of parts with so many points, or of single lines that have atlases.
+    """Lines and slopes of parts with so many points, or of single lines that have
+    atlases.
 
-    A plane's lines remain side by side, if only at a few slopes: those without charts are followed together, by a
-    worker that remembers their branches for the next slopes.
+    A plane's lines remain side by side, if only at a few slopes: those without charts
+    are followed together, by a worker that remembers their branches for the next
+    slopes.
     """
     if most >= slopes or has_atlases:
         return max(1, most // slopes), slopes
@@ -279,16 +371,30 @@ def _ranges(n: int, size: int) -> list[np.ndarray]:
     return [np.arange(k, min(k + size, n)) for k in range(0, n, size)]
 
 
-def _run_alone(request: Request, packing: Packing, place: int) -> tuple[Record, list[Atlas]]:
-    """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
-    params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
+def _run_alone(
+    request: Request, packing: Packing, place: int
+) -> tuple[Record, list[Atlas]]:
+    """A line that failed beside others, or whose points are wanted a few at a time: its
+    atlas, then its points.
+    """
+    params = {
+        key: value
+        for key, value in request.params.items()
+        if key not in ("lines", "atlases")
+    }
     (line,) = request.params["lines"]
     assert request.alone
     atlas, points = request.alone
-    alone = replace(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    alone = replace(
+        request, function=atlas, params={"line": line, "coarse": True}, packing=None
+    )
     outcome, result = _ask(alone, *_EXTERNAL)
     if outcome != "ok":
-        ending = Points.of_ending(len(params["slope"]), outcome, of_atlas(result), params["want"])
+        ending = Points.of_ending(
+            len(params["slope"]), outcome, of_atlas(result), params["want"]
+        )
         return pack(ending, packing), [(place, outcome, result, b"")]
-    of_points = replace(request, function=points, params={**params, "line": line}, inputs=result)
+    of_points = replace(
+        request, function=points, params={**params, "line": line}, inputs=result
+    )
     return _run_part(of_points, None)[0], [(place, "ok", "", result[0])]

@@ -1,7 +1,9 @@
-"""Keys of results, of all that decides them: of a task, and of the lines of a chunk that are computed side by side.
+"""Keys of results, of all that decides them: of a task, and of the lines of a chunk
+that are computed side by side.
 
-Digests of such lines, of sixteen bytes each, are not made line by line in Python, so that a plane of a million lines is
-planned in seconds. A line has its digest whatever chunk of whatever grid it is computed in.
+Digests of such lines, of sixteen bytes each, are not made line by line in Python, so
+that a plane of a million lines is planned in seconds. A line has its digest whatever
+chunk of whatever grid it is computed in.
 """
 
 import hashlib
@@ -14,8 +16,11 @@ import numpy as np
 from gaitsweep.pipeline.store.store import Key
 from gaitsweep.tasks.registry import Task
 
-#: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
-_INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+#: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014,
+#: doi:10.1145/2660193.2660195).
+_INCREMENT, _FIRST, _SECOND = (
+    np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
 
 
 def task_key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Key:
@@ -43,7 +48,9 @@ def words(data: bytes, n: int) -> np.ndarray:
 
 
 def mixed(digests: np.ndarray, values: Iterable[np.ndarray]) -> np.ndarray:
-    """Digests, shape (n, 2), each with some more numbers: of each array of `values` its own."""
+    """Digests, shape (n, 2), each with some more numbers: of each array of `values` its
+    own.
+    """
     for value in values:
         z = (digests ^ value.view(np.uint64)[:, None]) + _INCREMENT
         z = (z ^ z >> np.uint64(30)) * _FIRST

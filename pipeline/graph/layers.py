@@ -1,4 +1,6 @@
-"""The layers of a study's graph, each one task over every line or over the whole study: parameters and keys."""
+"""The layers of a study's graph, each one task over every line or over the whole study:
+parameters and keys.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,12 +10,22 @@ import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.model import Study, about
-from gaitsweep.tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, VARIABLES, Task
+from gaitsweep.tasks.registry import (
+    GAITS,
+    LOSS_WINDOWS,
+    READ_BY_CLAIMS,
+    READS,
+    TASKS,
+    VARIABLES,
+    Task,
+)
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One task over each line, or once over the study; `needs` names the layers it reads."""
+    """One task over each line, or once over the study; `needs` names the layers it
+    reads.
+    """
 
     task: Task
     per_line: bool
@@ -43,52 +55,94 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
     for name in study.fits:
         add(name, False)
     if study.claims and "claims" in TASKS:
-        # Claims read the main results of the study, its points or the tables of its task, and their atlas.
+        # Claims read the main results of the study, its points or the tables of its
+        # task, and their atlas.
         own = "points" if study.kind == "grid" else study.kind
-        others = tuple(dict.fromkeys(name for claim in study.claims for name in READ_BY_CLAIMS.get(claim, ())))
+        others = tuple(
+            dict.fromkeys(
+                name for claim in study.claims for name in READ_BY_CLAIMS.get(claim, ())
+            )
+        )
         for name in others:
             add(name, True)
-        needed["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs, *others))
+        needed["claims"] = Layer(
+            TASKS["claims"], False, (own, *TASKS[own].needs, *others)
+        )
     return needed
 
 
 def _over_lines(name: str) -> bool:
-    return not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs) or name == "points"
+    return (
+        not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs)
+        or name == "points"
+    )
 
 
 def point_params(study: Study, method: Method) -> dict[str, Any]:
     """Parameters of points on which their values depend, besides their line and slopes."""
     given: dict[str, Any] = {}
     if study.accuracy:
-        given |= {"accuracy": study.accuracy, "interpolated": method is Method.INTERPOLATED}
-    if measures := {name: VARIABLES[name].version for name in variables(study) if VARIABLES[name].measure}:
+        given |= {
+            "accuracy": study.accuracy,
+            "interpolated": method is Method.INTERPOLATED,
+        }
+    if measures := {
+        name: VARIABLES[name].version
+        for name in variables(study)
+        if VARIABLES[name].measure
+    }:
         given |= {"measures": measures}
     return {**study.options, **given}
 
 
 def line_params(
-    study: Study, method: Method, name: str, line: Mapping[str, Any], box: Mapping[str, Any] | None = None
+    study: Study,
+    method: Method,
+    name: str,
+    line: Mapping[str, Any],
+    box: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Parameters of a task over one line, or of charts over its plane or a box, except the slopes of a chunk."""
+    """Parameters of a task over one line, or of charts over its plane or a box, except
+    the slopes of a chunk.
+    """
     if name == "atlas":
-        return {"line": line, "coarse": method.is_coarse, **({"steps": study.steps} if study.steps > 1 else {})}
+        return {
+            "line": line,
+            "coarse": method.is_coarse,
+            **({"steps": study.steps} if study.steps > 1 else {}),
+        }
     if name == "points":
         return {"line": line, **point_params(study, method)}
     if name == "corners":
         return {"line": line}
     if name == "charts":
         assert study.plane
-        fixed = {key: value for key, value in line["set"].items() if key not in study.plane.region["keys"]}
+        fixed = {
+            key: value
+            for key, value in line["set"].items()
+            if key not in study.plane.region["keys"]
+        }
         window = {**_window(study), "slopes": about(len(study.slope))}
-        wanted = {"want": variables(study), "accuracy": study.accuracy} if study.accuracy else {"want": ()}
-        return {"line": {**line, "set": fixed}, "plane": box or study.plane.region, **window, **wanted}
+        wanted = (
+            {"want": variables(study), "accuracy": study.accuracy}
+            if study.accuracy
+            else {"want": ()}
+        )
+        return {
+            "line": {**line, "set": fixed},
+            "plane": box or study.plane.region,
+            **window,
+            **wanted,
+        }
     if name == "cascade" != study.kind:  # for the fit `crises`
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
         return {"line": line, "slope": slopes, "gaits": GAITS}
     if name == "branch":
         return {"line": line, **_window(study), "n": len(study.slope), **study.options}
-    own = {} if name == "trace" else study.options  # whose `steps` may be those of orbits
+    own = (
+        {} if name == "trace" else study.options
+    )  # whose `steps` may be those of orbits
     params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
     if name == "design" and study.plane:
         params["plane"] = study.plane.region
@@ -96,13 +150,18 @@ def line_params(
 
 
 def _window(study: Study) -> dict[str, float]:
-    return {"slope_from": float(study.slope.min()), "slope_to": float(study.slope.max())}
+    return {
+        "slope_from": float(study.slope.min()),
+        "slope_to": float(study.slope.max()),
+    }
 
 
 def study_params(study: Study, name: str) -> dict[str, Any]:
     """Parameters of a task over the whole study."""
     lines = enumerate(study.lines_at(np.arange(study.lines)))
-    params: dict[str, Any] = {"lines": [{**line, "name": study.name_of(number)} for number, line in lines]}
+    params: dict[str, Any] = {
+        "lines": [{**line, "name": study.name_of(number)} for number, line in lines]
+    }
     if name == "claims":
         params["ids"] = list(study.claims)
     return params

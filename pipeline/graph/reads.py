@@ -18,11 +18,19 @@ _MAX_CHUNKS = 64  # chunks in memory, where lines cross them
 
 
 def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
-    """Packed inputs of a task over the study: a dict of arrays for each line, then tables."""
+    """Packed inputs of a task over the study: a dict of arrays for each line, then
+    tables.
+    """
     graph, store = plan.graph, plan.store
     needs = graph.layers[name].needs
-    per_line = [need for need in needs if need != "points" and graph.layers[need].per_line]
-    reads = [v for v in READS.get(name, graph.variables) if v in VARIABLES and v not in ("status", "reason")]
+    per_line = [
+        need for need in needs if need != "points" and graph.layers[need].per_line
+    ]
+    reads = [
+        v
+        for v in READS.get(name, graph.variables)
+        if v in VARIABLES and v not in ("status", "reason")
+    ]
     lines = _Lines(plan, ["status", *reads])
     for number in range(plan.study.batches):
         columns = lines.line(number) if "points" in needs else {}
@@ -35,13 +43,19 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
 
 
 class _Lines:
-    """Variables of the points of each line, of the wanted gaits: what else is stored is none of the study's."""
+    """Variables of the points of each line, of the wanted gaits: what else is stored is
+    none of the study's.
+    """
 
     def __init__(self, plan: Plan, names: list[str]):
         self.plan, self.names, self.graph = plan, names, plan.graph
         self.step = math.ceil(len(plan.study.slope) / _MAX_SLOPES)
-        self.others = [k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits]
-        self._chunk = functools.lru_cache(_MAX_CHUNKS if self.graph.method.is_of_lines else 1)(self._read)
+        self.others = [
+            k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits
+        ]
+        self._chunk = functools.lru_cache(
+            _MAX_CHUNKS if self.graph.method.is_of_lines else 1
+        )(self._read)
 
     def line(self, number: int) -> dict[str, Any]:
         """Slopes and variables, shape (n, gait[, multiplier]), of one line."""
@@ -49,7 +63,9 @@ class _Lines:
         for k in grid.chunks_of_line(number):
             chunk = grid.chunk(k)
             first = int(np.flatnonzero(chunk.numbers == number)[0]) * chunk.per_line
-            rows = first + np.arange(-chunk.slopes.start % self.step, chunk.per_line, self.step)
+            rows = first + np.arange(
+                -chunk.slopes.start % self.step, chunk.per_line, self.step
+            )
             stored = self._chunk(k).values
             parts.append(Points({name: stored[name][rows] for name in self.names}))
         values = joined(parts, (len(GAITS), grid.multipliers)).values
@@ -61,5 +77,7 @@ class _Lines:
         chunk, store = self.graph.grid.chunk(number), self.plan.store
         key = self.graph.chunk_key(chunk)
         if key not in store:
-            return Points.of_ending(chunk.points, "not_attempted", NOT_ATTEMPTED, self.names)
+            return Points.of_ending(
+                chunk.points, "not_attempted", NOT_ATTEMPTED, self.names
+            )
         return store.points(key, self.names)

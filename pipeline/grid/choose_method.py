@@ -11,7 +11,8 @@ from gaitsweep.tasks.registry import SHORT_LINE, TASKS
 def method_of(study: Study, in_memory: bool = False) -> Method:
     """Method of a study, whose results are kept in a file or in memory.
 
-    Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes, whatever the study's slopes.
+    Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes,
+    whatever the study's slopes.
     """
     if study.kind != "grid":
         return Method.TASK
@@ -24,14 +25,23 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
 
 
 def seconds_over_plane(study: Study) -> tuple[float, float]:
-    """Processor time of a grid by charts over its plane of keys, and line by line [s]; infinite where there is none."""
-    is_possible = study.kind == "grid" and study.steps == 1 and TASKS["atlas"].over_plane and wants_points_alone(study)
+    """Processor time of a grid by charts over its plane of keys, and line by line [s];
+    infinite where there is none.
+    """
+    is_possible = (
+        study.kind == "grid"
+        and study.steps == 1
+        and TASKS["atlas"].over_plane
+        and wants_points_alone(study)
+    )
     if not study.plane or not is_possible:
         return math.inf, math.inf
 
     def seconds(method: Method, *tasks: str) -> float:
         of_line = sum(costs.seconds(study, name, method) for name in tasks)
-        return study.lines * (of_line + len(study.slope) * costs.of_point(study, method))
+        return study.lines * (
+            of_line + len(study.slope) * costs.of_point(study, method)
+        )
 
     return seconds(Method.PLANE, "charts", "atlas"), seconds(_by_lines(study), "atlas")
 

@@ -19,9 +19,11 @@ def starting(study: Study) -> float:
 
 
 def seconds(study: Study, name: str, method: Method) -> float:
-    """Processor time of a task over one line, or over the study, of a mean walker of the study; of `points`, of one.
+    """Processor time of a task over one line, or over the study, of a mean walker of
+    the study; of `points`, of one.
 
-    Over a plane few lines have an atlas, and the time of charts is shared by its lines: these are means over all lines.
+    Over a plane few lines have an atlas, and the time of charts is shared by its lines:
+    these are means over all lines.
 
     Parameters
     ----------
@@ -40,17 +42,25 @@ def seconds(study: Study, name: str, method: Method) -> float:
     if name == "atlas" and method is Method.PLANE:
         return ALONE * of_line_alone(study)
     if name == "charts" and study.plane:
-        return len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
+        return (
+            len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
+        )
     if name == "design":
         designs, cells = study.lines / study.batches, int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
-    is_cheap = name == "atlas" and (method is Method.INTERPOLATED or (method.is_of_lines and study.lines > 1))
-    return _total(study, COSTS.get("atlas side by side" if is_cheap else name, OTHERS), name)
+    is_cheap = name == "atlas" and (
+        method is Method.INTERPOLATED or (method.is_of_lines and study.lines > 1)
+    )
+    return _total(
+        study, COSTS.get("atlas side by side" if is_cheap else name, OTHERS), name
+    )
 
 
 def integrated(study: Study, points: int, method: Method) -> int:
-    """About how many of some points of a grid are integrated; the others come from polynomials over slopes."""
+    """About how many of some points of a grid are integrated; the others come from
+    polynomials over slopes.
+    """
     if method is not Method.INTERPOLATED:
         return points
     panels = math.ceil(float(np.log(study.slope.max() / study.slope.min()))) + 1
@@ -58,34 +68,64 @@ def integrated(study: Study, points: int, method: Method) -> int:
 
 
 def of_point(study: Study, method: Method) -> float:
-    """Processor time of a point of a study [s], whose lines are computed by that method."""
+    """Processor time of a point of a study [s], whose lines are computed by that
+    method.
+    """
     way = Method.SHORT if method in (Method.TASK, Method.ALONE) else method
     if method is Method.PLANE and is_interpolated(study):
         way = Method.INTERPOLATED
-    dear = {VARIABLES[name].group for name in variables(study)} & {"violations", "proofs"}
+    dear = {VARIABLES[name].group for name in variables(study)} & {
+        "violations",
+        "proofs",
+    }
     return _total(study, [POINTS[group] for group in (way, *sorted(dear))])
 
 
 def of_line_alone(study: Study) -> float:
-    """Processor time of a line of a plane that charts do not describe [s], with its points."""
-    return FEW * (_total(study, COSTS["atlas side by side"]) + len(study.slope) * of_point(study, Method.SHORT))
+    """Processor time of a line of a plane that charts do not describe [s], with its
+    points.
+    """
+    return FEW * (
+        _total(study, COSTS["atlas side by side"])
+        + len(study.slope) * of_point(study, Method.SHORT)
+    )
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
-    """Sum of costs over the mean of the study's walkers, for one point, and one line or study.
+    """Sum of costs over the mean of the study's walkers, for one point, and one line or
+    study.
 
-    A task of another kind of study than this, as fits read it, has the defaults of its options.
+    A task of another kind of study than this, as fits read it, has the defaults of its
+    options.
     """
     is_foreign = name in OPTIONS and name != study.kind
     kind, given = (name, {}) if is_foreign else (study.kind, study.options)
     options = registry.options(kind, given) if kind in OPTIONS else {}
-    sizes = {name: len(v) if isinstance(v, list | tuple) else v for name, v in options.items()}
-    # Gaits of 2 steps begin at flips; every further doubling, and an odd period, is searched for as well.
-    searches = sum(study.steps % 2**k == 0 for k in range(6) if study.steps // 2**k > 2) + 0.2 * (study.steps > 1)
-    sizes |= {"slopes": len(study.slope), "points": 1, "gait_steps": study.steps, "searches": searches}
-    kneed = sum(check["multipliers"] > 3 for check in study.checks) / max(1, len(study.checks))
+    sizes = {
+        name: len(v) if isinstance(v, list | tuple) else v
+        for name, v in options.items()
+    }
+    # Gaits of 2 steps begin at flips; every further doubling, and an odd period, is
+    # searched for as well.
+    searches = sum(
+        study.steps % 2**k == 0 for k in range(6) if study.steps // 2**k > 2
+    ) + 0.2 * (study.steps > 1)
+    sizes |= {
+        "slopes": len(study.slope),
+        "points": 1,
+        "gait_steps": study.steps,
+        "searches": searches,
+    }
+    kneed = sum(check["multipliers"] > 3 for check in study.checks) / max(
+        1, len(study.checks)
+    )
 
     def product(cost: Cost) -> float:
-        return math.prod(sum(sizes[part] for part in factor.split("+")) for factor in cost.of)
+        return math.prod(
+            sum(sizes[part] for part in factor.split("+")) for factor in cost.of
+        )
 
-    return sum((cost.straight * (1 - kneed) + cost.kneed * kneed) * product(cost) for cost in costs)
+    return sum(
+        (cost.straight * (1 - kneed) + cost.kneed * kneed) * product(cost)
+        for cost in costs
+    )

@@ -17,11 +17,19 @@ from gaitsweep.pipeline.study.model import Study
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
-_TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
-_LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
-#: Fewest and most points in a chunk of a plane, the latter about a quarter of a second of work.
+_TINY, _MOST_TINY = (
+    1e-8,
+    512,
+)  # slopes that may need extended precision [rad], and points in a chunk of those
+# Lines in a chunk of lines side by side: enough to fill registers, few enough to show
+# progress.
+_LINES = 64
+#: Fewest and most points in a chunk of a plane, the latter about a quarter of a second
+#: of work.
 PLANE_POINTS = 512, 4096
-_PLANE_CHUNKS = 16  # chunks of a study over planes, so that workers share it and its first charts serve some
+# Chunks of a study over planes, so that workers share it and its first charts serve
+# some.
+_PLANE_CHUNKS = 16
 
 
 @dataclass(frozen=True)
@@ -54,9 +62,15 @@ class Shape:
 
     @property
     def order(self) -> list[tuple[int, int, bool]]:
-        """What decides where values lie in a packed chunk; dimensions of one value, such as a walker's, do not."""
+        """What decides where values lie in a packed chunk; dimensions of one value,
+        such as a walker's, do not.
+        """
         dims = zip(self.sizes, self.extent, strict=True)
-        return [(size, extent, k == self.slope) for k, (size, extent) in enumerate(dims) if extent > 1]
+        return [
+            (size, extent, k == self.slope)
+            for k, (size, extent) in enumerate(dims)
+            if extent > 1
+        ]
 
     def unfold(self, rows: np.ndarray) -> np.ndarray:
         """Arrange points in the order of the grid.
@@ -113,7 +127,8 @@ class Chunk:
 
 
 class Grid:
-    """Dimensions of a study, walkers if there are several, then the axes in order; and its chunks, if it has points.
+    """Dimensions of a study, walkers if there are several, then the axes in order; and
+    its chunks, if it has points.
 
     In memory, where nothing is gained by dividing a line, each is one chunk.
 
@@ -130,16 +145,23 @@ class Grid:
     def __init__(self, study: Study, in_memory: bool = False):
         self.study, self.method = study, method_of(study, in_memory)
         walkers = [("walker", len(study.walkers))] if study.walker_axis else []
-        axes = [axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"]
+        axes = [
+            axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"
+        ]
         self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
         self.line_dims = [name for name in self.sizes if name != "slope"]
-        self.multipliers = max((check["multipliers"] for check in study.checks), default=3)
+        self.multipliers = max(
+            (check["multipliers"] for check in study.checks), default=3
+        )
         extent = {} if self.method is Method.TASK else self._extent(in_memory)
         self.extent = tuple(extent[name] for name in self.sizes if extent)
 
     @functools.cached_property
     def _counts(self) -> tuple[int, ...]:
-        return tuple(-(-n // extent) for n, extent in zip(self.sizes.values(), self.extent, strict=True))
+        return tuple(
+            -(-n // extent)
+            for n, extent in zip(self.sizes.values(), self.extent, strict=True)
+        )
 
     @property
     def chunks(self) -> int:
@@ -151,9 +173,14 @@ class Grid:
         places = np.unravel_index(number, self._counts)
         spans = {
             name: slice(int(k) * extent, min((int(k) + 1) * extent, n))
-            for (name, n), k, extent in zip(self.sizes.items(), places, self.extent, strict=True)
+            for (name, n), k, extent in zip(
+                self.sizes.items(), places, self.extent, strict=True
+            )
         }
-        of_lines = (spans.get("walker", slice(0, 1)), *(spans[axis.name] for axis in self.study.line_axes))
+        of_lines = (
+            spans.get("walker", slice(0, 1)),
+            *(spans[axis.name] for axis in self.study.line_axes),
+        )
         indices = np.ix_(*(np.arange(span.start, span.stop) for span in of_lines))
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
         sizes = tuple(span.stop - span.start for span in spans.values())
@@ -163,13 +190,25 @@ class Grid:
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
         slope = list(self.sizes).index("slope")
-        indices = iter(np.unravel_index(line, self.study.line_shape)[0 if self.study.walker_axis else 1 :])
-        first = [0 if k == slope else int(next(indices)) // extent for k, extent in enumerate(self.extent)]
-        start, step = int(np.ravel_multi_index(first, self._counts)), math.prod(self._counts[slope + 1 :])
+        indices = iter(
+            np.unravel_index(line, self.study.line_shape)[
+                0 if self.study.walker_axis else 1 :
+            ]
+        )
+        first = [
+            0 if k == slope else int(next(indices)) // extent
+            for k, extent in enumerate(self.extent)
+        ]
+        start, step = (
+            int(np.ravel_multi_index(first, self._counts)),
+            math.prod(self._counts[slope + 1 :]),
+        )
         return range(start, start + self._counts[slope] * step, step)
 
     def _extent(self, in_memory: bool) -> dict[str, int]:
-        """Size of a chunk along each dimension: many lines at all slopes, or a part of one."""
+        """Size of a chunk along each dimension: many lines at all slopes, or a part of
+        one.
+        """
         slopes = len(self.study.slope)
         if self.method is Method.PLANE and self.study.plane:
             fewest, most = (points // slopes for points in PLANE_POINTS)
@@ -178,17 +217,27 @@ class Grid:
             return {**dict.fromkeys(self.line_dims, 1), **tile, "slope": slopes}
         if self.method.is_of_lines:
             own = {name: self.sizes[name] for name in self.line_dims}
-            return {**dict(zip(own, box_shape(own, _LINES), strict=True)), "slope": slopes}
+            return {
+                **dict(zip(own, box_shape(own, _LINES), strict=True)),
+                "slope": slopes,
+            }
         if in_memory:
             return {**dict.fromkeys(self.line_dims, 1), "slope": slopes}
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
         most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
-        points = min(most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))
-        return {**dict.fromkeys(self.line_dims, 1), "slope": math.ceil(slopes / math.ceil(slopes / points))}
+        points = min(
+            most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method)))
+        )
+        return {
+            **dict.fromkeys(self.line_dims, 1),
+            "slope": math.ceil(slopes / math.ceil(slopes / points)),
+        }
 
 
 def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
-    """Size along the axes of a plane of a rectangle of about so many lines, as square as they allow."""
+    """Size along the axes of a plane of a rectangle of about so many lines, as square
+    as they allow.
+    """
     short, *long = sorted(axes, key=len)
     lines = max(1, lines)
     if not long:
@@ -199,6 +248,10 @@ def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
 
 
 def golden_ratio_order(n: int) -> Iterator[int]:
-    """Numbers from 0 to n - 1 in an order whose leading part, however long, samples them evenly."""
-    step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+    """Numbers from 0 to n - 1 in an order whose leading part, however long, samples
+    them evenly.
+    """
+    step = next(
+        k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1
+    )
     return (i * step % n for i in range(n))

@@ -1,4 +1,6 @@
-"""The methods by which gaits of lines are computed, and the variables that they compute."""
+"""The methods by which gaits of lines are computed, and the variables that they
+compute.
+"""
 
 from enum import StrEnum
 
@@ -10,15 +12,19 @@ from gaitsweep.tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
 class Method(StrEnum):
     """How the gaits of a line are computed.
 
-    `TASK` is that of studies of another kind than `grid`, whose lines have no points. Others name the cost of a point.
+    `TASK` is that of studies of another kind than `grid`, whose lines have no points.
+    Others name the cost of a point.
     """
 
     LONG = "long"  # an atlas for each line, from which chunks of its points are solved
     CYCLES = "cycles"  # the same for gaits of several steps
-    INTERPOLATED = "interpolated"  # from a coarse atlas, by polynomials where these are accurate enough
+    # From a coarse atlas, by polynomials where these are accurate enough.
+    INTERPOLATED = "interpolated"
     SHORT = "short"  # atlases, coarse ones, and points of lines side by side
-    ALONE = "alone"  # the same for a line by itself, whose atlas is kept for other slopes: in memory
-    PLANE = "plane"  # lines side by side, their gaits predicted by charts over a plane of keys
+    # The same for a line by itself, whose atlas is kept for other slopes: in memory.
+    ALONE = "alone"
+    # Lines side by side, their gaits predicted by charts over a plane of keys.
+    PLANE = "plane"
     TASK = "task"
 
     @property
@@ -28,27 +34,45 @@ class Method(StrEnum):
 
     @property
     def is_coarse(self) -> bool:
-        """Whether atlases are coarse: too few points are solved from each to pay for a fine one."""
+        """Whether atlases are coarse: too few points are solved from each to pay for a
+        fine one.
+        """
         return self.is_of_lines or self in (Method.ALONE, Method.INTERPOLATED)
 
 
 def variables(study: Study) -> tuple[str, ...]:
-    """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
+    """Point variables to compute: those requested, and those that requested fits,
+    figures and claims read.
+    """
     read = (name for reader in _readers(study) for name in READS.get(reader, ()))
     return accuracy.computed({*study.variables, *read}, study.accuracy)
 
 
 def is_interpolated(study: Study) -> bool:
-    """Whether polynomials over slopes may give the points: a line has many, of smooth variables, and they suffice."""
-    return len(study.slope) > SHORT_LINE and accuracy.is_interpolated(variables(study), study.accuracy)
+    """Whether polynomials over slopes may give the points: a line has many, of smooth
+    variables, and they suffice.
+    """
+    return len(study.slope) > SHORT_LINE and accuracy.is_interpolated(
+        variables(study), study.accuracy
+    )
 
 
 def wants_points_alone(study: Study) -> bool:
     """Whether no atlas is read, and no proof wanted."""
     reads = [read for name in _readers(study) for read in (name, *READS.get(name, ()))]
-    reads_atlas = any(read in TASKS and read != "points" and "atlas" in TASKS[read].needs for read in reads)
-    return not reads_atlas and not any(VARIABLES[name].group == "proofs" for name in study.variables)
+    reads_atlas = any(
+        read in TASKS and read != "points" and "atlas" in TASKS[read].needs
+        for read in reads
+    )
+    return not reads_atlas and not any(
+        VARIABLES[name].group == "proofs" for name in study.variables
+    )
 
 
 def _readers(study: Study) -> tuple[str, ...]:
-    return (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))
+    return (
+        *study.fits,
+        *study.figures,
+        *study.claims,
+        *(("claims",) if study.claims else ()),
+    )

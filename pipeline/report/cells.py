@@ -32,13 +32,19 @@ class Cell:
 
 
 def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
-    """Make a cell of a value: numbers are shown with `digits` significant digits and kept exactly."""
+    """Make a cell of a value: numbers are shown with `digits` significant digits and
+    kept exactly.
+    """
     if isinstance(value, (bool, np.bool_)):
         return Cell("yes" if value else "no")
     if isinstance(value, (int, np.integer)):
         return Cell(str(int(value)).replace("-", "−"), int(value), counted)
     if isinstance(value, (float, np.floating)):
-        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
+        return (
+            Cell("–")
+            if np.isnan(value)
+            else Cell(plain(float(value), digits), float(value), counted)
+        )
     return Cell(WORDS["names"].get(value) or phrased(str(value)))
 
 
@@ -47,7 +53,9 @@ _KINDS = WORDS["kinds"]
 
 
 def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
-    """Make the cells of one column of a frame: six digits for each number, or those that tell two ends apart."""
+    """Make the cells of one column of a frame: six digits for each number, or those
+    that tell two ends apart.
+    """
     column = frame[name]
     if name in _KINDS["coded"]:
         return [Cell(spaced(v)) for v in column]
@@ -59,23 +67,41 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
         return [cell(float(v), digits=2) for v in column]
     if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
         width = np.abs((frame["high"] - frame["low"]) / column)
-        return [cell(float(v), digits=_digits(w)) for v, w in zip(column, width, strict=True)]
+        return [
+            cell(float(v), digits=_digits(w))
+            for v, w in zip(column, width, strict=True)
+        ]
     decimals = _decimals(column.to_numpy())
     if decimals is None:
         return [cell(float(v)) for v in column]
-    texts = [f"{v + 0.0:.{decimals}f}".replace("-", "−") if np.isfinite(v) and v else "" for v in column]
-    return [Cell(text, float(v)) if text else cell(float(v)) for text, v in zip(texts, column, strict=True)]
+    texts = [
+        f"{v + 0.0:.{decimals}f}".replace("-", "−") if np.isfinite(v) and v else ""
+        for v in column
+    ]
+    return [
+        Cell(text, float(v)) if text else cell(float(v))
+        for text, v in zip(texts, column, strict=True)
+    ]
 
 
 def _digits(width: float) -> int:
-    """Significant digits with which the two ends of an interval of that relative width differ in the last two."""
+    """Significant digits with which the two ends of an interval of that relative width
+    differ in the last two.
+    """
     return int(np.clip(np.ceil(-np.log10(width)) + 1, 6, 15)) if width > 0 else 6
 
 
 def _decimals(values: np.ndarray) -> int | None:
-    """Decimals with which the numbers of a column are comparable; None if they span too much."""
+    """Decimals with which the numbers of a column are comparable; None if they span too
+    much.
+    """
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
-    if not len(sizes) or sizes.min() < 1e-4 or sizes.max() >= 1e6 or sizes.max() > 2e3 * sizes.min():
+    if (
+        not len(sizes)
+        or sizes.min() < 1e-4
+        or sizes.max() >= 1e6
+        or sizes.max() > 2e3 * sizes.min()
+    ):
         return None
     # Numbers of a few digits, such as the values of an axis, are shown as they are.
     for decimals in range(7):

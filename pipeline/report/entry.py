@@ -1,4 +1,6 @@
-"""The record that a page carries for the index and the ledger, which are made from the pages in a folder."""
+"""The record that a page carries for the index and the ledger, which are made from the
+pages in a folder.
+"""
 
 import json
 import re
@@ -12,11 +14,13 @@ from typing import Any
 class Entry:
     """One page as the index and the ledger show it.
 
-    `slug` names the page, `study` is the slug of its study; `section` and `place` are those of a study of the paper in
-    the index; `statuses` are (name, count, share); `figures` have name, title, finding and the claims that they show
-    besides those that name them; `thumbnail` is the first figure, small; `claims` are rows of the ledger; `files` are
-    the data files written with the page; `lines` are gaits that the index can show walking. A study that only feeds the
-    ledger has no page but its `text` there.
+    `slug` names the page, `study` is the slug of its study; `section` and `place` are
+    those of a study of the paper in the index; `statuses` are (name, count, share);
+    `figures` have name, title, finding and the claims that they show besides those that
+    name them; `thumbnail` is the first figure, small; `claims` are rows of the ledger;
+    `files` are the data files written with the page; `lines` are gaits that the index
+    can show walking. A study that only feeds the ledger has no page but its `text`
+    there.
     """
 
     slug: str
@@ -37,12 +41,16 @@ class Entry:
 
     @property
     def short(self) -> str:
-        """A title for links: that of a figure or a section of the paper without what it shows."""
+        """A title for links: that of a figure or a section of the paper without what it
+        shows.
+        """
         return self.title.partition(". ")[0] if self.section else self.title
 
     @property
     def order(self) -> tuple[int, bool, bool, list[tuple[int, str]], str]:
-        """Sort key in the index: the paper's studies in their order, then pages with pictures, then numbered ones."""
+        """Sort key in the index: the paper's studies in their order, then pages with
+        pictures, then numbered ones.
+        """
         parts = re.findall(r"\d+|\D+", self.name.lower())
         numbered = bool(parts) and parts[-1].isdigit()
         numbers = [(int(p), "") if p.isdigit() else (0, p) for p in parts]
@@ -65,7 +73,9 @@ class _Reader(HTMLParser):
 
 
 def read(page: str) -> list[Entry]:
-    """Read the entries in the head of a page's text: its own, or those of studies that only feed the ledger."""
+    """Read the entries in the head of a page's text: its own, or those of studies that
+    only feed the ledger.
+    """
     reader = _Reader()
     reader.feed(page.partition("</head>")[0])
     try:
@@ -75,7 +85,9 @@ def read(page: str) -> list[Entry]:
 
 
 def read_all(folder: Path) -> dict[str, Entry]:
-    """Read the entries of the pages in a folder, by file name; files that are not pages of a report are left out."""
+    """Read the entries of the pages in a folder, by file name; files that are not pages
+    of a report are left out.
+    """
     found = {}
     for path in sorted(path for path in folder.glob("*.html") if path.is_file()):
         for entry in read(path.read_text(encoding="utf-8", errors="replace")):

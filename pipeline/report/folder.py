@@ -1,4 +1,6 @@
-"""The folder of a report: pages and their data, an index and a ledger of them, and what each says of the others."""
+"""The folder of a report: pages and their data, an index and a ledger of them, and what
+each says of the others.
+"""
 
 import contextlib
 import fcntl
@@ -23,7 +25,8 @@ Page = tuple[str, dict[str, str]]
 #: How every page begins, whatever its title.
 _PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
 
-#: Suffix of drafts, by which a report finds those of a killed one; random, so that no other file has it.
+#: Suffix of drafts, by which a report finds those of a killed one; random, so that no
+#: other file has it.
 _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Size limit of all thumbnails on the index [byte].
@@ -40,7 +43,8 @@ _MAX_LISTED, _LEDGER = 40, "csv/ledger.csv"
 
 @contextlib.contextmanager
 def locked(out: Path) -> Iterator[None]:
-    """Hold the folder while its pages are combined: of two reports into it, one waits for the other.
+    """Hold the folder while its pages are combined: of two reports into it, one waits
+    for the other.
 
     Drafts there are left from a report that was killed, and are removed.
     """
@@ -56,24 +60,46 @@ def locked(out: Path) -> Iterator[None]:
 
 
 def combine(
-    environment: jinja2.Environment, out: Path, pages: dict[str, Page], only: bool = False, bundle: bool = False
+    environment: jinja2.Environment,
+    out: Path,
+    pages: dict[str, Page],
+    only: bool = False,
+    bundle: bool = False,
 ) -> None:
-    """Write pages and their data, fill in what depends on others, and write the index and ledger of all pages there."""
+    """Write pages and their data, fill in what depends on others, and write the index
+    and ledger of all pages there.
+    """
     texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
-    previous, current = entry.read_all(out), {name: record for name in texts for record in entry.read(texts[name])}
-    kept = {name: record for name, record in previous.items() if name not in texts and not only}
+    previous, current = (
+        entry.read_all(out),
+        {name: record for name in texts for record in entry.read(texts[name])},
+    )
+    kept = {
+        name: record
+        for name, record in previous.items()
+        if name not in texts and not only
+    }
     entries = sorted((kept | current).values(), key=lambda record: record.order)
-    _check_own(out, pages, {name for record in previous.values() for name in record.files})
+    _check_own(
+        out, pages, {name for record in previous.values() for name in record.files}
+    )
     for _, files in pages.values():
         for name, text in files.items():
             _publish(out / name, text)
     report = _Report(environment, entries)
-    texts = {name: text for name, text in texts.items() if name not in current or not current[name].text}
+    texts = {
+        name: text
+        for name, text in texts.items()
+        if name not in current or not current[name].text
+    }
     for name in kept.keys() & {f"{record.slug}.html" for record in report.shown}:
         texts[name] = (out / name).read_text(encoding="utf-8")
     for name, text in texts.items():
         _publish(out / name, report.filled(text, (kept | current).get(name)))
-    wanted = {*(f"{record.slug}.html" for record in report.shown), *(name for r in entries for name in r.files)}
+    wanted = {
+        *(f"{record.slug}.html" for record in report.shown),
+        *(name for r in entries for name in r.files),
+    }
     for record in previous.values():
         entry.remove(out, record, wanted)
     if report.claims:
@@ -86,13 +112,25 @@ def combine(
         (out / "csv").rmdir()
     _publish(out / "index.html", report.page("index"))
     if bundle or (out / "bundle.html").exists():
-        names = ["index", *(["ledger"] if report.claims else []), *(record.slug for record in report.shown)]
-        texts = {name: _bundled((out / f"{name}.html").read_text(encoding="utf-8"), names) for name in names}
-        _publish(out / "bundle.html", environment.get_template("bundle.html").render(texts=texts))
+        names = [
+            "index",
+            *(["ledger"] if report.claims else []),
+            *(record.slug for record in report.shown),
+        ]
+        texts = {
+            name: _bundled((out / f"{name}.html").read_text(encoding="utf-8"), names)
+            for name in names
+        }
+        _publish(
+            out / "bundle.html",
+            environment.get_template("bundle.html").render(texts=texts),
+        )
 
 
 def _bundled(text: str, names: list[str]) -> str:
-    """A page as a bundle holds it: without what all share and its record, its links to others as the bundle's."""
+    """A page as a bundle holds it: without what all share and its record, its links to
+    others as the bundle's.
+    """
     text = re.sub(r"<style>.*?</style>", "<style></style>", text, count=1, flags=re.S)
     for left in (
         r'<meta http-equiv="Content-Security-Policy"[^>]*>',
@@ -100,7 +138,11 @@ def _bundled(text: str, names: list[str]) -> str:
     ):
         text = re.sub(left, "", text, count=1, flags=re.S)
     text = text[: text.rindex("<script>")] + "<script></script>\n</body>\n</html>"
-    return re.sub(r'href="([\w-]+)\.html(#|")', lambda m: f'href="?{m[1]}{m[2]}' if m[1] in names else m[0], text)
+    return re.sub(
+        r'href="([\w-]+)\.html(#|")',
+        lambda m: f'href="?{m[1]}{m[2]}' if m[1] in names else m[0],
+        text,
+    )
 
 
 class _Report:
@@ -110,7 +152,9 @@ class _Report:
         self.environment, self.entries = environment, entries
         self.shown = [record for record in entries if not record.text]
         self.places = {record.slug: k for k, record in enumerate(self.shown)}
-        self.claims = {str(row["id"]): row for record in entries for row in record.claims}
+        self.claims = {
+            str(row["id"]): row for record in entries for row in record.claims
+        }
         self.figures = ledger.figures(entries)
         self.ledger = ledger.families(entries, self.figures)
         self.parts: Any = environment.get_template("parts.html").module
@@ -123,9 +167,15 @@ class _Report:
             ledger=self.ledger,
             tally=ledger.tally(self.ledger),
             signs=ledger.sign,
-            absent=PAPER["absent"] if any(record.section for record in self.shown) else {},
+            absent=PAPER["absent"]
+            if any(record.section for record in self.shown)
+            else {},
             behind=[record for record in self.entries if record.text],
-            entries=[vars(record) for record in self.entries if record.text and name == "ledger"],
+            entries=[
+                vars(record)
+                for record in self.entries
+                if record.text and name == "ledger"
+            ],
             held={record.slug: self._held(record) for record in self.shown},
             thumbnails=_thumbnails(self.shown),
             lines=lines,
@@ -134,20 +184,37 @@ class _Report:
 
     def sections(self, shown: list[Entry]) -> dict[str, list[Entry]]:
         """Some pages by section of the index: those of the paper, then all others."""
-        titles = PAPER["sections"] | {"": "Other studies" if any(r.section for r in self.shown) else "Studies"}
-        groups = {title: [r for r in shown if r.section == name] for name, title in titles.items()}
+        titles = PAPER["sections"] | {
+            "": "Other studies" if any(r.section for r in self.shown) else "Studies"
+        }
+        groups = {
+            title: [r for r in shown if r.section == name]
+            for name, title in titles.items()
+        }
         return {title: members for title, members in groups.items() if members}
 
     def _held(self, record: Entry) -> dict[str, int]:
         """Number of claims that a page's figures show, by verdict, the best first."""
-        ids = dict.fromkeys(id for figure in record.figures for id in self.figures[record.slug, figure["name"]])
+        ids = dict.fromkeys(
+            id
+            for figure in record.figures
+            for id in self.figures[record.slug, figure["name"]]
+        )
         rows = ledger.tally(self.ledger)
-        counts = {verdict: sum(row["id"] in ids for row in members) for verdict, members in rows.items()}
+        counts = {
+            verdict: sum(row["id"] in ids for row in members)
+            for verdict, members in rows.items()
+        }
         return {verdict: count for verdict, count in counts.items() if count}
 
     def filled(self, text: str, record: Entry | None) -> str:
         """A page with its places for what depends on other pages filled in."""
-        return _PLACE.sub(lambda place: f"{place[1]}{self._part(place[2], place[3] or '', record)}<!--/-->", text)
+        return _PLACE.sub(
+            lambda place: (
+                f"{place[1]}{self._part(place[2], place[3] or '', record)}<!--/-->"
+            ),
+            text,
+        )
 
     def _part(self, kind: str, name: str, record: Entry | None) -> str:
         if kind == "pages":
@@ -156,15 +223,31 @@ class _Report:
             return ""
         if kind == "around":
             k = self.places[record.slug]
-            around = [self.shown[i] if 0 <= i < len(self.shown) else None for i in (k - 1, k + 1)]
+            around = [
+                self.shown[i] if 0 <= i < len(self.shown) else None
+                for i in (k - 1, k + 1)
+            ]
             return str(self.parts.around(*around))
-        figure = next((figure for figure in record.figures if figure["name"] == name), None)
+        figure = next(
+            (figure for figure in record.figures if figure["name"] == name), None
+        )
         if figure is None:
             return ""
         study = record.name if record.section else ""
         rows = [self.claims[id] for id in self.figures[record.slug, name]]
-        verdicts = [(row["id"], spaced(row.get("verdict", "")), ledger.sign(row.get("verdict", ""))) for row in rows]
-        return str(self.parts.finding(paper.finding(study, name, self.claims) or figure["finding"], verdicts))
+        verdicts = [
+            (
+                row["id"],
+                spaced(row.get("verdict", "")),
+                ledger.sign(row.get("verdict", "")),
+            )
+            for row in rows
+        ]
+        return str(
+            self.parts.finding(
+                paper.finding(study, name, self.claims) or figure["finding"], verdicts
+            )
+        )
 
     def _near(self, record: Entry | None) -> dict[str, list[Entry]]:
         """Pages that a page lists beside itself: all, or of many those around it."""
@@ -173,7 +256,9 @@ class _Report:
 
 
 def _check_own(out: Path, pages: dict[str, Page], listed: set[str]) -> None:
-    """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
+    """Refuse to write over what no report has made: pages are known by their beginning,
+    data by a page or heading.
+    """
     for name in (*pages, "index", "ledger", "bundle"):
         paths.check_own(out / f"{name}.html", _PAGE)
     if (out / "csv").is_symlink() or not (out / "csv").is_dir():
@@ -182,13 +267,20 @@ def _check_own(out: Path, pages: dict[str, Page], listed: set[str]) -> None:
         paths.check_own(out / _LEDGER, rb"(?!)")
     for _, files in pages.values():
         for name in files.keys() - listed:
-            paths.check_own(out / name, re.escape(files[name].partition("\n")[0].encode()))
+            paths.check_own(
+                out / name, re.escape(files[name].partition("\n")[0].encode())
+            )
 
 
 def _thumbnails(entries: list[Entry]) -> dict[str, str]:
-    """The first figures of the studies, the smallest first, up to the size limit of the index."""
+    """The first figures of the studies, the smallest first, up to the size limit of the
+    index.
+    """
     room, thumbnails = _MAX_THUMBNAIL_BYTES - _CARD_BYTES * len(entries), {}
-    for record in sorted((record for record in entries if record.thumbnail), key=lambda record: len(record.thumbnail)):
+    for record in sorted(
+        (record for record in entries if record.thumbnail),
+        key=lambda record: len(record.thumbnail),
+    ):
         room -= len(record.thumbnail)
         if room > 0:
             thumbnails[record.slug] = record.thumbnail
@@ -197,15 +289,30 @@ def _thumbnails(entries: list[Entry]) -> dict[str, str]:
 
 def csv_text(frame: pd.DataFrame, units: Mapping[str, str] | None = None) -> str:
     """A frame as CSV, with units in its head."""
-    units = {**(units or {}), **{name: unit for name, unit in frame.attrs.get("units", {}).items() if unit}}
-    heads = [with_unit(str(c), unit if (unit := units.get(str(c), "1")) != "1" else "") for c in frame.columns]
-    words = frame.columns[[column.dtype.kind not in "iuf" for _, column in frame.items()]]
-    texts = {name: frame[name].astype(object).map(_word, na_action="ignore") for name in words}
-    return frame.assign(**texts).to_csv(index=False, header=[*map(_word, heads)], lineterminator="\n")
+    units = {
+        **(units or {}),
+        **{name: unit for name, unit in frame.attrs.get("units", {}).items() if unit},
+    }
+    heads = [
+        with_unit(str(c), unit if (unit := units.get(str(c), "1")) != "1" else "")
+        for c in frame.columns
+    ]
+    words = frame.columns[
+        [column.dtype.kind not in "iuf" for _, column in frame.items()]
+    ]
+    texts = {
+        name: frame[name].astype(object).map(_word, na_action="ignore")
+        for name in words
+    }
+    return frame.assign(**texts).to_csv(
+        index=False, header=[*map(_word, heads)], lineterminator="\n"
+    )
 
 
 def _word(word: Any) -> str:
-    """A word in a CSV file: one that a spreadsheet would evaluate as a formula is told to be text."""
+    """A word in a CSV file: one that a spreadsheet would evaluate as a formula is told
+    to be text.
+    """
     is_formula = str(word)[:1] in ("=", "+", "-", "@", "\t", "\r")
     text = f"'{word}" if is_formula else str(word)
     return text.replace("\r", "\n")  # which alone is quoted

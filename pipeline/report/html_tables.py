@@ -1,4 +1,6 @@
-"""The tables of a report: cells of text, each number with the exact value that it rounds."""
+"""The tables of a report: cells of text, each number with the exact value that it
+rounds.
+"""
 
 import itertools
 import re
@@ -15,17 +17,25 @@ from gaitsweep.pipeline.report.figures import landmarks as places
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.starts import addresses
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
+from gaitsweep.pipeline.report.words import (
+    WORDS,
+    grouped,
+    plain,
+    print_units,
+    spaced,
+    with_unit,
+)
 from gaitsweep.pipeline.terminal import counted
 
-#: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
+#: Failed points listed on the page, and points without a gait in the CSV file; the
+#: archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000
 
 #: Reasons in the table of outcomes; each point of a large study may have its own.
 _MAX_REASONS = 200
 
-#: Rows of the longest table that a page shows unfolded, those shown of one that is longer than `MAX_ROWS`, and columns
-#: shown before all are asked for.
+#: Rows of the longest table that a page shows unfolded, those shown of one that is
+#: longer than `MAX_ROWS`, and columns shown before all are asked for.
 _OPEN_ROWS, _EXCERPT, MAX_COLUMNS = 20, 12, 6
 
 #: Columns that stand last.
@@ -34,9 +44,11 @@ _LAST = WORDS["kinds"]["last"]
 
 @dataclass(frozen=True)
 class Table:
-    """A caption, column headings and rows of cells; `meanings` are the long names of the columns.
+    """A caption, column headings and rows of cells; `meanings` are the long names of
+    the columns.
 
-    `frame` holds all rows, for the CSV file that is called after `name`; `gaits` are the addresses of the rows' gaits.
+    `frame` holds all rows, for the CSV file that is called after `name`; `gaits` are
+    the addresses of the rows' gaits.
     """
 
     caption: str
@@ -52,8 +64,13 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Whether each column holds numbers, beside which a dash stands for an absent one."""
-        return [any(c.value is not None for c in column) for column in zip(*self.rows, strict=True)]
+        """Whether each column holds numbers, beside which a dash stands for an absent
+        one.
+        """
+        return [
+            any(c.value is not None for c in column)
+            for column in zip(*self.rows, strict=True)
+        ]
 
     @property
     def folded(self) -> bool:
@@ -62,7 +79,9 @@ class Table:
 
 
 def _head(column: str) -> str:
-    """Heading of a column: the paper's symbol where there is one, else the name in words."""
+    """Heading of a column: the paper's symbol where there is one, else the name in
+    words.
+    """
     return str(WORDS["columns"].get(column, spaced(column)))
 
 
@@ -70,56 +89,94 @@ def named(
     name: str, frame: pd.DataFrame, is_open: bool = False, where: str = "archive", note: str = "",
     whole: pd.DataFrame | None = None,
 ) -> Table:  # fmt: skip
-    """Make a table of the first rows of a frame, with the words of its name and the number of rows left out.
+    """Make a table of the first rows of a frame, with the words of its name and the
+    number of rows left out.
 
-    Errors and bounds have two digits, comparable numbers of a column the same number of decimals. Columns that tell
-    little stand last. `whole` is the frame with all rows and columns, for the CSV file called after `name`. One that
-    `is_open` has up to twice as many rows, and they are never folded.
+    Errors and bounds have two digits, comparable numbers of a column the same number of
+    decimals. Columns that tell little stand last. `whole` is the frame with all rows
+    and columns, for the CSV file called after `name`. One that `is_open` has up to
+    twice as many rows, and they are never folded.
     """
     words, most = WORDS["tables"].get(name, {}), MAX_ROWS * (1 + is_open)
     most = most if len(frame) <= most else _EXCERPT
     left = len(frame) - most
-    notes = [words.get("note", ""), note, f"{grouped(left)} more rows are in the {where}." if left > 0 else ""]
-    caption, whole = words.get("caption", spaced(name).replace("/", ": ")), frame if whole is None else whole
+    notes = [
+        words.get("note", ""),
+        note,
+        f"{grouped(left)} more rows are in the {where}." if left > 0 else "",
+    ]
+    caption, whole = (
+        words.get("caption", spaced(name).replace("/", ": ")),
+        frame if whole is None else whole,
+    )
     file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
     frame = frame.head(most)
     frame = frame[
-        sorted(frame.columns, key=lambda c: (c in _LAST, len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1))
+        sorted(
+            frame.columns,
+            key=lambda c: (
+                c in _LAST,
+                len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1,
+            ),
+        )
     ]
     units, meanings = (frame.attrs.get(key, {}) for key in ("units", "meanings"))
-    names = ["steps" if c == "period" and frame[c].dtype.kind in "iu" else _head(str(c)) for c in frame]
-    heads = [with_unit(name, print_units(units.get(c, ""))) for c, name in zip(frame, names, strict=True)]
-    rows = [list(row) for row in zip(*(column_cells(str(c), frame) for c in frame), strict=True)]
+    names = [
+        "steps" if c == "period" and frame[c].dtype.kind in "iu" else _head(str(c))
+        for c in frame
+    ]
+    heads = [
+        with_unit(name, print_units(units.get(c, "")))
+        for c, name in zip(frame, names, strict=True)
+    ]
+    rows = [
+        list(row)
+        for row in zip(*(column_cells(str(c), frame) for c in frame), strict=True)
+    ]
     about, means = " ".join(filter(None, notes)), [meanings.get(c, "") for c in frame]
     return Table(caption, heads, rows, about, means, file, whole, is_open=is_open)
 
 
 def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
-    """Tables of results on a page, by the section in which they stand: its heading, and they."""
+    """Tables of results on a page, by the section in which they stand: its heading, and
+    they.
+    """
     parts = {
         "landmarks": ("Paper and computation", landmarks(source)),
         "residuals": ("Measurements", residuals(source)),
         "fits": ("Tables", results(source)),
     }
-    return {name: (heading, tables) for name, (heading, tables) in parts.items() if tables}
+    return {
+        name: (heading, tables) for name, (heading, tables) in parts.items() if tables
+    }
 
 
 def _fit(name: str, frame: pd.DataFrame) -> Table:
     fitted = frame[frame["n"] > 0] if "n" in frame else frame
     missing, more = len(frame) - len(fitted), "further " if len(fitted) else ""
-    note = f"For {counted(missing, f'{more}case')} no power law fits." if missing else ""
+    note = (
+        f"For {counted(missing, f'{more}case')} no power law fits." if missing else ""
+    )
     if "quantity" in fitted:
-        fitted = fitted.replace({"quantity": WORDS["laws"]}).rename(columns={"quantity": "law"})
+        fitted = fitted.replace({"quantity": WORDS["laws"]}).rename(
+            columns={"quantity": "law"}
+        )
     return named(name, fitted, True, note=note, whole=frame)
 
 
 def landmarks(source: Source) -> list[Table]:
-    """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
+    """Landmarks that the paper prints or numbers, beside those computed and what
+    rounding allows.
+    """
     heads = WORDS["landmarks"]
     frame = places.every(source, *heads)
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
-    return [Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)] if rows else []
+    return (
+        [Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)]
+        if rows
+        else []
+    )
 
 
 def residuals(source: Source) -> list[Table]:
@@ -129,10 +186,20 @@ def residuals(source: Source) -> list[Table]:
 
 
 def results(source: Source) -> list[Table]:
-    """Make every table of results in the archive that is not shown elsewhere on its page."""
+    """Make every table of results in the archive that is not shown elsewhere on its
+    page.
+    """
     order = [*WORDS["tables"], *sorted(source.tables.keys() - WORDS["tables"].keys())]
-    frames = {name: source.table(name) for name in order if name not in WORDS["elsewhere"]["tables"]}
-    return [_result(source, name, frame) for name, frame in frames.items() if frame is not None]
+    frames = {
+        name: source.table(name)
+        for name in order
+        if name not in WORDS["elsewhere"]["tables"]
+    }
+    return [
+        _result(source, name, frame)
+        for name, frame in frames.items()
+        if frame is not None
+    ]
 
 
 def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
@@ -147,18 +214,27 @@ def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
         return _printed_cells(name, frame)
     # States and bounds of a design's gaits are in the archive and the CSV file.
     begins, ends = ("stance_", "thigh_rate", "shank_rate", "surveyed"), "_error"
-    aside = [c for c in frame if name == "design" and (str(c).startswith(begins) or str(c).endswith(ends))]
+    aside = [
+        c
+        for c in frame
+        if name == "design" and (str(c).startswith(begins) or str(c).endswith(ends))
+    ]
     return named(name, frame.drop(columns=aside), whole=frame)
 
 
 def _transposed(name: str, frame: pd.DataFrame) -> Table:
-    """A table with one column per walker and one row per quantity, as the paper prints it."""
+    """A table with one column per walker and one row per quantity, as the paper prints
+    it.
+    """
     rows = []
     for column in frame.columns.drop(["walker", "description"], errors="ignore"):
         flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
         # The residual of a condition that is met exactly is rounding.
         met = column.endswith("_offset")
-        values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
+        values = [
+            cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v)
+            for v in frame[column]
+        ]
         rows.append([cell(_head(column)), *values])
     meanings = ["", *frame.get("description", [""] * len(frame))]
     caption, heads = WORDS["tables"][name]["caption"], ["", *map(str, frame["walker"])]
@@ -166,51 +242,91 @@ def _transposed(name: str, frame: pd.DataFrame) -> Table:
 
 
 def _printed_cells(name: str, frame: pd.DataFrame) -> Table:
-    """The paper's figure 10: a row per walker, in each cell what is printed and computed, by range of slopes."""
-    columns, lines = list(dict.fromkeys(frame["column"])), dict[str, dict[str, list[str]]]()
+    """The paper's figure 10: a row per walker, in each cell what is printed and
+    computed, by range of slopes.
+    """
+    columns, lines = (
+        list(dict.fromkeys(frame["column"])),
+        dict[str, dict[str, list[str]]](),
+    )
     for entry in frame.itertuples():
         sign = WORDS["verdicts"].get(entry.verdict, {}).get("sign", "–")
         where = f"γ {entry.slopes}: " if entry.slopes else ""
         computed = re.sub(r"\^(\d+\.\d+)", r"ᵖ, p = \1", str(entry.computed))
         own = lines.setdefault(str(entry.walker), {column: [] for column in columns})
-        own[entry.column].append(f"{sign} {where}{entry.printed}\n    computed {computed}")
-    rows = [[cell(walker), *(Cell("\n".join(texts)) for texts in own.values())] for walker, own in lines.items()]
+        own[entry.column].append(
+            f"{sign} {where}{entry.printed}\n    computed {computed}"
+        )
+    rows = [
+        [cell(walker), *(Cell("\n".join(texts)) for texts in own.values())]
+        for walker, own in lines.items()
+    ]
     words = WORDS["tables"][name]
     return Table(words["caption"], ["walker", *columns], rows, words["note"])
 
 
 def points(source: Source) -> pd.DataFrame:
-    """List every grid point without a converged gait: coordinates, gait, status and the sentence that says why."""
+    """List every grid point without a converged gait: coordinates, gait, status and the
+    sentence that says why.
+    """
     grid = source.outcomes
     if "status" not in grid:
         return pd.DataFrame(columns=["status", "reason"])
-    status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
+    status = (
+        grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
+    )
     at = np.nonzero(status.values)
     sentences, names = source.reasons, source.statuses
-    columns = {str(d): _decode(i, grid[d].values) for d, i in zip(status.dims, at, strict=True) if d in grid.coords}
+    columns = {
+        str(d): _decode(i, grid[d].values)
+        for d, i in zip(status.dims, at, strict=True)
+        if d in grid.coords
+    }
     values, codes = np.unique(status.values[at], return_inverse=True)
     columns["status"] = _decode(codes, [names.get(int(s), str(s)) for s in values])
-    index = np.atleast_1d(grid["reason"].values)[at] if "reason" in grid else np.full(len(at[0]), -1)
+    index = (
+        np.atleast_1d(grid["reason"].values)[at]
+        if "reason" in grid
+        else np.full(len(at[0]), -1)
+    )
     values, codes = np.unique(index, return_inverse=True)
-    columns["reason"] = _decode(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
+    columns["reason"] = _decode(
+        codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values]
+    )
     return pd.DataFrame(columns)
 
 
 def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
     """Expand codes to values; words become categories, each stored once."""
     values = np.asarray(values)
-    return values[codes] if values.dtype.kind not in "OU" else pd.Categorical(values.astype(str)).take(codes)
+    return (
+        values[codes]
+        if values.dtype.kind not in "OU"
+        else pd.Categorical(values.astype(str)).take(codes)
+    )
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
-    """Count and share of every status of points or lines that occurs, in the order of the flag values."""
+    """Count and share of every status of points or lines that occurs, in the order of
+    the flag values.
+    """
     if "status" not in source.outcomes:
         return []
     status = source.outcomes["status"]
-    by_gait = status.transpose(..., "gait") if "gait" in status.dims else status.expand_dims("gait", -1)
-    counts = count(count_rows(by_gait.values.reshape(-1, by_gait.sizes["gait"])), source.statuses)
+    by_gait = (
+        status.transpose(..., "gait")
+        if "gait" in status.dims
+        else status.expand_dims("gait", -1)
+    )
+    counts = count(
+        count_rows(by_gait.values.reshape(-1, by_gait.sizes["gait"])), source.statuses
+    )
     every = dict.fromkeys([*source.statuses.values(), *counts])
-    return [(name, counts[name], counts[name] / counts.total()) for name in every if counts[name]]
+    return [
+        (name, counts[name], counts[name] / counts.total())
+        for name in every
+        if counts[name]
+    ]
 
 
 def outcome_sentence(source: Source) -> str:
@@ -222,7 +338,11 @@ def outcome_sentence(source: Source) -> str:
     whole = "curve" if source.whole == "line" else "point"
     s = "" if total == 1 else "s"
     complete = counts.pop("converged", 0)
-    parts = [f"{grouped(complete)} of {grouped(total)} {whole}{s} complete"] if complete else []
+    parts = (
+        [f"{grouped(complete)} of {grouped(total)} {whole}{s} complete"]
+        if complete
+        else []
+    )
     return f"Solver: {', '.join([*parts, *(f'{grouped(count)} {spaced(name)}' for name, count in counts.items())])}"
 
 
@@ -233,23 +353,45 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     status = source.outcomes["status"]
     solved, slopes = status.size - len(absent), np.array([])
     if "slope" in status.indexes:
-        slopes = status["slope"].values[(status == 0).any([d for d in status.dims if d != "slope"]).values]
-    rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
+        slopes = status["slope"].values[
+            (status == 0).any([d for d in status.dims if d != "slope"]).values
+        ]
+    rows = (
+        [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]]
+        if solved
+        else []
+    )
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
         over = _range(group["slope"].to_numpy() if "slope" in group else np.array([]))
         rows.append([Cell(spaced(status)), Cell(reason), cell(len(group), True), *over])
-    caption, what = ("Outcomes by gait", "gaits") if source.whole == "point" else ("Outcomes by line", "lines")
-    note = f"{groups.ngroups - _MAX_REASONS} more reasons are in the archive." if groups.ngroups > _MAX_REASONS else ""
-    return Table(caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note)
+    caption, what = (
+        ("Outcomes by gait", "gaits")
+        if source.whole == "point"
+        else ("Outcomes by line", "lines")
+    )
+    note = (
+        f"{groups.ngroups - _MAX_REASONS} more reasons are in the archive."
+        if groups.ngroups > _MAX_REASONS
+        else ""
+    )
+    return Table(
+        caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note
+    )
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:
-    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [Cell("–"), Cell("–")]
+    return (
+        [cell(slopes.min()), cell(slopes.max())]
+        if len(slopes)
+        else [Cell("–"), Cell("–")]
+    )
 
 
 def listed(absent: pd.DataFrame) -> pd.DataFrame:
-    """Points without a converged gait that the CSV file lists: failures first, which answers would push out."""
+    """Points without a converged gait that the CSV file lists: failures first, which
+    answers would push out.
+    """
     order = np.argsort(absent["status"].isin(ANSWERS).to_numpy(), kind="stable")
     return absent.iloc[order[:MAX_LISTED]]
 
@@ -273,19 +415,37 @@ def failed_tasks(source: Source) -> Table | None:
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, one column each; a key that the study varies shows its values."""
+    """Parameters of the study's walkers, one column each; a key that the study varies
+    shows its values.
+    """
     tables = source.walkers
     if not tables:
         return None
     names = dict.fromkeys(axis for axes in source.varied.values() for axis in axes)
-    given = {axis: _axis_values(source.grid[axis].values) for axis in names if axis in source.grid.coords}
+    given = {
+        axis: _axis_values(source.grid[axis].values)
+        for axis in names
+        if axis in source.grid.coords
+    }
     moved = {
-        key: given.get(key, Cell("varied")) if key in axes else Cell(f"by {', '.join(axes)}")
+        key: given.get(key, Cell("varied"))
+        if key in axes
+        else Cell(f"by {', '.join(axes)}")
         for key, axes in source.varied.items()
     }
     keys = list(dict.fromkeys(key for table in tables.values() for key in table))
-    rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values())] for key in keys]
-    rows += [[Cell(axis), *[values] * len(tables)] for axis, values in given.items() if axis not in keys]
+    rows = [
+        [
+            Cell(key),
+            *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values()),
+        ]
+        for key in keys
+    ]
+    rows += [
+        [Cell(axis), *[values] * len(tables)]
+        for axis, values in given.items()
+        if axis not in keys
+    ]
     return Table("Parameters", ["key", *tables], rows)
 
 
@@ -294,7 +454,11 @@ def _axis_values(values: np.ndarray) -> Cell:
     if len(values) == 1:
         return cell(float(values[0]))
     shown = [plain(float(v), 6) for v in values]
-    return Cell(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
+    return Cell(
+        ", ".join(shown)
+        if len(shown) < 5
+        else f"{shown[0]} … {shown[-1]} ({len(shown)} values)"
+    )
 
 
 def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
@@ -304,7 +468,9 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
         if isinstance(value, dict):
             entries += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
         elif isinstance(value, list):
-            words = (" ".join(map(str, v)) if isinstance(v, list) else str(v) for v in value)
+            words = (
+                " ".join(map(str, v)) if isinstance(v, list) else str(v) for v in value
+            )
             entries.append((spaced(key), Cell(", ".join(words))))
         elif value is not None:
             entries.append((spaced(key), cell(value)))

@@ -1,4 +1,6 @@
-"""The ledger of claims: rows made of the pages' entries, a small picture of each number, and the tally of verdicts."""
+"""The ledger of claims: rows made of the pages' entries, a small picture of each
+number, and the tally of verdicts.
+"""
 
 import itertools
 import math
@@ -12,29 +14,53 @@ from gaitsweep.pipeline.report.cells import Cell, cell
 from gaitsweep.pipeline.report.entry import Entry
 from gaitsweep.pipeline.report.words import WORDS, plain, spaced, typeset
 
-#: A claim as the ledger shows it: texts, cells of numbers, its picture, and the figures that show it with their links.
+#: A claim as the ledger shows it: texts, cells of numbers, its picture, and the figures
+#: that show it with their links.
 Claim = dict[str, Any]
 
 
-def families(entries: list[Entry], places: Mapping[tuple[str, str], list[str]]) -> dict[str, list[Claim]]:
-    """Every claim of some studies by subject, each with links to the figures that show it, as `figures` gives them."""
+def families(
+    entries: list[Entry], places: Mapping[tuple[str, str], list[str]]
+) -> dict[str, list[Claim]]:
+    """Every claim of some studies by subject, each with links to the figures that show
+    it, as `figures` gives them.
+    """
     shown: dict[str, list[tuple[str, str]]] = {}
     for entry in entries:
         for figure in entry.figures:
-            title = f"{entry.short}: {figure['title']}" if len(entry.figures) > 1 else entry.short
+            title = (
+                f"{entry.short}: {figure['title']}"
+                if len(entry.figures) > 1
+                else entry.short
+            )
             for id in places[entry.slug, figure["name"]]:
-                shown.setdefault(id, []).append((title, f"{entry.slug}.html#{figure['name']}"))
-    rows = [_claim(row, shown.get(str(row["id"]), [])) for entry in entries for row in entry.claims]
-    groups: dict[str, list[Claim]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
+                shown.setdefault(id, []).append(
+                    (title, f"{entry.slug}.html#{figure['name']}")
+                )
+    rows = [
+        _claim(row, shown.get(str(row["id"]), []))
+        for entry in entries
+        for row in entry.claims
+    ]
+    groups: dict[str, list[Claim]] = {
+        subject: [] for subject in (*WORDS["subjects"].values(), "Others")
+    }
     for row in sorted(rows, key=lambda row: (row["id"][:1], len(row["id"]), row["id"])):
         groups[WORDS["subjects"].get(row["id"][:1].upper(), "Others")].append(row)
     return {subject: members for subject, members in groups.items() if members}
 
 
 def figures(entries: list[Entry]) -> dict[tuple[str, str], list[str]]:
-    """Claims that each figure shows, by page and name: those that name it, and those that it names itself."""
+    """Claims that each figure shows, by page and name: those that name it, and those
+    that it names itself.
+    """
     rows = [
-        (str(row["id"]), own if "/" in (own := str(row.get("figure", ""))) else f"{entry.study}/{own}")
+        (
+            str(row["id"]),
+            own
+            if "/" in (own := str(row.get("figure", "")))
+            else f"{entry.study}/{own}",
+        )
         for entry in entries
         for row in entry.claims
     ]
@@ -42,7 +68,9 @@ def figures(entries: list[Entry]) -> dict[tuple[str, str], list[str]]:
     for entry in entries:
         for figure in entry.figures:
             at = f"{entry.study}/{figure['name']}"
-            places[entry.slug, figure["name"]] = [id for id, of in rows if of == at or id in figure["claims"]]
+            places[entry.slug, figure["name"]] = [
+                id for id, of in rows if of == at or id in figure["claims"]
+            ]
     return places
 
 
@@ -84,14 +112,24 @@ def sign(verdict: str) -> str:
 
 def _claim(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> Claim:
     """A claim of an archive as the ledger shows it."""
-    verdict, printed, computed = spaced(row.get("verdict", "")), row.get("printed", ""), row.get("computed", "")
+    verdict, printed, computed = (
+        spaced(row.get("verdict", "")),
+        row.get("printed", ""),
+        row.get("computed", ""),
+    )
     low, high = (_number(row, name) for name in ("interval_low", "interval_high"))
     has_interval = low.value is not None and high.value is not None
-    words = [str(computed)] if not isinstance(computed, str) else [part.strip() for part in computed.split(";")]
+    words = (
+        [str(computed)]
+        if not isinstance(computed, str)
+        else [part.strip() for part in computed.split(";")]
+    )
     return {
         "id": str(row["id"]),
         **{name: str(row.get(name, "")) for name in ("quotation", "source", "command")},
-        "printed": Cell(typeset(printed)) if isinstance(printed, str) else cell(printed),
+        "printed": Cell(typeset(printed))
+        if isinstance(printed, str)
+        else cell(printed),
         "computed": [typeset(part) for part in words if part],
         "value": _number(row, "value" if "value" in row else "computed"),
         "number": _number(row, "printed_value"),
@@ -106,32 +144,53 @@ def _claim(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> Claim:
 
 def _number(row: Mapping[str, Any], name: str) -> Cell:
     value = row.get(name)
-    return cell(value) if isinstance(value, (int, float)) and math.isfinite(value) else Cell("")
+    return (
+        cell(value)
+        if isinstance(value, (int, float)) and math.isfinite(value)
+        else Cell("")
+    )
 
 
 def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Picture of a claim's numbers: words, and places in percent of its width; None if nothing is printed or varies.
+    """Picture of a claim's numbers: words, and places in percent of its width; None if
+    nothing is printed or varies.
 
-    Numbers from `printed_from` to `printed_to` round to the one `printed`, which may be None; the rounding of the
-    printed parameters allows the computed `value` to lie from `low` to `high`, which are equal for an exact one.
+    Numbers from `printed_from` to `printed_to` round to the one `printed`, which may be
+    None; the rounding of the printed parameters allows the computed `value` to lie from
+    `low` to `high`, which are equal for an exact one.
     """
     value, printed, half, low, high = (
         float(v) if isinstance(v := row.get(name), (int, float)) else math.nan
-        for name in ("value", "printed_value", "printed_half_unit", "interval_low", "interval_high")
+        for name in (
+            "value",
+            "printed_value",
+            "printed_half_unit",
+            "interval_low",
+            "interval_high",
+        )
     )
     if not math.isfinite(value) or not (math.isfinite(printed) or low <= high):
         return None
-    words, numbers = f"computed {plain(value, 6)}", {"value": value, "low": value, "high": value}
+    words, numbers = (
+        f"computed {plain(value, 6)}",
+        {"value": value, "low": value, "high": value},
+    )
     if low <= high:
         numbers |= {"low": low, "high": high}
         words += f", from {plain(low)} to {plain(high)} by rounding"
     if math.isfinite(printed):
         half = half if math.isfinite(half) else 0.0
-        numbers |= {"printed": printed, "printed_from": printed - half, "printed_to": printed + half}
+        numbers |= {
+            "printed": printed,
+            "printed_from": printed - half,
+            "printed_to": printed + half,
+        }
         words = f"printed {plain(printed)}, {words}"
     left, right = min(numbers.values()), max(numbers.values())
     # At least 2 % of the number, so that equal numbers are not drawn apart.
     span = max(right - left, 0.02 * abs(value)) or 1.0
     left, right = 0.5 * (left + right - 1.16 * span), 0.5 * (left + right + 1.16 * span)
-    places = {name: round(100 * (x - left) / (right - left), 2) for name, x in numbers.items()}
+    places = {
+        name: round(100 * (x - left) / (right - left), 2) for name, x in numbers.items()
+    }
     return {"words": words, "printed": None, **places}

@@ -1,4 +1,6 @@
-"""From archives to pages: an index, a page for each study, the ledger of claims, and the data of every figure."""
+"""From archives to pages: an index, a page for each study, the ledger of claims, and
+the data of every figure.
+"""
 
 import base64
 import contextlib
@@ -27,7 +29,10 @@ from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.words import grouped, plain
 
-_TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).parent / "scripts"
+_TEMPLATES, _SCRIPTS = (
+    Path(__file__).parent / "templates",
+    Path(__file__).parent / "scripts",
+)
 
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
@@ -36,10 +41,25 @@ _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables"
 _RESERVED = ("index", "ledger", "bundle")
 
 #: Units of columns of figures that are no variables of a grid.
-_UNITS = dict.fromkeys(("slope", "stance_angle", "angle", "flip", "next flip", "distance"), "rad")
+_UNITS = dict.fromkeys(
+    ("slope", "stance_angle", "angle", "flip", "next flip", "distance"), "rad"
+)
 
-#: Entries of the run's record that a page shows; the record also names the computer, which a page does not.
-_RUN = {name: name for name in ("began", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")}
+#: Entries of the run's record that a page shows; the record also names the computer,
+#: which a page does not.
+_RUN = {
+    name: name
+    for name in (
+        "began",
+        "jobs",
+        "cluster",
+        "version",
+        "points",
+        "failed",
+        "exit_code",
+        "account",
+    )
+}
 _RUN |= {"seconds": "finished after (s)"}
 
 #: Processes that make pages; a large archive takes each of them a GiB.
@@ -53,26 +73,30 @@ def write(
     tell: Callable[[int], object] = lambda made: None,
     bundle: bool = False,
 ) -> Path:
-    """Write the report of some archives into a folder: their pages, and the index and ledger of all pages there.
+    """Write the report of some archives into a folder: their pages, and the index and
+    ledger of all pages there.
 
     Parameters
     ----------
     archives : iterable of Path
-        Archives written by `gaitsweep run`; nothing else is read but the `NAME.run.json` next to each.
+        Archives written by `gaitsweep run`; nothing else is read but the
+        `NAME.run.json` next to each.
     out : Path
-        Folder of the pages, created if missing. A page and its data files are named after the study; a study
-        reported again replaces them.
+        Folder of the pages, created if missing. A page and its data files are named
+        after the study; a study reported again replaces them.
     only : bool
         Delete the other pages of earlier reports.
     tell : callable
         Told the number of pages made, before the first and after each.
     bundle : bool
-        Write `bundle.html` too, which holds all pages of the folder; one that is there is kept up to date.
+        Write `bundle.html` too, which holds all pages of the folder; one that is there
+        is kept up to date.
 
     Returns
     -------
     Path
-        The page of a single archive; of several, or of a study that only feeds the ledger, the index.
+        The page of a single archive; of several, or of a study that only feeds the
+        ledger, the index.
 
     Raises
     ------
@@ -102,15 +126,20 @@ def _make(source: Source, slug: str) -> folder.Page:
         return _study_page(source, slug)
 
 
-def _in_processes(sources: list[Source], slugs: list[str], tell: Callable[[int], object]) -> dict[str, folder.Page]:
-    """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some.
+def _in_processes(
+    sources: list[Source], slugs: list[str], tell: Callable[[int], object]
+) -> dict[str, folder.Page]:
+    """What `_make` gives for each source, by slug; pages depend on no other, so every
+    core makes some.
 
-    Each is made in a process of its own that only writes to a pipe: what one does not deliver, for lack of memory or in
-    error, is made here, where the error is raised.
+    Each is made in a process of its own that only writes to a pipe: what one does not
+    deliver, for lack of memory or in error, is made here, where the error is raised.
     """
     made: dict[str, folder.Page] = {}
     workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
-    if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
+    if (
+        workers > 1 and threading.active_count() == 1
+    ):  # a fork keeps the locks that other threads hold
         _environment()
         with contextlib.suppress(OSError):  # no room for another process
             for slug, page in _forked(dict(zip(slugs, sources, strict=True)), workers):
@@ -123,7 +152,9 @@ def _in_processes(sources: list[Source], slugs: list[str], tell: Callable[[int],
     return {slug: made[slug] for slug in slugs}
 
 
-def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, folder.Page]]:
+def _forked(
+    sources: dict[str, Source], workers: int
+) -> Iterator[tuple[str, folder.Page]]:
     """Yield pages, with their slugs, as processes make them, one each."""
     fork, waiting = multiprocessing.get_context("fork"), [*sources.items()][::-1]
     running: dict[Any, tuple[str, multiprocessing.process.BaseProcess]] = {}
@@ -132,7 +163,11 @@ def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, fol
             while waiting and len(running) < workers:
                 slug, source = waiting.pop()
                 receiver, sender = fork.Pipe(duplex=False)
-                process = fork.Process(target=_deliver, args=(source, slug, sender, [*running, receiver]), daemon=True)
+                process = fork.Process(
+                    target=_deliver,
+                    args=(source, slug, sender, [*running, receiver]),
+                    daemon=True,
+                )
                 process.start()
                 sender.close()
                 running[receiver] = slug, process
@@ -149,10 +184,17 @@ def _forked(sources: dict[str, Source], workers: int) -> Iterator[tuple[str, fol
             end.close()
 
 
-def _deliver(source: Source, slug: str, sender: connection.Connection, receivers: list[connection.Connection]) -> None:
-    """Make a page in a process of its own, and send it; on an error it ends without a word.
+def _deliver(
+    source: Source,
+    slug: str,
+    sender: connection.Connection,
+    receivers: list[connection.Connection],
+) -> None:
+    """Make a page in a process of its own, and send it; on an error it ends without a
+    word.
 
-    The ends at which its parent receives are closed here, so that it does not wait for one that was killed.
+    The ends at which its parent receives are closed here, so that it does not wait for
+    one that was killed.
     """
     gc.freeze()  # collections would copy the memory that processes share
     try:
@@ -170,10 +212,19 @@ def _study_page(source: Source, slug: str) -> folder.Page:
     absent = html_tables.points(source)
     listed = html_tables.listed(absent)
     frames = {drawing.name: drawing.data for drawing in drawings}
-    frames |= {f"table-{table.name}": table.frame for _, own in sections.values() for table in own if table.name}
+    frames |= {
+        f"table-{table.name}": table.frame
+        for _, own in sections.values()
+        for table in own
+        if table.name
+    }
     frames |= {"absent": listed} if len(absent) else {}
     csv, files = _data_files(source, slug, frames)
-    template, lines, states = _environment().get_template("study.html"), starts.lines(source), _share_states(drawings)
+    template, lines, states = (
+        _environment().get_template("study.html"),
+        starts.lines(source),
+        _share_states(drawings),
+    )
     text = template.render(
         source=source,
         slug=slug,
@@ -200,7 +251,9 @@ def _entry(
     lines: list[dict[str, Any]] | None = None,
     files: Iterable[str] = (),
 ) -> entry.Entry:
-    """The record for the index and the ledger; a study that only feeds the latter draws nothing."""
+    """The record for the index and the ledger; a study that only feeds the latter draws
+    nothing.
+    """
     words = paper.words(source)
     return entry.Entry(
         slug=slug,
@@ -228,38 +281,77 @@ def _entry(
 def _drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
     """The figures of a study, and why others that it wants are missing."""
     added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
-    wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
+    wanted = dict.fromkeys(
+        [
+            *source.figures,
+            *(name for table, name in added.items() if table in source.tables),
+        ]
+    )
     drawings: list[Drawing] = []
     undrawn: dict[str, str] = {}
     told: set[str] = set()
     for name in wanted:
         try:
-            drawing = draw(source, name, slug, not drawings, told)  # the index shows the first
+            drawing = draw(
+                source, name, slug, not drawings, told
+            )  # the index shows the first
         except Undrawn as why:
-            undrawn |= {name: str(why)} if name in source.figures and name != "claims" else {}
+            undrawn |= (
+                {name: str(why)} if name in source.figures and name != "claims" else {}
+            )
             continue
-        drawings.append(replace(drawing, title=paper.words(source).get(name, {}).get("title", drawing.title)))
+        drawings.append(
+            replace(
+                drawing,
+                title=paper.words(source).get(name, {}).get("title", drawing.title),
+            )
+        )
     return drawings, undrawn
 
 
-def _data_files(source: Source, slug: str, frames: Mapping[str, pd.DataFrame]) -> tuple[dict[str, str], dict[str, str]]:
-    """Names of the CSV files of figures and tables, without folder, and the texts of all: equal data is in one file.
+def _data_files(
+    source: Source, slug: str, frames: Mapping[str, pd.DataFrame]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Names of the CSV files of figures and tables, without folder, and the texts of
+    all: equal data is in one file.
 
-    What is longer than the list of points without a gait is in the archive alone, which reads faster.
+    What is longer than the list of points without a gait is in the archive alone, which
+    reads faster.
     """
-    units = {str(name): str(column.attrs.get("units", "1")) for name, column in source.grid.variables.items()}
-    short = {name: frame for name, frame in frames.items() if len(frame) <= html_tables.MAX_LISTED}
-    texts = {name: folder.csv_text(frame, _UNITS | units) for name, frame in short.items()}
+    units = {
+        str(name): str(column.attrs.get("units", "1"))
+        for name, column in source.grid.variables.items()
+    }
+    short = {
+        name: frame
+        for name, frame in frames.items()
+        if len(frame) <= html_tables.MAX_LISTED
+    }
+    texts = {
+        name: folder.csv_text(frame, _UNITS | units) for name, frame in short.items()
+    }
     first: dict[str, str] = {}
-    csv = {name: first.setdefault(text, f"{slug}-{name}.csv") for name, text in texts.items()}
+    csv = {
+        name: first.setdefault(text, f"{slug}-{name}.csv")
+        for name, text in texts.items()
+    }
     return csv, {f"csv/{name}": text for text, name in first.items()}
 
 
 def _share_states(drawings: list[Drawing]) -> list[list[float]]:
-    """Every state once that marks of some figures start from; the marks are left with their places."""
+    """Every state once that marks of some figures start from; the marks are left with
+    their places.
+    """
     places: dict[tuple[float, ...], int] = {}
-    for target in (target for drawing in drawings for target in drawing.targets if "starts" in target):
-        target["starts"] = [places.setdefault(tuple(start), len(places)) for start in target["starts"]]
+    for target in (
+        target
+        for drawing in drawings
+        for target in drawing.targets
+        if "starts" in target
+    ):
+        target["starts"] = [
+            places.setdefault(tuple(start), len(places)) for start in target["starts"]
+        ]
     return [list(state) for state in places]
 
 
@@ -279,17 +371,27 @@ def _origin(source: Source) -> str:
     """Where the archive comes from, and the processor time of its run, in one line."""
     record, account = source.provenance, source.run.get("account")
     parts = [f"gaitsweep {record.get('packages', {}).get('gaitsweep', '')}".strip()]
-    parts += [f"{word} {str(record[word.lower()])[:12]}" for word in ("commit", "Python") if record.get(word.lower())]
+    parts += [
+        f"{word} {str(record[word.lower()])[:12]}"
+        for word in ("commit", "Python")
+        if record.get(word.lower())
+    ]
     if isinstance(account, dict) and isinstance(account.get("workers_cpu"), float):
         jobs = source.run.get("jobs", "?")
-        parts.append(f"{account['workers_cpu']:.2g} s CPU, {jobs} worker{'' if jobs == 1 else 's'}")
+        parts.append(
+            f"{account['workers_cpu']:.2g} s CPU, {jobs} worker{'' if jobs == 1 else 's'}"
+        )
     return ", ".join(parts)
 
 
 def _software(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
     shown = ("study", "walkers", "varied", "ways")
-    return {key: value for key, value in source.provenance.items() if key not in shown and value not in ("", [])}
+    return {
+        key: value
+        for key, value in source.provenance.items()
+        if key not in shown and value not in ("", [])
+    }
 
 
 @cache
@@ -299,7 +401,8 @@ def _environment() -> jinja2.Environment:
     Notes
     -----
     An archive may come from anyone. Text is escaped, the text of figures by matplotlib; data is JSON that cannot close
-    its element; and the page's content security policy names the one script by its hash.
+    its element; and the page's content security policy names the one script by its
+    hash.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -308,7 +411,11 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "sort_keys": True, "separators": (",", ":")}
+    environment.policies["json.dumps_kwargs"] = {
+        "ensure_ascii": False,
+        "sort_keys": True,
+        "separators": (",", ":"),
+    }
     script = _script()
     environment.globals.update(
         style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"),
@@ -330,5 +437,9 @@ def _digest(script: str) -> str:
 
 def _script() -> str:
     """The one script of a page, its modules in their order."""
-    text = rjsmin.jsmin("\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES))
+    text = rjsmin.jsmin(
+        "\n".join(
+            (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
+        )
+    )
     return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'

@@ -29,27 +29,39 @@ RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
 #: Cache of chunks for each variable [byte].
 _CACHE = 1 << 20
-#: Largest number of values of a variable that are read for the figures; a larger grid is thinned in slope.
+#: Largest number of values of a variable that are read for the figures; a larger grid
+#: is thinned in slope.
 MAX_POINTS = 500_000
 #: Numbers of archives need no decoding.
 _AS_STORED = {"mask_and_scale": False, "decode_times": False}
 
 
-def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9) -> pd.DataFrame:
-    """Rows of a frame at some values of those axes that it has; numbers may differ by a share of their size."""
+def rows_at(
+    frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9
+) -> pd.DataFrame:
+    """Rows of a frame at some values of those axes that it has; numbers may differ by a
+    share of their size.
+    """
     for column in at.keys() & set(frame.columns):
-        # Relative to the value alone: axes such as `foot_mass_ratio` may hold values of 1e-9.
+        # Relative to the value alone: axes such as `foot_mass_ratio` may hold values of
+        # 1e-9.
         value, own = at[column], frame[column]
-        frame = frame[own == value if isinstance(value, str) else np.isclose(own, value, rtol=tolerance, atol=0)]
+        frame = frame[
+            own == value
+            if isinstance(value, str)
+            else np.isclose(own, value, rtol=tolerance, atol=0)
+        ]
     return frame
 
 
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and what the archive holds along it.
+    """One walker with every axis but `slope` fixed, and what the archive holds along
+    it.
 
-    `at` is its place: `walker`, by name, then the values of the axes; `command` solves it, without the slope. `rows`
-    are its rows of a table; of a line of the grid, which has `data`, those of its branches, if the study follows them.
+    `at` is its place: `walker`, by name, then the values of the axes; `command` solves
+    it, without the slope. `rows` are its rows of a table; of a line of the grid, which
+    has `data`, those of its branches, if the study follows them.
     """
 
     at: dict[str, Any]
@@ -59,12 +71,14 @@ class Line:
     data: xr.Dataset = field(default_factory=xr.Dataset)
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
-        """Yield a frame for each piece of a branch: `slope`, variables, state, `stable` (1, 0 or NaN) and `gait`.
+        """Yield a frame for each piece of a branch: `slope`, variables, state, `stable`
+        (1, 0 or NaN) and `gait`.
 
-        Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
-        pieces, and `gait` is the label of each point. Slopes at which the piece has no gait are kept, as NaN, so that
-        gaps are drawn as gaps. In an archive without branches a curve follows a label; of a branch that is followed a
-        piece has the columns of its table.
+        Labels jump from branch to branch, and a branch passes a slope once on each side
+        of a fold: curves follow pieces, and `gait` is the label of each point. Slopes
+        at which the piece has no gait are kept, as NaN, so that gaps are drawn as gaps.
+        In an archive without branches a curve follows a label; of a branch that is
+        followed a piece has the columns of its table.
         """
         data, dims = self.data, ("slope", "gait")
         if "gait" not in data.dims:
@@ -77,23 +91,45 @@ class Line:
         names = [v for v in wanted if v in data and data[v].dims == dims]
         slopes, gaits = data["slope"].values, data["gait"].values.astype(str)
         shape = len(slopes), len(gaits)
-        branch = data["branch"].values if "branch" in data else np.broadcast_to(np.arange(len(gaits)), shape)
+        branch = (
+            data["branch"].values
+            if "branch" in data
+            else np.broadcast_to(np.arange(len(gaits)), shape)
+        )
         piece = data["piece"].values if "piece" in data else np.zeros(shape, int)
-        for number, part in sorted(set(zip(branch[branch >= 0].tolist(), piece[branch >= 0].tolist(), strict=True))):
+        for number, part in sorted(
+            set(
+                zip(
+                    branch[branch >= 0].tolist(),
+                    piece[branch >= 0].tolist(),
+                    strict=True,
+                )
+            )
+        ):
             here = (branch == number) & (piece == part)
             known = np.flatnonzero(here.any(axis=1))
             row = np.arange(known[0], known[-1] + 1)
             has, column = here.any(axis=1)[row], here.argmax(axis=1)[row]
-            frame = {name: np.where(has, data[name].values[row, column], np.nan) for name in names}
+            frame = {
+                name: np.where(has, data[name].values[row, column], np.nan)
+                for name in names
+            }
             radius = frame.get("spectral_radius", np.full(len(row), np.nan))
             stable = np.where(np.isnan(radius), np.nan, (radius < 1).astype(float))
-            about = {"stable": stable, "gait": np.where(has, gaits[column], ""), "branch": number, "piece": part}
+            about = {
+                "stable": stable,
+                "gait": np.where(has, gaits[column], ""),
+                "branch": number,
+                "piece": part,
+            }
             yield pd.DataFrame({"slope": slopes[row], **frame, **about})
 
 
 @dataclass(frozen=True)
 class Source:
-    """One archive, read once: the grid as it is drawn, and the `outcomes` at all its points."""
+    """One archive, read once: the grid as it is drawn, and the `outcomes` at all its
+    points.
+    """
 
     path: Path
     grid: xr.Dataset
@@ -104,7 +140,9 @@ class Source:
     run: dict[str, Any] = field(default_factory=dict)
 
     def given(self, *keys: str) -> Any:
-        """An entry of the study, by its key and those of the tables that hold it; None where there is none."""
+        """An entry of the study, by its key and those of the tables that hold it; None
+        where there is none.
+        """
         value: Any = self.study
         for key in keys:
             value = value.get(key) if isinstance(value, dict) else None
@@ -128,41 +166,67 @@ class Source:
     @property
     def about(self) -> str:
         """The study's description of itself: its first comment."""
-        lines = itertools.takewhile(lambda line: line.startswith("#"), self.provenance["study"].strip().splitlines())
+        lines = itertools.takewhile(
+            lambda line: line.startswith("#"),
+            self.provenance["study"].strip().splitlines(),
+        )
         return " ".join(line.lstrip("# ").strip() for line in lines)
 
     @property
     def named_files(self) -> list[str]:
-        """Names of the files that the study names: those of its walkers, and that of its measurements."""
+        """Names of the files that the study names: those of its walkers, and that of
+        its measurements.
+        """
         walkers = self.study.get("walker")
         given = [*(walkers if isinstance(walkers, list) else [walkers]), self.toward]
-        given += [each.get(key) for each in given if isinstance(each, dict) for key in ("base", "toward")]
-        names = [each for each in given if isinstance(each, str) and each.endswith(".toml")]
+        given += [
+            each.get(key)
+            for each in given
+            if isinstance(each, dict)
+            for key in ("base", "toward")
+        ]
+        names = [
+            each for each in given if isinstance(each, str) and each.endswith(".toml")
+        ]
         overlay = self.given("figures", "overlay", "file")
         return list(dict.fromkeys([*names, *([str(overlay)] if overlay else [])]))
 
     @property
     def toward(self) -> str | dict[str, Any]:
-        """The walker to which the axis `detuning` leads, as the study writes it; empty if it names none."""
+        """The walker to which the axis `detuning` leads, as the study writes it; empty
+        if it names none.
+        """
         toward = self.given("axes", "detuning", "toward")
         return toward if isinstance(toward, str | dict) else ""
 
     @property
     def detuning_ends(self) -> tuple[str, str]:
-        """The walkers at `detuning` 0 and 1 in words; those of the paper in an archive of an earlier version."""
+        """The walkers at `detuning` 0 and 1 in words; those of the paper in an archive
+        of an earlier version.
+        """
         ways = self.provenance.get("ways")
         return ends(ways) if ways else ("the exactly tuned walker", "the physical one")
 
     @property
     def file(self) -> str:
         """A name for the study's file that differs from those of its walkers."""
-        return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.named_files else f"{self.slug}.toml"
+        return (
+            f"{self.slug}-study.toml"
+            if f"{self.slug}.toml" in self.named_files
+            else f"{self.slug}.toml"
+        )
 
     @property
     def run_options(self) -> str:
-        """Options of the command that made the archive: an accuracy that is not written in the study."""
+        """Options of the command that made the archive: an accuracy that is not written
+        in the study.
+        """
         accuracy = float(self.grid.attrs.get("accuracy", 0.0))
-        return f" --accuracy {accuracy!r}" if accuracy and accuracy != self.study.get("accuracy") else ""
+        return (
+            f" --accuracy {accuracy!r}"
+            if accuracy and accuracy != self.study.get("accuracy")
+            else ""
+        )
 
     @property
     def whole(self) -> str:
@@ -181,15 +245,26 @@ class Source:
 
     @property
     def only_claims(self) -> bool:
-        """Whether the study only feeds the ledger: it wants claims, and no figure but those."""
+        """Whether the study only feeds the ledger: it wants claims, and no figure but
+        those.
+        """
         return "claims" in self.tables and self.figures == ["claims"]
 
     @cached_property
     def walkers(self) -> dict[str, dict[str, Any]]:
-        """Parameters of each walker before the axes change them, by the walker's name in the study."""
+        """Parameters of each walker before the axes change them, by the walker's name
+        in the study.
+        """
         given, stored = self.study.get("walker"), self.provenance.get("walkers", [])
-        named = [_name(w, i) for i, w in enumerate(given if isinstance(given, list) else [given])]
-        return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
+        named = [
+            _name(w, i)
+            for i, w in enumerate(given if isinstance(given, list) else [given])
+        ]
+        return {
+            name: dict(w)
+            for name, w in zip(named, stored, strict=False)
+            if isinstance(w, dict)
+        }
 
     @property
     def notes(self) -> list[str]:
@@ -199,7 +274,9 @@ class Source:
     @property
     def varied(self) -> dict[str, tuple[str, ...]]:
         """Walker keys that the study varies, and the axes that change each."""
-        return {key: tuple(axes) for key, axes in self.provenance.get("varied", {}).items()}
+        return {
+            key: tuple(axes) for key, axes in self.provenance.get("varied", {}).items()
+        }
 
     @property
     def walker(self) -> str:
@@ -207,71 +284,137 @@ class Source:
         return next(iter(self.walkers), "")
 
     def parameters(self, at: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
+        """Parameters of a line's walker, as far as the archive holds them, with those
+        that its axes change.
+        """
         walker = str(at.get("walker", self.walker))
         table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **at}
         for key, axes in self.varied.items():
             column = self.grid.get(key)
-            if key not in axes and column is not None and all(a in at and a in column.coords for a in axes):
-                near = self._of_walker(column, walker).sel({axis: at[axis] for axis in axes}, method="nearest")
+            if (
+                key not in axes
+                and column is not None
+                and all(a in at and a in column.coords for a in axes)
+            ):
+                near = self._of_walker(column, walker).sel(
+                    {axis: at[axis] for axis in axes}, method="nearest"
+                )
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
     def moved(self, at: Mapping[str, Any], key: str, axes: Sequence[str]) -> np.ndarray:
-        """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
+        """Values of a walker's key that some axes change, each in its rising order, the
+        last axis first to change.
+        """
         column = self._of_walker(self.grid[key], at["walker"])
-        fixed = {name: value for name, value in at.items() if name in column.dims and name not in axes}
-        return np.asarray(column.sel(fixed).sortby([*axes]).transpose(*axes).values).ravel()
+        fixed = {
+            name: value
+            for name, value in at.items()
+            if name in column.dims and name not in axes
+        }
+        return np.asarray(
+            column.sel(fixed).sortby([*axes]).transpose(*axes).values
+        ).ravel()
 
     def _of_walker(self, column: xr.DataArray, walker: str) -> xr.DataArray:
         """A column of the grid for one of its walkers, where they differ."""
-        return column.isel(walker=list(self.walkers).index(walker)) if "walker" in column.dims else column
+        return (
+            column.isel(walker=list(self.walkers).index(walker))
+            if "walker" in column.dims
+            else column
+        )
 
     @property
     def axes(self) -> list[str]:
         """Dimensions of the grid, in order, without gait and multiplier."""
-        return [str(d) for d in self.grid.dims if d in self.grid.coords and d not in ("gait", "multiplier")]
+        return [
+            str(d)
+            for d in self.grid.dims
+            if d in self.grid.coords and d not in ("gait", "multiplier")
+        ]
 
     @property
     def gaits(self) -> list[str]:
         """Labels along the grid's dimension `gait`."""
-        return [str(g) for g in self.grid["gait"].values] if "gait" in self.grid.coords else []
+        return (
+            [str(g) for g in self.grid["gait"].values]
+            if "gait" in self.grid.coords
+            else []
+        )
 
     @property
     def statuses(self) -> dict[int, str]:
         """Status names by their flag value."""
         attrs = self.grid["status"].attrs if "status" in self.grid else {}
         values = np.atleast_1d(attrs.get("flag_values", []))
-        return dict(zip((int(v) for v in values), str(attrs.get("flag_meanings", "")).split(), strict=False))
+        return dict(
+            zip(
+                (int(v) for v in values),
+                str(attrs.get("flag_meanings", "")).split(),
+                strict=False,
+            )
+        )
 
     @property
     def reasons(self) -> list[str]:
         """The sentences that `reason` indexes."""
-        return list(map(str, self.grid["reason_text"].values)) if "reason_text" in self.grid else []
+        return (
+            list(map(str, self.grid["reason_text"].values))
+            if "reason_text" in self.grid
+            else []
+        )
 
     def units(self, variable: str) -> str:
         """Units to print after a quantity; empty if it is dimensionless."""
-        units = str(self.grid[variable].attrs.get("units", "")) if variable in self.grid.variables else ""
-        return print_units(units or ("rad" if variable in ("slope", "stance_angle") else ""))
+        units = (
+            str(self.grid[variable].attrs.get("units", ""))
+            if variable in self.grid.variables
+            else ""
+        )
+        return print_units(
+            units or ("rad" if variable in ("slope", "stance_angle") else "")
+        )
 
     def command(self, at: Mapping[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""
-        walker, overrides = at["walker"], {key: value for key, value in at.items() if key not in ("walker", "slope")}
+        walker, overrides = (
+            at["walker"],
+            {key: value for key, value in at.items() if key not in ("walker", "slope")},
+        )
         table = self.study.get("walker")
         if isinstance(table, str):
             walker = table
         elif isinstance(table, dict):
-            # Only numbers can be set on the command line; otherwise the study's file serves as the walker's file.
+            # Only numbers can be set on the command line; otherwise the study's file
+            # serves as the walker's file.
             own = {k: v for k, v in table.items() if k != "base"}
             # Of a walker on its way to another the table's keys are those at one end.
-            settable = "base" in table and all(type(v) in (int, float) for v in own.values()) and not self.toward
-            walker, overrides = (str(table["base"]), own | overrides) if settable else (self.file, overrides)
+            settable = (
+                "base" in table
+                and all(type(v) in (int, float) for v in own.values())
+                and not self.toward
+            )
+            walker, overrides = (
+                (str(table["base"]), own | overrides)
+                if settable
+                else (self.file, overrides)
+            )
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
-            words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+            words += [
+                "--set",
+                f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}",
+            ]
         if self.toward:
-            words += ["--set", f"toward={self.toward if isinstance(self.toward, str) else toml.written(self.toward)}"]
-        words += [word for key in self.given("options", "tuned") or () for word in ("--tuned", str(key))]
+            words += [
+                "--set",
+                f"toward={self.toward if isinstance(self.toward, str) else toml.written(self.toward)}",
+            ]
+        words += [
+            word
+            for key in self.given("options", "tuned") or ()
+            for word in ("--tuned", str(key))
+        ]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
@@ -279,38 +422,81 @@ class Source:
     def lines(self) -> list[Line]:
         """Every line of the grid, in grid order."""
         has_gaits = "slope" in self.grid.dims and "gait" in self.grid.dims
-        return list(self._lines()) if has_gaits or self.table("branches", "branch", "slope") is not None else []
+        return (
+            list(self._lines())
+            if has_gaits or self.table("branches", "branch", "slope") is not None
+            else []
+        )
 
     def _lines(self) -> Iterator[Line]:
         across = [d for d in self.axes if d != "slope"]
-        walkers, followed = list(self.walkers), self.tables.get("branches", pd.DataFrame())
+        walkers, followed = (
+            list(self.walkers),
+            self.tables.get("branches", pd.DataFrame()),
+        )
         for place in itertools.product(*(range(self.grid.sizes[d]) for d in across)):
             at = dict(zip(across, place, strict=True))
-            settings = {d: float(self.grid[d].values[i]) for d, i in at.items() if d != "walker"}
+            settings = {
+                d: float(self.grid[d].values[i]) for d, i in at.items() if d != "walker"
+            }
             i = at.get("walker", 0)
-            walker = walkers[i] if i < len(walkers) else str(self.grid["walker"].values[i]) if "walker" in at else ""
+            walker = (
+                walkers[i]
+                if i < len(walkers)
+                else str(self.grid["walker"].values[i])
+                if "walker" in at
+                else ""
+            )
             varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
-            named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
+            named = (
+                {"walker": walker}
+                if self.grid.sizes.get("walker", 1) > 1 or not varying
+                else {}
+            )
             label = axis_values({**named, **varying})
             line = {"walker": walker, **settings}
-            yield Line(line, label, self.command(line), rows_at(followed, line), self.grid.isel(at))
+            yield Line(
+                line,
+                label,
+                self.command(line),
+                rows_at(followed, line),
+                self.grid.isel(at),
+            )
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
-        """A table of the archive that has rows and the columns that a figure needs; None if there is none."""
+        """A table of the archive that has rows and the columns that a figure needs;
+        None if there is none.
+        """
         table = self.tables.get(name)
-        return table if table is not None and len(table) and set(columns) <= set(table.columns) else None
+        return (
+            table
+            if table is not None and len(table) and set(columns) <= set(table.columns)
+            else None
+        )
 
     def line_of(self, rows: pd.DataFrame) -> dict[str, Any]:
         """The place of the line on which rows of a table lie."""
-        settings = {c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"}
-        return {"walker": str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, **settings}
+        settings = {
+            c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"
+        }
+        return {
+            "walker": str(rows["walker"].iloc[0]) if "walker" in rows else self.walker,
+            **settings,
+        }
 
     def lines_of(self, table: pd.DataFrame) -> list[Line]:
-        """Lines of a table, in its order, called by the values that differ between them: one alone by none."""
+        """Lines of a table, in its order, called by the values that differ between
+        them: one alone by none.
+        """
         columns = [c for c in self.line_columns(table) if table[c].nunique() > 1]
         lines = []
-        for key, rows in table.groupby(columns, sort=False) if columns else [((), table)]:
-            at, label = self.line_of(rows), axis_values(dict(zip(columns, key, strict=True)))
+        for key, rows in (
+            table.groupby(columns, sort=False) if columns else [((), table)]
+        ):
+            at, label = (
+                self.line_of(rows),
+                axis_values(dict(zip(columns, key, strict=True))),
+            )
             lines.append(Line(at, label, self.command(at), rows))
         return lines
 
@@ -328,29 +514,45 @@ def read(path: Path) -> Source:
     ArchiveError
         If the file is missing, damaged, or not an archive of gaitsweep.
     """
-    # Every variable is read once, from end to end: the default cache, 64 MiB per variable, would only cost memory.
+    # Every variable is read once, from end to end: the default cache, 64 MiB per
+    # variable, would only cost memory.
     netCDF4.set_chunk_cache(_CACHE)
     with archives.open_archive(path) as file:
         whole = dataset(file, **_AS_STORED)
-        outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
+        outcomes = whole[
+            [name for name in ("status", "reason") if name in whole]
+        ].load()
         grid = _thinned(whole).load()
-        tables = {name: table(dataset(file[name], **_AS_STORED).load(), grid) for name in layout.tables(file)}
+        tables = {
+            name: table(dataset(file[name], **_AS_STORED).load(), grid)
+            for name in layout.tables(file)
+        }
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = toml.read(provenance["study"])
         source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
         for frame in tables.values():
             # In a study of one walker of its own, tables call it `walker`.
-            if source.walker and "walker" in frame and set(frame["walker"]) == {"walker"}:
+            if (
+                source.walker
+                and "walker" in frame
+                and set(frame["walker"]) == {"walker"}
+            ):
                 frame["walker"] = source.walker
     return source
 
 
 def _thinned(grid: xr.Dataset) -> xr.Dataset:
-    """A grid at every n-th slope, so that a variable has at most about `MAX_POINTS` values."""
+    """A grid at every n-th slope, so that a variable has at most about `MAX_POINTS`
+    values.
+    """
     points = math.prod(n for name, n in grid.sizes.items() if name in grid.coords)
     step = -(-points // MAX_POINTS)
-    return grid.isel(slope=slice(None, None, step)) if step > 1 and "slope" in grid.dims else grid
+    return (
+        grid.isel(slope=slice(None, None, step))
+        if step > 1 and "slope" in grid.dims
+        else grid
+    )
 
 
 def _name(walker: Any, place: int) -> str:

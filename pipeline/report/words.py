@@ -1,4 +1,6 @@
-"""How a report writes numbers, units and names, and its sentences, which `words.toml` holds."""
+"""How a report writes numbers, units and names, and its sentences, which `words.toml`
+holds.
+"""
 
 import math
 import re
@@ -12,7 +14,9 @@ import numpy as np
 import pandas as pd
 
 #: Words of figures, tables and columns, by their names.
-WORDS = tomllib.loads((Path(__file__).parent / "words.toml").read_text(encoding="utf-8"))
+WORDS = tomllib.loads(
+    (Path(__file__).parent / "words.toml").read_text(encoding="utf-8")
+)
 
 #: The paper's symbols.
 SYMBOLS: dict[str, str] = WORDS["symbols"]
@@ -37,8 +41,14 @@ def plain(value: float, digits: int = 4) -> str:
 
 
 def as_printed(value: float, half_unit: float) -> str:
-    """A number with the digits that the paper prints, given half a unit of the last: 0.020."""
-    return f"{value:.{max(0, round(-math.log10(2 * half_unit)))}f}" if half_unit > 0 else plain(value)
+    """A number with the digits that the paper prints, given half a unit of the last:
+    0.020.
+    """
+    return (
+        f"{value:.{max(0, round(-math.log10(2 * half_unit)))}f}"
+        if half_unit > 0
+        else plain(value)
+    )
 
 
 def superscript(power: int) -> str:
@@ -74,8 +84,14 @@ def phrased(text: str, patterns: str = "phrases") -> str:
 
 
 def typeset(text: str) -> str:
-    """A sentence of an archive with the signs of print: powers, products, arrows, minus signs and ranges."""
-    raised = re.sub(_POWER, lambda power: superscript(int(power[1])), phrased(phrased(text), "powers"))
+    """A sentence of an archive with the signs of print: powers, products, arrows, minus
+    signs and ranges.
+    """
+    raised = re.sub(
+        _POWER,
+        lambda power: superscript(int(power[1])),
+        phrased(phrased(text), "powers"),
+    )
     return phrased(raised, "signs")
 
 
@@ -86,7 +102,9 @@ def symbol(name: str) -> str:
 
 def titled(name: str, unit: str, words: str = "") -> str:
     """A quantity in words, or in those given, with its symbol and unit."""
-    return with_unit(" ".join(filter(None, (words or spaced(name), SYMBOLS.get(name)))), unit)
+    return with_unit(
+        " ".join(filter(None, (words or spaced(name), SYMBOLS.get(name)))), unit
+    )
 
 
 def shorten(name: str, most: int = 30) -> str:
@@ -101,15 +119,24 @@ def yes_or_no(flags: pd.Series) -> pd.Series:
 
 def axis_values(at: Mapping[str, Any]) -> str:
     """Values of axes in words: a walker's name, numbers with their symbols."""
-    return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}" for k, v in at.items())
+    return ", ".join(
+        str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}"
+        for k, v in at.items()
+    )
 
 
 class _InPrint(string.Formatter):
-    """Fills in values, numbers as they are printed; a specification is the number of their digits."""
+    """Fills in values, numbers as they are printed; a specification is the number of
+    their digits.
+    """
 
     def format_field(self, value: Any, format_spec: str) -> Any:
         is_number = isinstance(value, (float, np.floating))
-        return plain(float(value), int(format_spec or 4)) if is_number else super().format_field(value, format_spec)
+        return (
+            plain(float(value), int(format_spec or 4))
+            if is_number
+            else super().format_field(value, format_spec)
+        )
 
 
 def fill(text: str, values: Mapping[str, Any]) -> str:
@@ -118,5 +145,11 @@ def fill(text: str, values: Mapping[str, Any]) -> str:
 
 
 def sentences(texts: Mapping[str, str], values: Mapping[str, Any]) -> str:
-    """Sentences with values; each stands if the value of its own name is not empty, the one called `always` always."""
-    return " ".join(fill(text, values) for name, text in texts.items() if name == "always" or values.get(name))
+    """Sentences with values; each stands if the value of its own name is not empty, the
+    one called `always` always.
+    """
+    return " ".join(
+        fill(text, values)
+        for name, text in texts.items()
+        if name == "always" or values.get(name)
+    )

@@ -11,7 +11,13 @@ from typing import Any, NoReturn
 from urllib.parse import quote
 
 from gaitsweep.pipeline import paths
-from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
+from gaitsweep.pipeline.errors import (
+    ArchiveError,
+    DiskFullError,
+    is_disk_full,
+    shortage,
+    unwritten,
+)
 
 _APPLICATION_ID = 0x67735734  # in the header of a store
 _PAGE = 8192  # size of its pages [byte]
@@ -24,10 +30,16 @@ _SCHEMA = (
 _HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "AUTH")
 _NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
 _OF_SYSTEM = (sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN)
-_READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
-#: How a damaged file is read: a schema that cannot be parsed is no reason to read nothing.
+_READ_ERRORS = (
+    sqlite3.SQLITE_IOERR_SHORT_READ,
+    sqlite3.SQLITE_IOERR_READ,
+    sqlite3.SQLITE_IOERR_CORRUPTFS,
+)
+#: How a damaged file is read: a schema that cannot be parsed is no reason to read
+#: nothing.
 _OF_DAMAGED = ("trusted_schema=OFF", "writable_schema=ON")
-#: Errors of reading a damaged row: of SQLite, its text, the number of its columns, a number that is none or too large.
+#: Errors of reading a damaged row: of SQLite, its text, the number of its columns, a
+#: number that is none or too large.
 _UNREADABLE = (sqlite3.DatabaseError, OverflowError, TypeError, ValueError)
 _MAX_GAP = 1000  # records missing in a row where a damaged file is taken to end
 #: Files of a store, and how those of SQLite begin, which it writes over and removes.
@@ -47,28 +59,50 @@ class CorruptStoreError(ArchiveError):
         super().__init__(f"{path} is damaged; the next run repairs it.")
 
 
-def connect(path: Path | None, write: bool = True, new: bool = False) -> sqlite3.Connection:
-    """Open a store, or make a new one; without a path, in memory. Its schema is checked."""
-    options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
+def connect(
+    path: Path | None, write: bool = True, new: bool = False
+) -> sqlite3.Connection:
+    """Open a store, or make a new one; without a path, in memory. Its schema is
+    checked.
+    """
+    options: dict[str, Any] = {
+        "timeout": 10,
+        "isolation_level": None,
+        "check_same_thread": False,
+    }
     may_write = not path or not path.exists() or os.access(path, os.W_OK)
     if write and not may_write:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     if path and not write and not (may_write and os.access(path.parent, os.W_OK)):
-        # SQLite creates a shared lock file even to read; where it may not write the store, it leaves it in the way
-        # of who may; in a read-only folder only the files of a writer can be used.
+        # SQLite creates a shared lock file even to read; where it may not write the
+        # store, it leaves it in the way of who may; in a read-only folder only the
+        # files of a writer can be used.
         is_written = path.with_name(path.name + "-wal").exists()
         how = "mode=ro" if is_written else "immutable=1"
         db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
     else:
         db = sqlite3.connect(path or ":memory:", **options)
     try:
-        settings = [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"] if new else []
+        settings = (
+            [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"] if new else []
+        )
         settings += ["journal_mode=WAL"] if write else []
-        for setting in (*settings, "trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192", "temp_store=MEMORY"):
+        for setting in (
+            *settings,
+            "trusted_schema=OFF",
+            "synchronous=NORMAL",
+            "cache_size=-8192",
+            "temp_store=MEMORY",
+        ):
             db.execute(f"PRAGMA {setting}")
         for statement in ("BEGIN IMMEDIATE", *_SCHEMA, "COMMIT") if new else ():
             db.execute(statement)
-        if {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")} != set(_SCHEMA):
+        if {
+            sql
+            for (sql,) in db.execute(
+                "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL"
+            )
+        } != set(_SCHEMA):
             raise sqlite3.DatabaseError("malformed")
         if write and db.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
             raise sqlite3.DatabaseError("malformed")
@@ -89,15 +123,22 @@ def is_ours(path: Path) -> bool:
         If there is another file.
     """
     is_there = path.exists() and path.stat().st_size > 0
-    for suffix, beginning in _BEGINNINGS.items():  # beside a store, what bears its name belongs to it
-        paths.check_own(path.with_name(path.name + suffix), b"" if is_there else beginning)
+    for (
+        suffix,
+        beginning,
+    ) in _BEGINNINGS.items():  # beside a store, what bears its name belongs to it
+        paths.check_own(
+            path.with_name(path.name + suffix), b"" if is_there else beginning
+        )
     if not is_there:
         return False
     with open(path, "rb") as file:
         file.seek(68)
         mark = int.from_bytes(file.read(4), "big")
     if mark != _APPLICATION_ID:
-        raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+        raise ArchiveError(
+            f"{path} is not a journal of this version of gaitsweep; move it away."
+        )
     return True
 
 
@@ -119,17 +160,24 @@ def _remove(path: Path, *suffixes: str) -> None:
 
 
 def repair(path: Path) -> None:
-    """Rewrite a store with the records that SQLite still reads; `Store` checks each before it is used."""
+    """Rewrite a store with the records that SQLite still reads; `Store` checks each
+    before it is used.
+    """
     draft = paths.of(path)
     paths.discard(path)
     try:
         damaged = sqlite3.connect(path, isolation_level=None)
-        with contextlib.closing(connect(draft, new=True)) as new, contextlib.closing(damaged) as old:
+        with (
+            contextlib.closing(connect(draft, new=True)) as new,
+            contextlib.closing(damaged) as old,
+        ):
             for pragma in _OF_DAMAGED:
                 with contextlib.suppress(sqlite3.DatabaseError):
                     old.execute(f"PRAGMA {pragma}")
             for row in _readable(old):
-                new.execute("INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", row)
+                new.execute(
+                    "INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", row
+                )
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         _remove(path, "-wal", "-shm")
         os.replace(draft, path)
@@ -151,41 +199,62 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
                     yield row
         if gap == _MAX_GAP:  # as records leave that were stored anew
             with contextlib.suppress(*_UNREADABLE):
-                for (found,) in db.execute("SELECT id FROM records WHERE id > ? ORDER BY id LIMIT 1", (number,)):
+                for (found,) in db.execute(
+                    "SELECT id FROM records WHERE id > ? ORDER BY id LIMIT 1", (number,)
+                ):
                     if found > number:
                         number, gap = found - 1, 0
         number += 1
 
 
-def sums(number: int, key: str, kin: str, head: bytes, payload: bytes) -> tuple[int, int]:
+def sums(
+    number: int, key: str, kin: str, head: bytes, payload: bytes
+) -> tuple[int, int]:
     """Checksums of a record: of all but its payload, and of this."""
-    return zlib.crc32(head, zlib.crc32(repr((number, key, kin)).encode())), zlib.crc32(payload)
+    return zlib.crc32(head, zlib.crc32(repr((number, key, kin)).encode())), zlib.crc32(
+        payload
+    )
 
 
 def is_whole(row: tuple[Any, ...]) -> bool:
     """Whether a row holds a record as it was written."""
     number, key, kin, own, payload_sum, head, payload = row
-    is_typed = isinstance(key, str) and isinstance(kin, str) and isinstance(head, bytes) and isinstance(payload, bytes)
+    is_typed = (
+        isinstance(key, str)
+        and isinstance(kin, str)
+        and isinstance(head, bytes)
+        and isinstance(payload, bytes)
+    )
     return is_typed and sums(number, key, kin, head, payload) == (own, payload_sum)
 
 
 def raise_for(error: Exception, path: Path) -> NoReturn:
-    """Raise the error that says what an error of SQLite or of the system means for the store.
+    """Raise the error that says what an error of SQLite or of the system means for the
+    store.
 
     Raises
     ------
     ArchiveError, DiskFullError, WorkerError
-        If the file cannot be used or cannot grow, or a limit of the system is reached; CorruptStoreError if it is
-        damaged.
+        If the file cannot be used or cannot grow, or a limit of the system is reached;
+        CorruptStoreError if it is damaged.
     """
     if isinstance(error, sqlite3.ProgrammingError):
         raise error
     code = getattr(error, "sqlite_errorcode", 0)
-    # SQLite also reports a full disk as an input or output error, as it does a folder in place of its log.
-    is_of_system = isinstance(error, OSError) or (code & 0xFF in _OF_SYSTEM and code not in _READ_ERRORS)
-    cause = shortage(error, path, path.with_name(path.name + "-wal")) if is_of_system else None
+    # SQLite also reports a full disk as an input or output error, as it does a folder
+    # in place of its log.
+    is_of_system = isinstance(error, OSError) or (
+        code & 0xFF in _OF_SYSTEM and code not in _READ_ERRORS
+    )
+    cause = (
+        shortage(error, path, path.with_name(path.name + "-wal"))
+        if is_of_system
+        else None
+    )
     if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
-        raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
+        raise DiskFullError(
+            f"The disk is full: {path} cannot grow; finished results are kept."
+        ) from error
     if cause:
         raise unwritten(path, cause) from error
     if is_of_system or code & 0xFF in _NOT_THE_FILE:

@@ -1,7 +1,9 @@
-"""Values as packed chunks of an archive, as HDF5's filters fletcher32, shuffle and deflate would write them.
+"""Values as packed chunks of an archive, as HDF5's filters fletcher32, shuffle and
+deflate would write them.
 
-HDF5's own filters take longer than solving the points, mostly on bytes of the mantissa that do not compress. Those
-bytes are stored, the others deflated; every reader unpacks both.
+HDF5's own filters take longer than solving the points, mostly on bytes of the mantissa
+that do not compress. Those bytes are stored, the others deflated; every reader unpacks
+both.
 """
 
 import functools
@@ -14,7 +16,8 @@ import numpy as np
 
 #: Every n-th byte is sampled; n is prime so that no dimension aliases.
 _SAMPLING = 13
-#: Least unevenness of bytes to deflate, and least fraction that repeats at a lag, as across multipliers.
+#: Least unevenness of bytes to deflate, and least fraction that repeats at a lag, as
+#: across multipliers.
 _MIN_UNEVENNESS, _MIN_REPETITION, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
 
 
@@ -33,7 +36,8 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
     values : ndarray
         Of the variable's type.
     extent : tuple of int
-        Shape of a chunk, which is larger than `values` at the end of the grid; the rest is zero.
+        Shape of a chunk, which is larger than `values` at the end of the grid; the rest
+        is zero.
 
     Returns
     -------
@@ -47,13 +51,20 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
 
 
 @functools.lru_cache(256)
-def _pack_constant(value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]) -> Packed:
-    values = np.full(shape, np.frombuffer(value, dtype)[0]) if value else np.empty(shape, dtype)
+def _pack_constant(
+    value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]
+) -> Packed:
+    values = (
+        np.full(shape, np.frombuffer(value, dtype)[0])
+        if value
+        else np.empty(shape, dtype)
+    )
     return Packed(pack(values, extent), zlib.crc32(values.tobytes()))
 
 
 def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
-    """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk, whose values zeros make whole.
+    """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk,
+    whose values zeros make whole.
 
     Parameters
     ----------
@@ -71,12 +82,18 @@ def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
     whole, size = np.zeros(extent, values.dtype), values.itemsize
     whole[tuple(map(slice, values.shape))] = values
     data = whole.reshape(-1).view(np.uint8)
-    data = np.concatenate([data, np.frombuffer(struct.pack("<I", fletcher32(data)), np.uint8)])
+    data = np.concatenate(
+        [data, np.frombuffer(struct.pack("<I", fletcher32(data)), np.uint8)]
+    )
     n = len(data) // size
     planes = np.ascontiguousarray(data[: n * size].reshape(n, size).T)
     checksum, stream = 1, [b"\x78\x01"]
-    compressible_planes = _compressible_planes(planes) if values.dtype.kind == "f" else [True] * size
-    for compressible, run in itertools.groupby(zip(compressible_planes, planes, strict=True), key=lambda pair: pair[0]):
+    compressible_planes = (
+        _compressible_planes(planes) if values.dtype.kind == "f" else [True] * size
+    )
+    for compressible, run in itertools.groupby(
+        zip(compressible_planes, planes, strict=True), key=lambda pair: pair[0]
+    ):
         deflate = zlib.compressobj(int(compressible), zlib.DEFLATED, -15)
         for _, plane in run:
             checksum = zlib.adler32(plane, checksum)
@@ -84,7 +101,14 @@ def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
         stream.append(deflate.flush(zlib.Z_SYNC_FLUSH))
     rest = data[n * size :].tobytes()
     last = zlib.compressobj(0, zlib.DEFLATED, -15)
-    return b"".join([*stream, last.compress(rest), last.flush(), struct.pack(">I", zlib.adler32(rest, checksum))])
+    return b"".join(
+        [
+            *stream,
+            last.compress(rest),
+            last.flush(),
+            struct.pack(">I", zlib.adler32(rest, checksum)),
+        ]
+    )
 
 
 def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.ndarray:
@@ -123,15 +147,23 @@ def _compressible_planes(planes: np.ndarray) -> list[bool]:
     size, last = planes.shape[0], max(1, planes.shape[1] - _LAGS[-1])
     sample = planes[:, :last:_SAMPLING]
     n = sample.shape[1]
-    histogram = np.bincount((sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size).reshape(size, 256)
-    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * (n + n * (n - 1) / 256)
+    histogram = np.bincount(
+        (sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size
+    ).reshape(size, 256)
+    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * (
+        n + n * (n - 1) / 256
+    )
     for lag in _LAGS if planes.shape[1] > _LAGS[-1] else ():
-        compressible |= np.mean(sample == planes[:, lag : last + lag : _SAMPLING], axis=1) > _MIN_REPETITION
+        compressible |= (
+            np.mean(sample == planes[:, lag : last + lag : _SAMPLING], axis=1)
+            > _MIN_REPETITION
+        )
     return compressible.tolist()
 
 
 def fletcher32(data: np.ndarray) -> int:
-    """Fletcher checksum as HDF5 defines it; an odd number of bytes is padded with a zero.
+    """Fletcher checksum as HDF5 defines it; an odd number of bytes is padded with a
+    zero.
 
     Parameters
     ----------
@@ -141,6 +173,10 @@ def fletcher32(data: np.ndarray) -> int:
     -------
     int
     """
-    words = np.append(data, np.zeros(len(data) % 2, np.uint8)).view(">u2").astype(np.int64)
+    words = (
+        np.append(data, np.zeros(len(data) % 2, np.uint8)).view(">u2").astype(np.int64)
+    )
     low, high = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
-    return (high % 65535 or 65535 * (high > 0)) << 16 | (low % 65535 or 65535 * (low > 0))
+    return (high % 65535 or 65535 * (high > 0)) << 16 | (
+        low % 65535 or 65535 * (low > 0)
+    )

@@ -1,7 +1,7 @@
 """The store of one archive: records by key, in a file of SQLite beside it.
 
-A record has a head, which is small, and a payload. It is verified by checksums before use: a damaged file loses its
-damaged records only.
+A record has a head, which is small, and a payload. It is verified by checksums before
+use: a damaged file loses its damaged records only.
 """
 
 import contextlib
@@ -39,7 +39,8 @@ class Outcome(NamedTuple):
 
 
 class Store:
-    """Records of one archive. The run is their only writer, one thread at a time; others open it with `write=False`.
+    """Records of one archive. The run is their only writer, one thread at a time;
+    others open it with `write=False`.
 
     Parameters
     ----------
@@ -61,15 +62,24 @@ class Store:
         self.path, self._synced = path, 0.0
         try:
             exists = file.is_ours(path)
-            self._db = file.connect(path if exists or write else None, write, not exists)
+            self._db = file.connect(
+                path if exists or write else None, write, not exists
+            )
         except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             file.raise_for(error, path)
         try:
-            # Of a million records, a dictionary by their keys would take a fifth of a gigabyte.
+            # Of a million records, a dictionary by their keys would take a fifth of a
+            # gigabyte.
             self._db.create_function("short", 1, _short, deterministic=True)
-            self._execute("CREATE TEMP TABLE numbers (short INTEGER PRIMARY KEY, id INTEGER)")
-            self._execute("INSERT OR REPLACE INTO numbers SELECT short(key), id FROM records ORDER BY id")
-            self.last: int = self._execute("SELECT ifnull(max(id), 0) FROM numbers")[0][0]
+            self._execute(
+                "CREATE TEMP TABLE numbers (short INTEGER PRIMARY KEY, id INTEGER)"
+            )
+            self._execute(
+                "INSERT OR REPLACE INTO numbers SELECT short(key), id FROM records ORDER BY id"
+            )
+            self.last: int = self._execute("SELECT ifnull(max(id), 0) FROM numbers")[0][
+                0
+            ]
         except BaseException:
             self.close()
             raise
@@ -87,16 +97,22 @@ class Store:
         return self.last > 0
 
     def number(self, key: str) -> int:
-        """Number of the latest record with that key, which later ones have larger; 0 if there is none."""
+        """Number of the latest record with that key, which later ones have larger; 0 if
+        there is none.
+        """
         numbers = self._execute("SELECT id FROM numbers WHERE short = ?", _short(key))
         return int(numbers[0][0]) if numbers else 0
 
     def __iter__(self) -> Iterator[str]:
         """Keys of all records, in the order of their numbers."""
-        return (str(key) for (key,) in self._execute("SELECT key FROM records ORDER BY id"))
+        return (
+            str(key) for (key,) in self._execute("SELECT key FROM records ORDER BY id")
+        )
 
     def knows(self, kin: str) -> bool:
-        """Whether there was a record of any version of the task with these parameters when this was first asked."""
+        """Whether there was a record of any version of the task with these parameters
+        when this was first asked.
+        """
         return kin in self._kin
 
     @functools.cached_property
@@ -113,18 +129,32 @@ class Store:
         self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
         number = self.last + 1
         sums = file.sums(number, *key, head, payload)
-        self._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, *key, *sums, head, payload)
+        self._execute(
+            "INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)",
+            number,
+            *key,
+            *sums,
+            head,
+            payload,
+        )
         self.last = number
         if earlier:  # if this is lost, the later one counts
             self._execute("DELETE FROM records WHERE id = ?", earlier)
         self._synced = clock if is_synchronous else self._synced
-        self._execute("INSERT OR REPLACE INTO numbers VALUES (?, ?)", _short(key.key), number)
+        self._execute(
+            "INSERT OR REPLACE INTO numbers VALUES (?, ?)", _short(key.key), number
+        )
 
     def head(self, key: str) -> bytes:
         """Head of a record, without reading its payload."""
         number = self.number(key)
-        for kin, own, head in self._execute("SELECT kin, sum, head FROM records WHERE id = ?", number):
-            if isinstance(head, bytes) and file.sums(number, key, kin, head, b"")[0] == own:
+        for kin, own, head in self._execute(
+            "SELECT kin, sum, head FROM records WHERE id = ?", number
+        ):
+            if (
+                isinstance(head, bytes)
+                and file.sums(number, key, kin, head, b"")[0] == own
+            ):
                 return head
         raise CorruptStoreError(self.path)
 
@@ -136,7 +166,9 @@ class Store:
         CorruptStoreError
             If it is not as it was written.
         """
-        for row in self._execute("SELECT * FROM records WHERE id = ?", self.number(key)):
+        for row in self._execute(
+            "SELECT * FROM records WHERE id = ?", self.number(key)
+        ):
             if row[1] == key and file.is_whole(row):
                 return row[-2:]
         raise CorruptStoreError(self.path)
@@ -198,5 +230,11 @@ class Store:
 
 
 def _short(key: str) -> int:
-    """Number that stands for a key, of 64 bits: that two of a million keys share one has a probability of 3e-8."""
-    return int.from_bytes(hashlib.blake2b(str(key).encode(), digest_size=8).digest(), "little", signed=True)
+    """Number that stands for a key, of 64 bits: that two of a million keys share one
+    has a probability of 3e-8.
+    """
+    return int.from_bytes(
+        hashlib.blake2b(str(key).encode(), digest_size=8).digest(),
+        "little",
+        signed=True,
+    )

@@ -1,4 +1,6 @@
-"""Requests from Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
+"""Requests from Python: a walker, and arrays of slopes and keys that are broadcast to
+one grid of points.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +15,11 @@ from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.tasks.registry import VARIABLES
 
-#: Numbers, of `knees` truth values. So is a pandas.Series, but where pandas has no stubs its name would admit all.
-Values: TypeAlias = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | xr.DataArray
+#: Numbers, of `knees` truth values. So is a pandas.Series, but where pandas has no
+#: stubs its name would admit all.
+Values: TypeAlias = (
+    float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | xr.DataArray
+)
 #: Dimensions and coordinates of results, which no argument may use.
 _RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
 
@@ -25,7 +30,8 @@ def definition(walker: object) -> Definition:
     Parameters
     ----------
     walker : str, Path or mapping
-        A name from the catalogue, a walker file, or a table, whose `base` and `toward` may be files too.
+        A name from the catalogue, a walker file, or a table, whose `base` and `toward`
+        may be files too.
 
     Raises
     ------
@@ -35,20 +41,32 @@ def definition(walker: object) -> Definition:
     if isinstance(walker, Mapping):
         return files.walker(_plain(walker), Path())
     if not isinstance(walker, str | Path):
-        raise StudyError(f"`walker` must be a name, a file or a table; got {_kind(walker)}.")
+        raise StudyError(
+            f"`walker` must be a name, a file or a table; got {_kind(walker)}."
+        )
     return files.walker(str(walker), Path())
 
 
 def _plain(value: Any) -> Any:
-    """A table, and one that it holds, with numbers and names in place of numpy's numbers and paths."""
+    """A table, and one that it holds, with numbers and names in place of numpy's
+    numbers and paths.
+    """
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items()}
-    return value.item() if isinstance(value, np.generic) else str(value) if isinstance(value, Path) else value
+    return (
+        value.item()
+        if isinstance(value, np.generic)
+        else str(value)
+        if isinstance(value, Path)
+        else value
+    )
 
 
 def _check_keys(names: Iterable[str]) -> None:
     if "toward" in names:
-        raise StudyError("`toward` stands in the table of the walker, beside its `base` or its keys.")
+        raise StudyError(
+            "`toward` stands in the table of the walker, beside its `base` or its keys."
+        )
 
 
 def number(name: str, value: object) -> float:
@@ -59,7 +77,10 @@ def number(name: str, value: object) -> float:
     StudyError
         If it is not.
     """
-    if isinstance(value, np.generic | np.ndarray | xr.DataArray) and np.ndim(value) == 0:
+    if (
+        isinstance(value, np.generic | np.ndarray | xr.DataArray)
+        and np.ndim(value) == 0
+    ):
         value = value.item()
     return Location("", name).number(value)
 
@@ -75,11 +96,17 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     if not isinstance(keys.get("knees", True), bool | np.bool_):
         raise Location("", "knees").wrong("must be true or false", keys["knees"])
     _check_keys(keys)
-    return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
+    return {
+        key: bool(value) if key == "knees" else number(key, value)
+        for key, value in keys.items()
+    }
 
 
-def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple[xr.DataArray, ...]]:
-    """Broadcast arguments: arrays by numpy's rules along dimensions `dim_0`, …, DataArrays along their own.
+def broadcast(
+    values: Mapping[str, Any],
+) -> tuple[dict[str, xr.DataArray], tuple[xr.DataArray, ...]]:
+    """Broadcast arguments: arrays by numpy's rules along dimensions `dim_0`, …,
+    DataArrays along their own.
 
     Parameters
     ----------
@@ -91,14 +118,19 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
     arrays : dict
         DataArrays, each with the dimensions along which it varies alone.
     grid : tuple of DataArray
-        The same in their order, all with the dimensions of the grid: numpy's, then those of DataArrays as they appear.
+        The same in their order, all with the dimensions of the grid: numpy's, then
+        those of DataArrays as they appear.
 
     Raises
     ------
     StudyError
-        If one holds anything but numbers, if shapes do not broadcast, or if the coordinates of two DataArrays differ.
+        If one holds anything but numbers, if shapes do not broadcast, or if the
+        coordinates of two DataArrays differ.
     """
-    values = {name: v if isinstance(v, xr.DataArray) else _numbers(name, v) for name, v in values.items()}
+    values = {
+        name: v if isinstance(v, xr.DataArray) else _numbers(name, v)
+        for name, v in values.items()
+    }
     plain = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
     try:
         shape = np.broadcast_shapes(*(v.shape for v in plain.values()))
@@ -108,40 +140,64 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
     named = {name: _named(name, v, shape) for name, v in values.items()}
     try:
         aligned = xr.align(*named.values(), join="exact", copy=False)
-        whole = xr.DataArray(np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))])
+        whole = xr.DataArray(
+            np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))]
+        )
         _, *grid = xr.broadcast(whole, *aligned)
     except ValueError as error:
         # Only the first line of xarray's message says what is wrong.
-        raise StudyError(f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}.") from error
+        raise StudyError(
+            f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}."
+        ) from error
     arrays = dict(zip(named, aligned, strict=True))
     for name, array in arrays.items():
         if name in grid[0].dims and array.dims != (name,):
-            raise StudyError(f"`{name}` is the name of a dimension, along which it does not vary alone.")
+            raise StudyError(
+                f"`{name}` is the name of a dimension, along which it does not vary alone."
+            )
     return arrays, tuple(grid)
 
 
 def _numbers(name: str, value: object) -> np.ndarray:
     _check_keys([name])
     try:
-        array = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-    except (ValueError, TypeError):  # rows of different lengths, objects of other packages
+        array = (
+            np.ma.filled(value.astype(float), np.nan)
+            if isinstance(value, np.ma.MaskedArray)
+            else np.asarray(value)
+        )
+    except (
+        ValueError,
+        TypeError,
+    ):  # rows of different lengths, objects of other packages
         array = np.empty(0, object)
     if array.dtype.kind not in ("b" if name == "knees" else "iuf"):
-        wanted = "true or false, or an array of them" if name == "knees" else "a number or an array of numbers"
+        wanted = (
+            "true or false, or an array of them"
+            if name == "knees"
+            else "a number or an array of numbers"
+        )
         raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
     return array if name == "knees" else array.astype(float, copy=False)
 
 
-def _named(name: str, value: np.ndarray | xr.DataArray, shape: tuple[int, ...]) -> xr.DataArray:
+def _named(
+    name: str, value: np.ndarray | xr.DataArray, shape: tuple[int, ...]
+) -> xr.DataArray:
     """A DataArray whose only dimensions are those along which the value varies."""
     if isinstance(value, xr.DataArray):
         clash = [str(d) for d in (*value.dims, *value.coords) if d in _RESERVED]
         if clash:
-            raise StudyError(f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use.")
+            raise StudyError(
+                f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use."
+            )
         return value.copy(data=_numbers(name, value.values))
     first = len(shape) - value.ndim
     varies = [i for i, n in enumerate(value.shape) if n == shape[first + i]]
-    return xr.DataArray(value.reshape([value.shape[i] for i in varies]), dims=[f"dim_{first + i}" for i in varies])
+    return xr.DataArray(
+        value.reshape([value.shape[i] for i in varies]),
+        dims=[f"dim_{first + i}" for i in varies],
+    )
 
 
 def _kind(value: object) -> str:

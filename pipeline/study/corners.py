@@ -1,4 +1,6 @@
-"""The walkers of a study at the corners of its grid: whether each is valid, and if not, where the study is wrong."""
+"""The walkers of a study at the corners of its grid: whether each is valid, and if not,
+where the study is wrong.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -13,10 +15,14 @@ from gaitsweep.tasks import registry
 _MOST = 256
 
 
-def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str, Any], ...]:
-    """Check every walker at the corners of the grid of lines; returns the properties of each.
+def check_walkers(
+    study: Study, top: Location, way: Location
+) -> tuple[dict[str, Any], ...]:
+    """Check every walker at the corners of the grid of lines; returns the properties of
+    each.
 
-    `top` is the place of the study in errors, `way` that of the walker toward which detuning leads.
+    `top` is the place of the study in errors, `way` that of the walker toward which
+    detuning leads.
 
     Raises
     ------
@@ -28,7 +34,11 @@ def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str,
         try:
             check = dispatch.call("check_walker", {"walker": candidate, "set": values})
         except ValueError as error:
-            place = way if getattr(error, "key", "") == "toward" else _fault(candidate, values, error, top)
+            place = (
+                way
+                if getattr(error, "key", "") == "toward"
+                else _fault(candidate, values, error, top)
+            )
             raise place.error(str(error)) from error
         if study.kind == "curve":
             _check_curve(study, candidate, values, top.at("options"))
@@ -37,8 +47,13 @@ def check_walkers(study: Study, top: Location, way: Location) -> tuple[dict[str,
 
 
 def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]:
-    """Number of each walker, the walker, and values of the axes at the corners of the grid."""
-    ends = [sorted({float(axis.values[0]), float(axis.values[-1])}) for axis in study.line_axes]
+    """Number of each walker, the walker, and values of the axes at the corners of the
+    grid.
+    """
+    ends = [
+        sorted({float(axis.values[0]), float(axis.values[-1])})
+        for axis in study.line_axes
+    ]
     names = [axis.name for axis in study.line_axes]
     for number, walker in enumerate(study.walkers):
         for corner in itertools.islice(itertools.product(*ends), _MOST):
@@ -46,15 +61,25 @@ def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]
 
 
 def notes(study: Study) -> list[str]:
-    """What a user may not know of the walkers of a study: keys that move a tuned one off the static conditions."""
+    """What a user may not know of the walkers of a study: keys that move a tuned one
+    off the static conditions.
+    """
     lines = ({"walker": walker, "set": values} for _, walker, values in _corners(study))
-    sentences = {str(line["walker"]): sentence for line in lines if (sentence := dispatch.ask("untuned", line))}
+    sentences = {
+        str(line["walker"]): sentence
+        for line in lines
+        if (sentence := dispatch.ask("untuned", line))
+    }
     return [*sentences.values(), *_not_led(study)]
 
 
 def _not_led(study: Study) -> list[str]:
     """Say of walkers with a way to another that none goes it."""
-    is_led = registry.options("curve", study.options)["key"] == "detuning" if study.kind == "curve" else False
+    is_led = (
+        registry.options("curve", study.options)["key"] == "detuning"
+        if study.kind == "curve"
+        else False
+    )
     led = is_led or any(axis.name == "detuning" for axis in study.line_axes)
     return [
         f"`toward` is of no effect without `detuning`: the walker is {check['way']['start']}."
@@ -63,15 +88,24 @@ def _not_led(study: Study) -> list[str]:
     ]
 
 
-def _fault(walker: Definition, values: dict[str, float], error: ValueError, top: Location) -> Location:
-    """Place of what is wrong with a walker at values of the axes: the walker, the one axis at fault, or the axes."""
+def _fault(
+    walker: Definition, values: dict[str, float], error: ValueError, top: Location
+) -> Location:
+    """Place of what is wrong with a walker at values of the axes: the walker, the one
+    axis at fault, or the axes.
+    """
     key = getattr(error, "key", "walker")
     if key in values:
         return top.at("axes", key)
-    # A key that an axis owns is wrong where it is set, though the walker is valid without the axis.
+    # A key that an axis owns is wrong where it is set, though the walker is valid
+    # without the axis.
     if getattr(error, "bound", "").startswith("is set by") or not _can_be(walker, {}):
         return top.at("walker")
-    at_fault = [name for name in values if _can_be(walker, {k: v for k, v in values.items() if k != name})]
+    at_fault = [
+        name
+        for name in values
+        if _can_be(walker, {k: v for k, v in values.items() if k != name})
+    ]
     return top.at("axes", *at_fault) if len(at_fault) == 1 else top.at("axes")
 
 
@@ -83,13 +117,24 @@ def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     return True
 
 
-def _check_curve(study: Study, walker: Definition, values: dict[str, float], location: Location) -> None:
+def _check_curve(
+    study: Study, walker: Definition, values: dict[str, float], location: Location
+) -> None:
     """Check a walker at both ends of the range over which curves are continued."""
     options = registry.options("curve", study.options)
     for end in ("from", "to"):
         try:
-            dispatch.call("check_walker", {"walker": walker, "set": {**values, options["key"]: options[end]}})
+            dispatch.call(
+                "check_walker",
+                {"walker": walker, "set": {**values, options["key"]: options[end]}},
+            )
         except ValueError as error:
             value = getattr(error, "key", "") == options["key"]
-            sentence = str(error) if value else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
-            raise location.at(end if end in study.options else "key").error(sentence) from error
+            sentence = (
+                str(error)
+                if value
+                else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
+            )
+            raise location.at(end if end in study.options else "key").error(
+                sentence
+            ) from error

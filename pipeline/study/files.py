@@ -17,7 +17,9 @@ from gaitsweep.pipeline.study.model import Definition
 Reader: TypeAlias = Callable[[str], Any]
 _MAX_BASES = 8
 #: What the package brings: studies in folders, and walkers.
-_STUDIES, _WALKERS = (Path(__file__).parents[2] / "data" / name for name in ("studies", "walkers"))
+_STUDIES, _WALKERS = (
+    Path(__file__).parents[2] / "data" / name for name in ("studies", "walkers")
+)
 
 
 def read_text(path: Path, shown: str, most: int = 1) -> str:
@@ -30,7 +32,11 @@ def read_text(path: Path, shown: str, most: int = 1) -> str:
     """
     try:
         if not path.is_file():
-            raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
+            raise StudyError(
+                f"{shown} is not a file."
+                if path.exists()
+                else f"There is no file {shown}."
+            )
         if path.stat().st_size > most << 20:
             raise StudyError(f"{shown} is larger than {most} MiB.")
         return path.read_text(encoding="utf-8-sig")
@@ -44,8 +50,8 @@ def studies(name: Path) -> list[Path]:
     Parameters
     ----------
     name : Path
-        A file, a folder of studies, or, where there is neither, a folder that the package brings (`paper`, `examples`)
-        or one study of it (`paper/figure5`).
+        A file, a folder of studies, or, where there is neither, a folder that the
+        package brings (`paper`, `examples`) or one study of it (`paper/figure5`).
 
     Returns
     -------
@@ -60,7 +66,9 @@ def studies(name: Path) -> list[Path]:
     if os.path.isdir(name):
         found = sorted(name.glob("*.toml"))
         if not found:
-            raise StudyError(f"There is no study (*.toml) in the folder {clip(str(name), 200)}.")
+            raise StudyError(
+                f"There is no study (*.toml) in the folder {clip(str(name), 200)}."
+            )
         return found
     if os.path.lexists(name):  # unlike `Path.exists`, no error if it is too long
         return [name]
@@ -68,19 +76,32 @@ def studies(name: Path) -> list[Path]:
     for file in sorted(_STUDIES.glob("*/*.toml")):
         for known in (file.parent, file.with_suffix("")):
             shipped.setdefault(known.relative_to(_STUDIES).as_posix(), []).append(file)
-    if near := [] if str(name) in shipped else difflib.get_close_matches(str(name), shipped, 1):
-        raise StudyError(f"There is no file {clip(str(name), 200)}; did you mean `{near[0]}`?")
+    if (
+        near := []
+        if str(name) in shipped
+        else difflib.get_close_matches(str(name), shipped, 1)
+    ):
+        raise StudyError(
+            f"There is no file {clip(str(name), 200)}; did you mean `{near[0]}`?"
+        )
     return shipped.get(str(name), [name])
 
 
 def unreadable(shown: str, error: Exception) -> StudyError:
-    """Error for a file that cannot be read; what caused it may quote control characters, or a path with a null byte."""
-    detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+    """Error for a file that cannot be read; what caused it may quote control
+    characters, or a path with a null byte.
+    """
+    detail = (
+        error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+    )
     return StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.")
 
 
-def read_toml(path: Path, shown: str, number: Reader = float) -> tuple[str, dict[str, Any]]:
-    """Read a TOML file and return its text and table, with decimals read by `number`; errors call it `shown`.
+def read_toml(
+    path: Path, shown: str, number: Reader = float
+) -> tuple[str, dict[str, Any]]:
+    """Read a TOML file and return its text and table, with decimals read by `number`;
+    errors call it `shown`.
 
     Raises
     ------
@@ -95,15 +116,20 @@ def read_toml(path: Path, shown: str, number: Reader = float) -> tuple[str, dict
 
 
 def walker(
-    value: Definition, folder: Path, location: Location | None = None, number: Reader = float, is_end: bool = False
+    value: Definition,
+    folder: Path,
+    location: Location | None = None,
+    number: Reader = float,
+    is_end: bool = False,
 ) -> Definition:
     """Name of a catalogue walker, or the table of a walker.
 
     Parameters
     ----------
     value : str or dict
-        A name, a file (relative to `folder`, or absolute; where there is none, of that name among the walkers that the
-        package brings), or a table, whose `base` and `toward` may be files too.
+        A name, a file (relative to `folder`, or absolute; where there is none, of that
+        name among the walkers that the package brings), or a table, whose `base` and
+        `toward` may be files too.
     folder : Path
     location : Location, optional
         Place of the value in a study.
@@ -126,8 +152,13 @@ def walker(
             if "toward" in table and "toward" not in overrides:
                 place = location.at("toward")
                 if is_end:
-                    raise location.error("The walker that `toward` names has a `toward` itself")
-                table = {**table, "toward": other(table["toward"], folder, place, number)}
+                    raise location.error(
+                        "The walker that `toward` names has a `toward` itself"
+                    )
+                table = {
+                    **table,
+                    "toward": other(table["toward"], folder, place, number),
+                }
             overrides = {**table, **overrides}
             if not isinstance(base, str) or base in catalogue:
                 return overrides
@@ -142,17 +173,28 @@ def walker(
             if found is None:
                 raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
             table = found
-    raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
+    raise location.error(
+        f"{clip(str(table))} is based on more than {_MAX_BASES} other files"
+    )
 
 
 def more_walkers() -> list[tuple[str, str]]:
     """Names of walkers beside the catalogue, and where each is from."""
-    brought = [(file.name, "a file that comes with gaitsweep") for file in sorted(_WALKERS.glob("*.toml"))]
-    return [*brought, *((name, "of another package") for name in extensions.names("walkers"))]
+    brought = [
+        (file.name, "a file that comes with gaitsweep")
+        for file in sorted(_WALKERS.glob("*.toml"))
+    ]
+    return [
+        *brought,
+        *((name, "of another package") for name in extensions.names("walkers")),
+    ]
 
 
-def other(value: object, folder: Path, location: Location, number: Reader = float) -> Definition:
-    """The walker `toward` which `detuning` leads: a name, a file, a table, or the text of a table.
+def other(
+    value: object, folder: Path, location: Location, number: Reader = float
+) -> Definition:
+    """The walker `toward` which `detuning` leads: a name, a file, a table, or the text
+    of a table.
 
     Raises
     ------
@@ -169,21 +211,32 @@ def other(value: object, folder: Path, location: Location, number: Reader = floa
     return walker(value, folder, location, number, is_end=True)
 
 
-def changed(value: Definition, toward: Definition | None = None, tuned: str | Sequence[str] = ()) -> Definition:
-    """A walker with the one, if any, toward which `detuning` leads it, and with keys that are `tuned`.
+def changed(
+    value: Definition, toward: Definition | None = None, tuned: str | Sequence[str] = ()
+) -> Definition:
+    """A walker with the one, if any, toward which `detuning` leads it, and with keys
+    that are `tuned`.
 
     These are changed by least so that it meets the static conditions.
     """
     keys: dict[str, Any] = {} if toward is None else {"toward": toward}
     if tuned:
         keys["tuned"] = [tuned] if isinstance(tuned, str) else list(tuned)
-    return {**({"base": value} if isinstance(value, str) else value), **keys} if keys else value
+    return (
+        {**({"base": value} if isinstance(value, str) else value), **keys}
+        if keys
+        else value
+    )
 
 
-def _walker_file(name: str, folder: Path, location: Location, number: Reader) -> tuple[dict[str, Any], Path]:
+def _walker_file(
+    name: str, folder: Path, location: Location, number: Reader
+) -> tuple[dict[str, Any], Path]:
     """The [walker] table of a file, and the folder to which its own `base` is relative."""
     path = folder / name
-    if not os.path.lexists(path) and name in (file.name for file in _WALKERS.glob("*.toml")):
+    if not os.path.lexists(path) and name in (
+        file.name for file in _WALKERS.glob("*.toml")
+    ):
         path = _WALKERS / name
     _, table = location.blamed(read_toml, path, name, number)
     if not isinstance(table.get("walker"), dict):

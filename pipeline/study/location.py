@@ -25,22 +25,30 @@ class Location:
 
     def error(self, sentence: str) -> StudyError:
         """Error of one sentence with the location."""
-        position = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        sentence = f"{sentence.rstrip('.')} ({position})" if position else sentence.rstrip(".")
+        position = ", ".join(
+            filter(None, (self.file, ".".join(self.keys) if self.file else ""))
+        )
+        sentence = (
+            f"{sentence.rstrip('.')} ({position})" if position else sentence.rstrip(".")
+        )
         return StudyError(sentence if sentence.endswith("?") else f"{sentence}.")
 
     def wrong(self, bound: str, value: object) -> StudyError:
         """Error for a value that violates a bound."""
         return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
 
-    def unknown(self, name: str, known: Iterable[str], kind: str = "name") -> StudyError:
+    def unknown(
+        self, name: str, known: Iterable[str], kind: str = "name"
+    ) -> StudyError:
         """Error for an unknown name or key, with the nearest known one."""
         known = list(known)
         near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")
 
-    def check_names(self, names: Iterable[object], known: Collection[str], kind: str = "name") -> None:
+    def check_names(
+        self, names: Iterable[object], known: Collection[str], kind: str = "name"
+    ) -> None:
         """Check that names, or keys, are known.
 
         Raises
@@ -53,7 +61,9 @@ class Location:
                 raise self.unknown(str(name), known, kind)
 
     def blamed(self, find: Callable[..., Any], *what: Any) -> Any:
-        """What a function finds in a file or of another package; an error of theirs is one at this place."""
+        """What a function finds in a file or of another package; an error of theirs is
+        one at this place.
+        """
         try:
             return find(*what)
         except (ExtensionError, StudyError) as error:
@@ -70,26 +80,38 @@ class Location:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
         if abs(value) > LARGEST:  # a whole number may exceed every double
-            raise self.wrong("must be finite" if value in (math.inf, -math.inf) else "must be at most 1e300", value)
+            raise self.wrong(
+                "must be finite"
+                if value in (math.inf, -math.inf)
+                else "must be at most 1e300",
+                value,
+            )
         if math.isnan(value):
             raise self.wrong("must be finite", value)
         return float(value)
 
     def count(self, value: object, most: int, least: int = 1) -> int:
-        """Check that a value is a whole number, of Python or numpy, and within its bounds.
+        """Check that a value is a whole number, of Python or numpy, and within its
+        bounds.
 
         Raises
         ------
         StudyError
             If it is not.
         """
-        if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, Integral)
+            or not least <= int(value) <= most
+        ):
             raise self.wrong(f"must be a whole number from {least} to {most:,}", value)
         return int(value)
 
 
 def clip(text: str, max_length: int = 60) -> str:
-    """Shorten text from outside and replace unprintable characters, for use in an error."""
+    """Shorten text from outside and replace unprintable characters, for use in an
+    error.
+    """
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= max_length else text[: max_length - 3] + "..."
 

@@ -11,8 +11,8 @@ import numpy as np
 
 #: A walker as studies define it: its name, or the table of its keys.
 Definition: TypeAlias = str | dict[str, Any]
-#: Fewest lines over one or two keys whose gaits charts predict, fewest values of the second of these, about as many as
-#: charts have nodes along it, and fewest designs.
+#: Fewest lines over one or two keys whose gaits charts predict, fewest values of the
+#: second of these, about as many as charts have nodes along it, and fewest designs.
 _MIN_LINES, _MIN_ACROSS, _MIN_DESIGNS = 12, 10, 400
 #: Most designs that one job computes: of a cell, and of lines surveyed one by one.
 _MAX_CELL_DESIGNS, _MAX_SURVEYED_DESIGNS = 1 << 16, 32
@@ -38,14 +38,19 @@ class Axis:
 
     @property
     def is_log(self) -> bool:
-        """Whether the middle one of its values is nearer to the geometric than to the arithmetic mean of the ends."""
+        """Whether the middle one of its values is nearer to the geometric than to the
+        arithmetic mean of the ends.
+        """
         low, high = float(self.values.min()), float(self.values.max())
-        return low > 0 and 2 * float(np.median(self.values)) < math.sqrt(low * high) + 0.5 * (low + high)
+        return low > 0 and 2 * float(np.median(self.values)) < math.sqrt(
+            low * high
+        ) + 0.5 * (low + high)
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Walkers and parameters of some lines, each put together when it is asked for: a request holds them as arrays.
+    """Walkers and parameters of some lines, each put together when it is asked for: a
+    request holds them as arrays.
 
     Attributes
     ----------
@@ -61,7 +66,10 @@ class Lines:
         return len(self.walkers)
 
     def __getitem__(self, place: int) -> dict[str, Any]:
-        return {"walker": self.walkers[place], "set": {name: own.item(place) for name, own in self.values.items()}}
+        return {
+            "walker": self.walkers[place],
+            "set": {name: own.item(place) for name, own in self.values.items()},
+        }
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return map(self.__getitem__, range(len(self)))
@@ -80,26 +88,46 @@ class Plane:
 
     @functools.cached_property
     def region(self) -> dict[str, Any]:
-        """Its keys, their least and largest values `low` and `high`, and about how many `lines`.
+        """Its keys, their least and largest values `low` and `high`, and about how many
+        `lines`.
 
         `log` is whether the values of a key are spread by their logarithms.
         """
-        low, high = ([float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max))
-        keys, log = [axis.name for axis in self.axes], [axis.is_log for axis in self.axes]
-        return {"keys": keys, "low": low, "high": high, "log": log, "lines": about(self.lines)}
+        low, high = (
+            [float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max)
+        )
+        keys, log = (
+            [axis.name for axis in self.axes],
+            [axis.is_log for axis in self.axes],
+        )
+        return {
+            "keys": keys,
+            "low": low,
+            "high": high,
+            "log": log,
+            "lines": about(self.lines),
+        }
 
-    def lines_in(self, box: Mapping[str, Any], spans: Mapping[str, slice] | None = None) -> int:
-        """Number of its lines, or of those of a chunk, in a box; those that two boxes share belong to the upper one."""
+    def lines_in(
+        self, box: Mapping[str, Any], spans: Mapping[str, slice] | None = None
+    ) -> int:
+        """Number of its lines, or of those of a chunk, in a box; those that two boxes
+        share belong to the upper one.
+        """
         count = 1
         for axis, low, high in zip(self.axes, box["low"], box["high"], strict=True):
             values = axis.values[spans[axis.name]] if spans else axis.values
             is_last = high >= axis.values.max()
-            count *= int(np.count_nonzero((values >= low) & (is_last | (values < high))))
+            count *= int(
+                np.count_nonzero((values >= low) & (is_last | (values < high)))
+            )
         return count
 
 
 def about(n: int) -> int:
-    """The power of two nearest to a number, by its logarithm: grids that are refined a little share their charts."""
+    """The power of two nearest to a number, by its logarithm: grids that are refined a
+    little share their charts.
+    """
     return 1 << round(math.log2(n))
 
 
@@ -107,9 +135,11 @@ def about(n: int) -> int:
 class Study:
     """A checked study.
 
-    `walkers` are names or tables and `names` their labels; `axes` keep the order of the file; `walker_axis` is whether
-    walkers are a dimension; `checks` holds the properties of each walker that `tasks` reports; `overlay` are the user's
-    measurements, columns of shape (n,); `accuracy` is the largest error bound wanted, 0 for as good as doubles give.
+    `walkers` are names or tables and `names` their labels; `axes` keep the order of the
+    file; `walker_axis` is whether walkers are a dimension; `checks` holds the
+    properties of each walker that `tasks` reports; `overlay` are the user's
+    measurements, columns of shape (n,); `accuracy` is the largest error bound wanted, 0
+    for as good as doubles give.
     """
 
     name: str
@@ -139,7 +169,9 @@ class Study:
     @property
     def steps(self) -> int:
         """Steps after which the gaits of a grid or of branches repeat."""
-        return int(self.options.get("steps", 1)) if self.kind in ("grid", "branch") else 1
+        return (
+            int(self.options.get("steps", 1)) if self.kind in ("grid", "branch") else 1
+        )
 
     @functools.cached_property
     def line_axes(self) -> tuple[Axis, ...]:
@@ -169,19 +201,32 @@ class Study:
         """Walker and parameters of each of some lines."""
         walkers, *indices = np.unravel_index(numbers, self.line_shape)
         axes = zip(self.line_axes, indices, strict=True)
-        return Lines([self.walkers[k] for k in walkers.tolist()], {axis.name: axis.values[at] for axis, at in axes})
+        return Lines(
+            [self.walkers[k] for k in walkers.tolist()],
+            {axis.name: axis.values[at] for axis, at in axes},
+        )
 
     @functools.cached_property
     def plane(self) -> Plane | None:
-        """The longest one or two axes of keys, if they hold enough lines for gaits to be interpolated over them."""
+        """The longest one or two axes of keys, if they hold enough lines for gaits to
+        be interpolated over them.
+        """
         names = [check.get("smooth", ()) for check in self.checks]
-        axes = [a for a in self.line_axes if len(a) > 1 and all(a.name in each for each in names)]
+        axes = [
+            a
+            for a in self.line_axes
+            if len(a) > 1 and all(a.name in each for each in names)
+        ]
         axes = sorted(axes, key=len)[-2:]
         of_designs = self.kind == "design"
         if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
             del axes[0]
         plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))
-        return plane if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES) else None
+        return (
+            plane
+            if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES)
+            else None
+        )
 
     @property
     def batches(self) -> int:
@@ -201,19 +246,32 @@ class Study:
             return np.array([number])
         cell, part = divmod(number, self._batches_each)
         most = _MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS
-        numbers = cell * self._designs + np.arange(part * most, min((part + 1) * most, self._designs))
+        numbers = cell * self._designs + np.arange(
+            part * most, min((part + 1) * most, self._designs)
+        )
         # With the keys of the plane last, the designs of a cell follow each other.
         inner = [axis.name for axis in self.plane.axes] if self.plane else []
-        order = [0, *sorted(range(1, len(self.line_shape)), key=lambda k: self.line_axes[k - 1].name in inner)]
+        order = [
+            0,
+            *sorted(
+                range(1, len(self.line_shape)),
+                key=lambda k: self.line_axes[k - 1].name in inner,
+            ),
+        ]
         at = np.unravel_index(numbers, [self.line_shape[k] for k in order])
         return np.ravel_multi_index([at[k] for k in np.argsort(order)], self.line_shape)
 
     def batch_line(self, number: int) -> dict[str, Any]:
-        """Walker and parameters of a job over lines: those of a line, or of designs an array for each."""
+        """Walker and parameters of a job over lines: those of a line, or of designs an
+        array for each.
+        """
         if self.kind != "design":
             return self.line(number)
         walkers, *indices = np.unravel_index(self.batch(number), self.line_shape)
-        sets = {axis.name: axis.values[k].astype(float) for axis, k in zip(self.line_axes, indices, strict=True)}
+        sets = {
+            axis.name: axis.values[k].astype(float)
+            for axis, k in zip(self.line_axes, indices, strict=True)
+        }
         return {"walker": self.walkers[int(walkers[0])], "set": sets}
 
     @property
@@ -223,7 +281,10 @@ class Study:
 
     @property
     def _batches_each(self) -> int:
-        return -(-self._designs // (_MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS))
+        return -(
+            -self._designs
+            // (_MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS)
+        )
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

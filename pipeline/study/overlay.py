@@ -1,4 +1,6 @@
-"""Measurements of the user's own, shown beside the curves: `[figures.overlay] file = "measured.csv"`."""
+"""Measurements of the user's own, shown beside the curves: `[figures.overlay] file =
+"measured.csv"`.
+"""
 
 import csv
 import re
@@ -25,9 +27,10 @@ def read(name: object, study: Study, location: Location) -> Columns:
     Parameters
     ----------
     name : object
-        The study's entry: a file beside it. Its first row names each column and its unit, as `slope [rad]`,
-        `period [s]`, `period_error [s]`; `walker` and `gait` hold names. Degrees are converted to radians. Every axis
-        with several values needs a column.
+        The study's entry: a file beside it. Its first row names each column and its
+        unit, as `slope [rad]`, `period [s]`, `period_error [s]`; `walker` and `gait`
+        hold names. Degrees are converted to radians. Every axis with several values
+        needs a column.
     study : Study
     location : Location
         Place of the entry in the study.
@@ -35,7 +38,8 @@ def read(name: object, study: Study, location: Location) -> Columns:
     Returns
     -------
     dict of ndarray, shape (n,)
-        Columns by name: numbers, in the study's units and NaN where a cell is empty, or words.
+        Columns by name: numbers, in the study's units and NaN where a cell is empty, or
+        words.
 
     Raises
     ------
@@ -52,28 +56,44 @@ def read(name: object, study: Study, location: Location) -> Columns:
         raise location.error(str(files.unreadable(shown, error))) from error
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows) > _MAX_ROWS:
-        raise location.error(f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}")
+        raise location.error(
+            f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}"
+        )
     columns = dict(_columns(rows, shown, study, location))
-    needed = [axis.name for axis in study.axes if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")]
+    needed = [
+        axis.name
+        for axis in study.axes
+        if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")
+    ]
     for axis in [*needed, "walker"] if len(study.walkers) > 1 else needed:
         if axis not in columns:
-            raise location.error(f"{shown} needs the column `{axis}`, an axis with several values")
+            raise location.error(
+                f"{shown} needs the column `{axis}`, an axis with several values"
+            )
     if not any(column in VARIABLES for column in columns):
-        raise location.error(f"{shown} has no measured variable, such as `period` or `stance_angle`")
+        raise location.error(
+            f"{shown} has no measured variable, such as `period` or `stance_angle`"
+        )
     location.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
 
 
-def _columns(rows: list[list[str]], shown: str, study: Study, location: Location) -> Iterator[tuple[str, np.ndarray]]:
+def _columns(
+    rows: list[list[str]], shown: str, study: Study, location: Location
+) -> Iterator[tuple[str, np.ndarray]]:
     axes = {axis.name: units.axis_units(axis.name, study.checks) for axis in study.axes}
-    measured = [v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"]
+    measured = [
+        v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"
+    ]
     known = [*axes, "walker", "gait", *measured]
     seen = []
     for k, heading in enumerate(rows[0]):
         match = re.fullmatch(r"\s*(\w+)\s*(?:\[([^\]]*)\])?\s*", heading)
         name, unit = (match[1], (match[2] or "").strip()) if match else (heading, "")
         base = name.removesuffix("_error")
-        if name not in known and not (base != name and base in known and base not in ("walker", "gait")):
+        if name not in known and not (
+            base != name and base in known and base not in ("walker", "gait")
+        ):
             raise location.unknown(name, known, f"column of {shown}")
         if name in seen:
             raise location.error(f"{shown} has two columns `{name}`")
@@ -82,17 +102,31 @@ def _columns(rows: list[list[str]], shown: str, study: Study, location: Location
         if name in ("walker", "gait"):
             yield name, _words(name, cells, shown, location)
             continue
-        expected = axes[base] if base in axes else units.of_kind(VARIABLES[base].kind, study.checks)
-        yield name, _numbers(name, cells, shown, location) * _factor(name, unit, expected, shown, location)
+        expected = (
+            axes[base]
+            if base in axes
+            else units.of_kind(VARIABLES[base].kind, study.checks)
+        )
+        yield (
+            name,
+            _numbers(name, cells, shown, location)
+            * _factor(name, unit, expected, shown, location),
+        )
 
 
-def _factor(name: str, unit: str, expected: str, shown: str, location: Location) -> float:
+def _factor(
+    name: str, unit: str, expected: str, shown: str, location: Location
+) -> float:
     """Factor from the unit given to the expected one."""
     given = _SPELLINGS.get(unit, unit)
     if expected == SI_UNITS["angle"] and given in _DEGREES:
         return float(np.pi / 180)
     if given != expected:
-        wanted = f"`{name} [{expected}]`" if expected != "1" else f"`{name}` without a unit, as the walker has none"
+        wanted = (
+            f"`{name} [{expected}]`"
+            if expected != "1"
+            else f"`{name}` without a unit, as the walker has none"
+        )
         heading = f"{name} [{clip(unit, 20)}]" if unit else name
         raise location.error(f"The column `{heading}` of {shown} must be {wanted}")
     return 1.0
@@ -107,12 +141,16 @@ def _numbers(name: str, cells: list[str], shown: str, location: Location) -> np.
             values[i] = np.inf
         if np.isinf(values[i]) or (name.endswith("_error") and values[i] < 0):
             bound = "must be a number" if np.isinf(values[i]) else "must be at least 0"
-            raise location.error(f"`{name}` {bound}; got {clip(cell)!r} ({shown}, row {i + 2})")
+            raise location.error(
+                f"`{name}` {bound}; got {clip(cell)!r} ({shown}, row {i + 2})"
+            )
     return values
 
 
 def _words(name: str, cells: list[str], shown: str, location: Location) -> np.ndarray:
     for i, cell in enumerate(cells):
         if name == "gait" and cell and cell not in GAITS:
-            raise location.error(f"`gait` must be one of {', '.join(GAITS)}; got {clip(cell)!r} ({shown}, row {i + 2})")
+            raise location.error(
+                f"`gait` must be one of {', '.join(GAITS)}; got {clip(cell)!r} ({shown}, row {i + 2})"
+            )
     return np.array([clip(cell) for cell in cells], dtype=str)

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure of a report, as the entry point `gaitsweep.figures` of a package leads to it.
+    """A figure of a report, as the entry point `gaitsweep.figures` of a package leads
+    to it.
 
     Parameters
     ----------
     draw : callable
-        Called with the axes and the archive's grid (docs/archive.md), a Dataset; returns a table of what it shows,
-        which the page offers as CSV.
+        Called with the axes and the archive's grid (docs/archive.md), a Dataset;
+        returns a table of what it shows, which the page offers as CSV.
     reads : tuple of str
         Variables that it needs; a study with the figure computes them.
     title, caption, alt : str

@@ -1,9 +1,11 @@
-"""JSON Schema of studies and of walker files, made of what checks them, so that editors complete and explain.
+"""JSON Schema of studies and of walker files, made of what checks them, so that editors
+complete and explain.
 
-What it refuses the checker refuses too, which alone knows what keys mean together; but for what is never used, a
-walker's own `tuned` or `toward` where its study has another, and for corners of a grid beyond the first 256. Editors of
-TOML complete from `properties` and `anyOf`, not from conditions, and follow `$ref` badly: nothing is referred to, and
-conditions only narrow what is stated before.
+What it refuses the checker refuses too, which alone knows what keys mean together; but
+for what is never used, a walker's own `tuned` or `toward` where its study has another,
+and for corners of a grid beyond the first 256. Editors of TOML complete from
+`properties` and `anyOf`, not from conditions, and follow `$ref` badly: nothing is
+referred to, and conditions only narrow what is stated before.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,7 +17,16 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import options, parse
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.accuracy import ACCURACIES
-from gaitsweep.tasks.registry import CLAIMS, FIGURES, FITS, GAITS, NEEDED_KINDS, OPTIONS, OVER_LINES, VARIABLES
+from gaitsweep.tasks.registry import (
+    CLAIMS,
+    FIGURES,
+    FITS,
+    GAITS,
+    NEEDED_KINDS,
+    OPTIONS,
+    OVER_LINES,
+    VARIABLES,
+)
 
 Schema = dict[str, Any]
 #: What a study may want beside variables.
@@ -41,11 +52,18 @@ def schema(kind: Literal["study", "walker"] = "study") -> dict[str, object]:
     """
     if kind not in ("study", "walker"):
         raise Location("", "kind").wrong('must be "study" or "walker"', kind)
-    about: Schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"{kind} of gaitsweep"}
+    about: Schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"{kind} of gaitsweep",
+    }
     if kind == "study":
         return about | _study()
     walker = {"description": "Parameters of a walker."} | _walker()
-    return about | {"type": "object", "properties": {"walker": walker}, "required": ["walker"]}
+    return about | {
+        "type": "object",
+        "properties": {"walker": walker},
+        "required": ["walker"],
+    }
 
 
 def _study() -> Schema:
@@ -53,24 +71,45 @@ def _study() -> Schema:
     known: dict[str, list[Schema]] = {}  # options of all kinds
     for of_kind in OPTIONS.values():
         for name, option in of_kind.items():
-            about: Schema = {} if option.default is None else {"default": option.default}
-            about |= {"description": option.meaning} | options.schema(option.holds, keys)
+            about: Schema = (
+                {} if option.default is None else {"default": option.default}
+            )
+            about |= {"description": option.meaning} | options.schema(
+                option.holds, keys
+            )
             if about not in known.setdefault(name, []):
                 known[name].append(about)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = {"variables": _list(options.one_of([*VARIABLES, *extensions.names("measures"), *groups]), 1)}
-    wanted |= {name: _list(options.one_of([*own, *extensions.names(name)])) for name, own in _NAMES.items()}
+    wanted = {
+        "variables": _list(
+            options.one_of([*VARIABLES, *extensions.names("measures"), *groups]), 1
+        )
+    }
+    wanted |= {
+        name: _list(options.one_of([*own, *extensions.names(name)]))
+        for name, own in _NAMES.items()
+    }
     memory = {"type": "string", "pattern": f"^{parse.MEMORY}$"}
     limits: dict[str, Schema] = {
-        "seconds": {"type": "number", "exclusiveMinimum": 0, "maximum": parse.MAX_SECONDS},
+        "seconds": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "maximum": parse.MAX_SECONDS,
+        },
         "memory": {"anyOf": [_between("integer", *parse.MEMORIES), memory]},
     }
-    file = {"type": "string", "minLength": 1, "description": "CSV file of measurements, relative to the study"}
+    file = {
+        "type": "string",
+        "minLength": 1,
+        "description": "CSV file of measurements, relative to the study",
+    }
     holds = {
         "name": {"type": "string", "pattern": f"^{parse.NAME}$"},
         "kind": {**options.one_of(OPTIONS), "default": "grid"},
         "accuracy": _between("number", *ACCURACIES),
-        "walker": {"anyOf": [_name(), {**_list(_name(), 1), "uniqueItems": True}, _walker()]},
+        "walker": {
+            "anyOf": [_name(), {**_list(_name(), 1), "uniqueItems": True}, _walker()]
+        },
         "gaits": _list(options.one_of(GAITS), 1),
         "axes": _table({name: _axis(name) for name in parse.axis_keys()}, ["slope"]),
         "want": _table(_described(parse.WANTED, wanted)),
@@ -79,36 +118,69 @@ def _study() -> Schema:
         "figures": _table({"overlay": _table({"file": file}, ["file"])}),
     }
     conditions = [_of_kind(kind, keys) for kind in OPTIONS]
-    return {**_table(_described(parse.KEYS, holds), ["name", "walker", "axes"]), "allOf": conditions}
+    return {
+        **_table(_described(parse.KEYS, holds), ["name", "walker", "axes"]),
+        "allOf": conditions,
+    }
 
 
 def _of_kind(kind: str, keys: tuple[str, ...]) -> Schema:
     """What else holds for studies of a kind."""
-    of_options = {name: options.schema(option.holds, keys) for name, option in OPTIONS[kind].items()}
+    of_options = {
+        name: options.schema(option.holds, keys)
+        for name, option in OPTIONS[kind].items()
+    }
     wanted: dict[str, Schema] = {}
     for key, names in _NAMES.items():
-        others = [n for n in names if NEEDED_KINDS.get(n, kind) != kind or (kind == "design" and n in OVER_LINES)]
+        others = [
+            n
+            for n in names
+            if NEEDED_KINDS.get(n, kind) != kind
+            or (kind == "design" and n in OVER_LINES)
+        ]
         wanted |= {key: {"items": {"not": {"enum": others}}}} if others else {}
-    own: dict[str, Any] = {"options": _table(of_options), "want": {"properties": wanted}}
+    own: dict[str, Any] = {
+        "options": _table(of_options),
+        "want": {"properties": wanted},
+    }
     if kind != "grid":
         own["accuracy"] = False
     if kind != "branch":
         own["axes"] = {"properties": {"slope": {"properties": {"adaptive": False}}}}
-    is_of_it: Schema = {"properties": {"kind": {"const": kind}}, "required": [] if kind == "grid" else ["kind"]}
+    is_of_it: Schema = {
+        "properties": {"kind": {"const": kind}},
+        "required": [] if kind == "grid" else ["kind"],
+    }
     return {"if": is_of_it, "then": {"properties": own}}
 
 
 def _axis(name: str) -> Schema:
-    """An axis: a list, or a range; of the slope also an adaptive one, of detuning one that names a walker."""
+    """An axis: a list, or a range; of the slope also an adaptive one, of detuning one
+    that names a walker.
+    """
     own = _key(name)
-    spaced = {"from": own, "to": options.schema("number", ()), "n": _between("integer", 1, parse.MAX_VALUES)}
+    spaced = {
+        "from": own,
+        "to": options.schema("number", ()),
+        "n": _between("integer", 1, parse.MAX_VALUES),
+    }
     spaced |= {"spacing": {**options.one_of(["linear", "log"]), "default": "linear"}}
     spaced |= {"toward": _other()} if name == "detuning" else {}
     # One value is the first.
-    one_value = {"if": {"properties": {"n": {"minimum": 2}}}, "then": {"properties": {"to": own}}}
-    forms = [{**_list(own, 1), "uniqueItems": True}, _table(spaced, ["from", "to", "n"]) | one_value]
+    one_value = {
+        "if": {"properties": {"n": {"minimum": 2}}},
+        "then": {"properties": {"to": own}},
+    }
+    forms = [
+        {**_list(own, 1), "uniqueItems": True},
+        _table(spaced, ["from", "to", "n"]) | one_value,
+    ]
     if name == "slope":
-        adaptive = {"from": own, "to": own, "adaptive": _between("number", *parse.TOLERANCES)}
+        adaptive = {
+            "from": own,
+            "to": own,
+            "adaptive": _between("number", *parse.TOLERANCES),
+        }
         forms.append(_table(adaptive, ["from", "to", "adaptive"]))
     return {"description": own["description"], "anyOf": forms}
 
@@ -129,25 +201,40 @@ def _walker(leads: bool = True) -> Schema:
     """The table of a walker; one that another `leads` to leads to none."""
     texts, numbers = _of_walkers("MEANINGS"), _of_walkers("NUMBERS")
     keys: dict[str, Schema] = {
-        name: _key(name) for name in (*texts, "foot_mass_ratio", "detuning") if name not in ("knees", "units")
+        name: _key(name)
+        for name in (*texts, "foot_mass_ratio", "detuning")
+        if name not in ("knees", "units")
     }
     keys |= {
         "knees": {"description": texts["knees"], "type": "boolean", "default": False},
-        "units": {"description": texts["units"], **options.one_of(["SI", "1"]), "default": "1"},
-        "base": {"description": "walker of which this one differs in the keys given"} | _name(),
-        "tuned": {"description": OPTIONS["grid"]["tuned"].meaning} | _list(options.one_of(numbers)),
+        "units": {
+            "description": texts["units"],
+            **options.one_of(["SI", "1"]),
+            "default": "1",
+        },
+        "base": {"description": "walker of which this one differs in the keys given"}
+        | _name(),
+        "tuned": {"description": OPTIONS["grid"]["tuned"].meaning}
+        | _list(options.one_of(numbers)),
         "name": {"description": "what it is called"},
     }
     if leads:
         keys["toward"] = _other()
-    needed = [f.name for f in fields(_of_walkers("Walker")) if f.default is f.default_factory is MISSING]
+    needed = [
+        f.name
+        for f in fields(_of_walkers("Walker"))
+        if f.default is f.default_factory is MISSING
+    ]
     straight = {"properties": {"knees": {"const": False}}}
     zero = dispatch.resolve("gaitsweep.tasks.walkers.resolve:ZERO_IF_STRAIGHT")
     one_link = dispatch.resolve("gaitsweep.tasks.walkers.resolve:NEEDED_BY_ONE_LINK")
     whole = [
         {"required": ["base"]},
         {"required": needed},
-        {**straight, "required": ["knees", *(name for name in needed if name not in zero)]},
+        {
+            **straight,
+            "required": ["knees", *(name for name in needed if name not in zero)],
+        },
         {**straight, "required": ["knees", "l", *one_link]},
     ]
     return {**_table(keys), "anyOf": whole}
@@ -156,7 +243,10 @@ def _walker(leads: bool = True) -> Schema:
 def _other() -> Schema:
     """The walker to which detuning leads, which may be the text of a table."""
     text = {"type": "string", "pattern": r"^\s*\{"}
-    return {"description": "walker to which `detuning` leads", "anyOf": [_name(), text, _walker(leads=False)]}
+    return {
+        "description": "walker to which `detuning` leads",
+        "anyOf": [_name(), text, _walker(leads=False)],
+    }
 
 
 def _name() -> Schema:
@@ -170,12 +260,16 @@ def _of_walkers(name: str) -> Any:
     return dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}")
 
 
-def _described(texts: Mapping[str, str], schemas: Mapping[str, Schema]) -> dict[str, Schema]:
+def _described(
+    texts: Mapping[str, str], schemas: Mapping[str, Schema]
+) -> dict[str, Schema]:
     return {name: {"description": text} | schemas[name] for name, text in texts.items()}
 
 
 def _between(kind: str, low: float, high: float) -> Schema:
-    return {"type": kind, "minimum": low} | ({"maximum": high} if high < float("inf") else {})
+    return {"type": kind, "minimum": low} | (
+        {"maximum": high} if high < float("inf") else {}
+    )
 
 
 def _list(items: Schema, least: int = 0) -> Schema:
@@ -183,4 +277,9 @@ def _list(items: Schema, least: int = 0) -> Schema:
 
 
 def _table(keys: Mapping[str, Schema], needed: Iterable[str] = ()) -> Schema:
-    return {"type": "object", "properties": dict(keys), "required": list(needed), "additionalProperties": False}
+    return {
+        "type": "object",
+        "properties": dict(keys),
+        "required": list(needed),
+        "additionalProperties": False,
+    }

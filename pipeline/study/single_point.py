@@ -33,7 +33,8 @@ def solve(
         Name, file or table of the walker.
     slope : float [rad]
     keys : mapping
-        Walker keys to change, and `toward`, the name, file or text of a table of the walker that `detuning` leads to.
+        Walker keys to change, and `toward`, the name, file or text of a table of the
+        walker that `detuning` leads to.
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
     steps : int
@@ -58,10 +59,18 @@ def solve(
     slopes.check(slope)
     Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
-        raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
+        raise Location("", "steps").wrong(
+            "must be 1 for gaits whose legs pass more than once", steps
+        )
     given, changes = led(definition, keys)
     walker = files.changed(given, tuned=tuned)
-    params = {"walker": walker, "slope": slope, "set": changes, "all": every, "steps": steps}
+    params = {
+        "walker": walker,
+        "slope": slope,
+        "set": changes,
+        "all": every,
+        "steps": steps,
+    }
     if limits:
         params["violation_limits"] = violation_limits(limits, Location(""))
     if asked is not None:
@@ -69,8 +78,11 @@ def solve(
     return ask("solve", params)
 
 
-def state_of(walker: Definition, slope: float, keys: Mapping[str, Any], label: str) -> list[float]:
-    """State of a gait just after heelstrike, (stance_angle, stance_rate, thigh_rate), in the walker's units.
+def state_of(
+    walker: Definition, slope: float, keys: Mapping[str, Any], label: str
+) -> list[float]:
+    """State of a gait just after heelstrike, (stance_angle, stance_rate, thigh_rate),
+    in the walker's units.
 
     Raises
     ------
@@ -83,23 +95,36 @@ def state_of(walker: Definition, slope: float, keys: Mapping[str, Any], label: s
     answer = solve(walker, slope, keys, every=False)
     for gait in answer["gaits"]:
         if gait["gait"] == label:
-            return [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    why = [sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")]
+            return [
+                gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")
+            ]
+    why = [
+        sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")
+    ]
     raise NoGaitError(why[0] if why else f"There is no {label} gait at this slope.")
 
 
-def led(definition: Definition, keys: Mapping[str, Any], number: Reader = float) -> tuple[Definition, dict[str, Any]]:
-    """A walker with the other one that `toward` among its keys names, and the other keys.
+def led(
+    definition: Definition, keys: Mapping[str, Any], number: Reader = float
+) -> tuple[Definition, dict[str, Any]]:
+    """A walker with the other one that `toward` among its keys names, and the other
+    keys.
 
     Raises
     ------
     StudyError
         If one is no walker, or nothing says how far the walker is detuned.
     """
-    walker, changes, place = files.walker(definition, Path(), number=number), dict(keys), Location("", "toward")
+    walker, changes, place = (
+        files.walker(definition, Path(), number=number),
+        dict(keys),
+        Location("", "toward"),
+    )
     toward = changes.pop("toward", None)
     if toward is None:
         return walker, changes
     if "detuning" not in changes and "detuning" not in walker:
-        raise place.wrong("needs `detuning`, which says how far the walker is led", toward)
+        raise place.wrong(
+            "needs `detuning`, which says how far the walker is led", toward
+        )
     return files.changed(walker, files.other(toward, Path(), place, number)), changes

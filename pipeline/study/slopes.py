@@ -17,12 +17,15 @@ BOUND = f"must lie in [{SLOPES[0]:g}, {SLOPES[1]:g}) rad"
 
 
 def is_slope(value: float | np.ndarray) -> Any:
-    """Whether one can be asked for, of a slope or of each of an array [rad]; what is no number cannot."""
+    """Whether one can be asked for, of a slope or of each of an array [rad]; what is no
+    number cannot.
+    """
     return (value >= SLOPES[0]) & (value < SLOPES[1])
 
 
 def check(value: float, place: Location | None = None) -> None:
-    """Refuse a slope that cannot be asked for; one that is too steep may be meant in degrees.
+    """Refuse a slope that cannot be asked for; one that is too steep may be meant in
+    degrees.
 
     Raises
     ------
@@ -33,5 +36,7 @@ def check(value: float, place: Location | None = None) -> None:
         return
     wrong = (place or Location("", "slope")).wrong(BOUND, value)
     if is_slope(radians := math.radians(value)):
-        wrong = StudyError(f"{str(wrong)[:-1]}: degrees? {value:g} degrees are {radians:.6g} rad.")
+        wrong = StudyError(
+            f"{str(wrong)[:-1]}: degrees? {value:g} degrees are {radians:.6g} rad."
+        )
     raise wrong

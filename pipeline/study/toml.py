@@ -1,4 +1,6 @@
-"""Reading and writing of TOML: the standard library takes any depth, and does not write. Loads nothing of `tasks`."""
+"""Reading and writing of TOML: the standard library takes any depth, and does not
+write. Loads nothing of `tasks`.
+"""
 
 import json
 import re
@@ -13,8 +15,11 @@ from gaitsweep.pipeline.errors import StudyError
 
 _MOST_LEVELS = 32
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
-#: A key of more parts, where keys can begin; tomllib's time grows with the square of their number.
-_LONG_KEY = re.compile(rf"(?:^|(?<=[\s\[{{,])){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_LEVELS}}}")
+#: A key of more parts, where keys can begin; tomllib's time grows with the square of
+#: their number.
+_LONG_KEY = re.compile(
+    rf"(?:^|(?<=[\s\[{{,])){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_LEVELS}}}"
+)
 
 
 def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
@@ -23,7 +28,8 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is not TOML, or tables and lists are nested too deeply for those who read them.
+        If it is not TOML, or tables and lists are nested too deeply for those who read
+        them.
     """
     too_deep = f"Tables and lists are nested more than {_MOST_LEVELS} deep"
     if _LONG_KEY.search(text):
@@ -35,7 +41,11 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
 
     level: list[Any] = [table]
     for _ in range(_MOST_LEVELS):
-        values = (value for each in level for value in (each.values() if isinstance(each, dict) else each))
+        values = (
+            value
+            for each in level
+            for value in (each.values() if isinstance(each, dict) else each)
+        )
         level = [value for value in values if isinstance(value, dict | list)]
     if level:
         raise ValueError(too_deep)
@@ -43,7 +53,8 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
 
 
 def written(value: Any, key: str = "") -> str:
-    """A value as TOML, on one line; mappings become inline tables, arrays of other packages lists.
+    """A value as TOML, on one line; mappings become inline tables, arrays of other
+    packages lists.
 
     Raises
     ------
@@ -53,18 +64,25 @@ def written(value: Any, key: str = "") -> str:
     if hasattr(value, "__array__"):
         value = np.asarray(value).tolist()
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(str(k))} = {written(v, key)}" for k, v in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{_key(str(k))} = {written(v, key)}" for k, v in value.items())
+            + " }"
+        )
     if isinstance(value, list | tuple | range):
         return "[" + ", ".join(written(v, key) for v in value) + "]"
     if isinstance(value, str | Path):
-        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, and the text is refused.
+        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped,
+        # and the text is refused.
         text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         return text.encode(errors="backslashreplace").decode()
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, bool | int):
         return json.dumps(value)
-    raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
+    raise StudyError(
+        f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}."
+    )
 
 
 def _key(name: str) -> str:

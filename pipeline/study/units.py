@@ -1,4 +1,6 @@
-"""Units of a study: SI where every walker has them, else each walker's own consistent ones."""
+"""Units of a study: SI where every walker has them, else each walker's own consistent
+ones.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,14 +10,29 @@ from gaitsweep.tasks.registry import SI_UNITS
 
 
 def of_kind(kind: str, checks: Sequence[Mapping[str, Any]]) -> str:
-    """CF units of a kind of quantity, for walkers of which `tasks` reports so: in SI, or in consistent units."""
-    return SI_UNITS.get(kind, "1") if {check["si"] for check in checks} == {True} or kind == "angle" else "1"
+    """CF units of a kind of quantity, for walkers of which `tasks` reports so: in SI,
+    or in consistent units.
+    """
+    return (
+        SI_UNITS.get(kind, "1")
+        if {check["si"] for check in checks} == {True} or kind == "angle"
+        else "1"
+    )
 
 
 def kinds() -> dict[str, str]:
     """Kind of quantity of every axis, so of every key of a walker."""
-    keys, one_link = (resolve(f"gaitsweep.tasks.walkers.walker:{table}") for table in ("KEYS", "ONE_LINK"))
-    return {**keys, **one_link, "slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}
+    keys, one_link = (
+        resolve(f"gaitsweep.tasks.walkers.walker:{table}")
+        for table in ("KEYS", "ONE_LINK")
+    )
+    return {
+        **keys,
+        **one_link,
+        "slope": "angle",
+        "foot_mass_ratio": "number",
+        "detuning": "number",
+    }
 
 
 def axis_units(name: str, checks: Sequence[Mapping[str, Any]]) -> str:
@@ -23,8 +40,12 @@ def axis_units(name: str, checks: Sequence[Mapping[str, Any]]) -> str:
     return of_kind(kinds()[name], checks)
 
 
-def described(long_name: str, kind: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """CF attributes of a quantity of some kind; where walkers are in SI and not, units are those of each."""
+def described(
+    long_name: str, kind: str, checks: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """CF attributes of a quantity of some kind; where walkers are in SI and not, units
+    are those of each.
+    """
     about = {"long_name": long_name, "units": of_kind(kind, checks)}
     if len({check["si"] for check in checks}) > 1 and kind not in ("number", "angle"):
         about["comment"] = "in the units of each walker: see walker_units"

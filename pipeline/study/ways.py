@@ -1,4 +1,6 @@
-"""Walkers between which detuning leads, in words; loads nothing of `tasks`, so that a report may use it."""
+"""Walkers between which detuning leads, in words; loads nothing of `tasks`, so that a
+report may use it.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,10 +1,12 @@
 """Solution branches over slope, and the curves of their special points.
 
-`tracking` follows branches; `branch` is one, with polynomials between its nodes; `atlas` finds all of a line's, for
-many lines at once: `locate` and `ends` find where a property changes on a branch and where walking ends, `refine` adds
-nodes and `checks` looks at the whole of it, all as procedures that `lockstep` runs side by side. `sampling` chooses
-points to draw. `defining` has the equations of folds, flips and the like, and solves them; `special_points` locates
-them on a branch, `extremes` on the branches of designs, `codimension_one` follows them as a key varies. `flips` begins
-the branches of twice as many steps. These and `tracking` share the corrector, predictor and step control of
-`pseudo_arclength`; `root` finds roots in brackets.
+`tracking` follows branches; `branch` is one, with polynomials between its nodes;
+`atlas` finds all of a line's, for many lines at once: `locate` and `ends` find where a
+property changes on a branch and where walking ends, `refine` adds nodes and `checks`
+looks at the whole of it, all as procedures that `lockstep` runs side by side.
+`sampling` chooses points to draw. `defining` has the equations of folds, flips and the
+like, and solves them; `special_points` locates them on a branch, `extremes` on the
+branches of designs, `codimension_one` follows them as a key varies. `flips` begins the
+branches of twice as many steps. These and `tracking` share the corrector, predictor and
+step control of `pseudo_arclength`; `root` finds roots in brackets.
 """

@@ -1,10 +1,14 @@
-"""The atlas of a line: every branch of gaits over slope, so dense that one Newton step from it solves any point.
+"""The atlas of a line: every branch of gaits over slope, so dense that one Newton step
+from it solves any point.
 
-Nodes hold similarity coordinates, event times and q = ln slope, with exact tangents. Between them a Hermite polynomial
-of degree seven through four nodes interpolates, in a coordinate that is monotone there. The atlas depends on the walker
-and on how fine it is alone, never on a study's grid, so points that start from it are independent of each other.
+Nodes hold similarity coordinates, event times and q = ln slope, with exact tangents.
+Between them a Hermite polynomial of degree seven through four nodes interpolates, in a
+coordinate that is monotone there. The atlas depends on the walker and on how fine it is
+alone, never on a study's grid, so points that start from it are independent of each
+other.
 
-Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a line's atlas does not depend on its block.
+Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a line's
+atlas does not depend on its block.
 """
 
 from __future__ import annotations
@@ -30,7 +34,13 @@ from gaitsweep.tasks.continuation.locate import (
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, side_by_side
 from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Point, Track, joined
-from gaitsweep.tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
+from gaitsweep.tasks.continuation.refine import (
+    FINE,
+    densify,
+    locate_gaps,
+    measure,
+    without_jumps,
+)
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
 from gaitsweep.tasks.mechanics.sums import norm
@@ -38,18 +48,22 @@ from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import distance
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
-#: samples the range evenly; of the lattice of guesses each takes one in `_SHARES`, its neighbours the others.
+#: Slopes at which gaits to follow are searched for [rad], so close that short branches
+#: have one, in an order that samples the range evenly; of the lattice of guesses each
+#: takes one in `_SHARES`, its neighbours the others.
 ANCHORS = (
     *(0.01, 0.15, 0.0022, 0.033, 0.48, 0.007, 0.1, 0.0015, 0.022),
     *(0.33, 0.0048, 0.07, 0.001, 0.015, 0.22, 0.0033, 0.048, 0.0007),
 )
 _SHARES = 3
-#: Gaits of one slope closer than this are identical; where a branch turns a coarse polynomial is no more accurate.
+#: Gaits of one slope closer than this are identical; where a branch turns a coarse
+#: polynomial is no more accurate.
 _SAME = 1e-4
-#: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
+#: Nodes nearer than this are the same but for rounding, which at a fold moves them
+#: along the branch.
 _TWIN = 1e-10
-#: Fewer gaits than this are refined all at once; more, one per line, since the next may lie on its branch.
+#: Fewer gaits than this are refined all at once; more, one per line, since the next may
+#: lie on its branch.
 _FEW = 8
 
 
@@ -57,13 +71,20 @@ def _join(problem: Problem, down: Track, up: Track) -> tuple[Branch, int]:
     """Join the tracks down and up to one branch; also the index of their start on it."""
     Z, tangent = joined(down, up)
     n, why = Z.shape[1], (down.stop_reason, up.stop_reason)
-    return Branch(problem.m, Z, tangent, np.zeros(n), why, steps=problem.steps), down.Z.shape[1] - 1
+    return Branch(
+        problem.m, Z, tangent, np.zeros(n), why, steps=problem.steps
+    ), down.Z.shape[1] - 1
 
 
 def branches_along(
-    problem: Problem, down: Track, up: Track, tolerance: float, flips: Sequence[Evaluation] = ()
+    problem: Problem,
+    down: Track,
+    up: Track,
+    tolerance: float,
+    flips: Sequence[Evaluation] = (),
 ) -> Procedure[list[Branch]]:
-    """Join both directions, keep the parts that are steps up to their located ends, refine and measure them.
+    """Join both directions, keep the parts that are steps up to their located ends,
+    refine and measure them.
 
     Parameters
     ----------
@@ -83,8 +104,12 @@ def branches_along(
         return []
     if is_closed := down.stop_reason == CLOSED:
         order = _loop(down.Z.shape[1], steps, raw.tangent[-1])
-        # A loop of steps alone is cut at a fold, where it begins and ends; any other where a gait is no step.
-        raw, steps = replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0)), steps[order]
+        # A loop of steps alone is cut at a fold, where it begins and ends; any other
+        # where a gait is no step.
+        raw, steps = (
+            replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0)),
+            steps[order],
+        )
     branches: list[Branch] = []
     for first, last in _runs(steps):
         branch = yield from _with_ends(raw, first, last)
@@ -102,7 +127,8 @@ def branches_along(
 
 
 def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
-    """Order of the nodes of a closed branch, from one that is no step and back to it, or from just before a fold.
+    """Order of the nodes of a closed branch, from one that is no step and back to it,
+    or from just before a fold.
 
     Parameters
     ----------
@@ -117,7 +143,8 @@ def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
     -------
     ndarray of int
     """
-    # The track down is joined in reverse; its last point, the first of all, lies beyond its start, the n-th.
+    # The track down is joined in reverse; its last point, the first of all, lies beyond
+    # its start, the n-th.
     own, count = np.arange(1, n), n - 1
     turns = np.flatnonzero(np.diff(np.sign(slope_rate[own])) != 0)
     outside = np.flatnonzero(~steps[own])
@@ -126,7 +153,9 @@ def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
 
 
 def _cut_at_fold(branch: Branch) -> Branch:
-    """A closed branch, which overlaps itself beside a fold, from that fold around to it."""
+    """A closed branch, which overlaps itself beside a fold, from that fold around to
+    it.
+    """
     folds = branch.folds()
     cut = branch.part(np.arange(folds[0], folds[-1] + 1))
     return replace(cut, why=("fold", "fold"))
@@ -135,11 +164,19 @@ def _cut_at_fold(branch: Branch) -> Branch:
 def _runs(true: np.ndarray) -> list[tuple[int, int]]:
     """First and last index of every run of true values."""
     edges = np.diff(np.concatenate([[0], true.astype(int), [0]]))
-    return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
+    return list(
+        zip(
+            np.nonzero(edges == 1)[0].tolist(),
+            (np.nonzero(edges == -1)[0] - 1).tolist(),
+            strict=True,
+        )
+    )
 
 
 def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
-    """Branch of a run of nodes that are steps, with its located ends; None where fewer than three nodes remain."""
+    """Branch of a run of nodes that are steps, with its located ends; None where fewer
+    than three nodes remain.
+    """
     whole = first == 0, last == len(raw.q) - 1
     ends: dict[int, BranchEnd] = {}
     if not whole[1]:
@@ -164,7 +201,9 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         return None
     branch = raw.part(np.arange(first, last + 1))
     for side, end in ends.items():
-        branch = branch.insert(side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0])
+        branch = branch.insert(
+            side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0]
+        )
         branch = branch.ending(side, end.kind, end.error)
     # The node before an end may be that end: between them there is no polynomial.
     twins = norm(np.diff(branch.Z)) < _TWIN
@@ -179,8 +218,12 @@ def _is_no_step(point: Point) -> Procedure[bool]:
     return not (yield from is_step(point))
 
 
-def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedure[list[Branch]]:
-    """Measure the branch that began at a gait; where an earlier strike interrupts it, keep the parts on either side."""
+def _without_gaps(
+    branch: Branch, gait: np.ndarray, tolerance: float
+) -> Procedure[list[Branch]]:
+    """Measure the branch that began at a gait; where an earlier strike interrupts it,
+    keep the parts on either side.
+    """
     distance, check = yield from measure(branch, tolerance)
     steps = check.step
     steps[[0, -1]] = True
@@ -221,7 +264,8 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
         point = yield from locate_root(branch, at, slope_rate)
         point = yield from sharpened_fold(point)
-        # A node may equal the fold to all but the last digits: between them there is no polynomial.
+        # A node may equal the fold to all but the last digits: between them there is no
+        # polynomial.
         if norm(branch.Z[:, at : at + 2] - point.Z).min() > _TWIN:
             branch = branch.insert(at + 1, point.Z[:, 0], point.direction[:, 0])
     return branch
@@ -232,7 +276,9 @@ _GUESSES: dict[tuple[bool, int], int] = {}
 
 
 def searched(walker: Walker) -> str:
-    """Describe how many initial guesses a survey of the walker's line uses, and how far they reach."""
+    """Describe how many initial guesses a survey of the walker's line uses, and how far
+    they reach.
+    """
     times = periods(walker) * walker.time_unit
     kind = (walker.knees, len(times))
     if kind not in _GUESSES:
@@ -243,12 +289,15 @@ def searched(walker: Walker) -> str:
 
 
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:
-    """Find every branch of one walker's anthropomorphic gaits: the atlas of its line, as `survey_lines` does."""
+    """Find every branch of one walker's anthropomorphic gaits: the atlas of its line,
+    as `survey_lines` does.
+    """
     return survey_lines(Lanes([problem.walker]), tolerance)[0]
 
 
 def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
-    """Find every branch of anthropomorphic gaits that the anchors lead to, for a block of lines.
+    """Find every branch of anthropomorphic gaits that the anchors lead to, for a block
+    of lines.
 
     Parameters
     ----------
@@ -264,7 +313,9 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     """
     branches: list[list[Branch]] = [[] for _ in problem.lanes]
     for Z, lines in _gaits_at_anchors(problem):
-        new = [i for i, line in enumerate(lines) if not is_known(branches[line], Z[:, i])]
+        new = [
+            i for i, line in enumerate(lines) if not is_known(branches[line], Z[:, i])
+        ]
         if not new:
             continue
         Z, lines = Z[:, new], lines[new]
@@ -273,25 +324,38 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
         if len(lines) < _FEW:
             turn[:] = 0
         for k in range(turn.max() + 1):
-            chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], Z[:, i])]
+            chosen = [
+                i
+                for i in np.flatnonzero(turn == k)
+                if not is_known(branches[lines[i]], Z[:, i])
+            ]
             parts = side_by_side(
-                problem, lines[chosen], [branches_along(problem, *pairs[i], tolerance) for i in chosen]
+                problem,
+                lines[chosen],
+                [branches_along(problem, *pairs[i], tolerance) for i in chosen],
             )
             for i, part in zip(chosen, parts, strict=True):
                 if is_known(branches[lines[i]], Z[:, i]):
                     continue
                 for branch in part:
-                    if not is_known(branches[lines[i]], branch.Z[:, len(branch.q) // 2]):
+                    if not is_known(
+                        branches[lines[i]], branch.Z[:, len(branch.q) // 2]
+                    ):
                         branches[lines[i]].append(branch)
     return [ranked(each) for each in branches]
 
 
 def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Anthropomorphic gaits of several lines that the search finds, for each anchor Z (c, n) and their lines."""
+    """Anthropomorphic gaits of several lines that the search finds, for each anchor Z
+    (c, n) and their lines.
+    """
     gaits = search_lines(problem, ANCHORS, _SHARES)
     counts = np.array([[w.shape[1] for w in each] for each in gaits])
     q = np.log(ANCHORS)
-    lines, at = np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()), counts.sum(axis=1)
+    lines, at = (
+        np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()),
+        counts.sum(axis=1),
+    )
     if not len(lines):
         return
     Z = np.vstack([np.hstack([w for each in gaits for w in each]), np.repeat(q, at)])
@@ -302,9 +366,11 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 
 def ranked(branches: list[Branch]) -> list[Branch]:
-    """Sort branches in the order of their numbers: by their lowest ln slope, then by ln angle there.
+    """Sort branches in the order of their numbers: by their lowest ln slope, then by ln
+    angle there.
 
-    How far below `MIN_SLOPE` a branch was followed is arbitrary: those that reach it are equal in the first.
+    How far below `MIN_SLOPE` a branch was followed is arbitrary: those that reach it
+    are equal in the first.
     """
 
     def place(branch: Branch) -> tuple[float, float]:
@@ -331,7 +397,8 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of ndarray
-        `lengths`, `why` and `end_errors` of the branches, `m`, and the nodes' arrays of all branches one after another.
+        `lengths`, `why` and `end_errors` of the branches, `m`, and the nodes' arrays of
+        all branches one after another.
     """
     lengths = np.array([len(b.q) for b in branches], dtype=np.int64)
     if not branches:
@@ -342,11 +409,23 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
         "steps": np.array([branches[0].steps]),
         "why": np.array([b.why for b in branches]),
         "end_errors": np.array([b.end_errors for b in branches]),
-        **{name: np.concatenate([getattr(b, name) for b in branches], axis=-1) for name in _BY_NODE},
+        **{
+            name: np.concatenate([getattr(b, name) for b in branches], axis=-1)
+            for name in _BY_NODE
+        },
     }
 
 
-_BY_NODE = ("Z", "tangent", "lipschitz", "gradient", "rounding_std", "ratio", "leg_passes", "safe")
+_BY_NODE = (
+    "Z",
+    "tangent",
+    "lipschitz",
+    "gradient",
+    "rounding_std",
+    "ratio",
+    "leg_passes",
+    "safe",
+)
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
@@ -363,7 +442,10 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
             m=int(arrays["m"][0]),
             steps=int(arrays["steps"][0]),
             why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
-            end_errors=(float(arrays["end_errors"][i][0]), float(arrays["end_errors"][i][1])),
+            end_errors=(
+                float(arrays["end_errors"][i][0]),
+                float(arrays["end_errors"][i][1]),
+            ),
             **{name: arrays[name][..., a:b] for name in _BY_NODE},
         )
         for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends, strict=True))

@@ -1,4 +1,5 @@
-"""Checks of whole branches, besides those of order and orientation: lengths, held-out points, folds and ends.
+"""Checks of whole branches, besides those of order and orientation: lengths, held-out
+points, folds and ends.
 
 All are procedures, which run side by side (`tasks.continuation.lockstep`).
 """
@@ -16,21 +17,26 @@ from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER
 from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
 from gaitsweep.tasks.mechanics.sums import norm, total
 
-#: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
+#: Least length of a chord over that of the polynomial between two nodes, and parts in
+#: which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
-#: Segments of a branch whose polynomial is compared with a newly solved point, and where on them.
+#: Segments of a branch whose polynomial is compared with a newly solved point, and
+#: where on them.
 _HELD_OUT, _PLACE = 8, 0.382
-#: Share of the chord by which such a point may move, and the distance that may be rounding.
+#: Share of the chord by which such a point may move, and the distance that may be
+#: rounding.
 _MAX_MOVE, _ROUNDING = 1e-2, 1e-7
 #: Rounds in which segments that fail are split.
 _MAX_ROUNDS = 4
-#: Ends with a test function, and its largest value at their nodes. Where steps vanish it may be of any size.
+#: Ends with a test function, and its largest value at their nodes. Where steps vanish
+#: it may be of any size.
 _DEFINED, _MAX_END = {*SCALARS, "end_fall"} - {"fold", "window"}, 1e-4
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
-    """Check a branch as a whole; split the segments that fail, and cut it where that does not help.
+    """Check a branch as a whole; split the segments that fail, and cut it where that
+    does not help.
 
     Parameters
     ----------
@@ -40,8 +46,9 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     Returns
     -------
     Branch
-        Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
-        and the slope turns at folds alone. Where it was cut, and at a false end, there is NO_FURTHER.
+        Of which every segment is at most twice as long as its chord, held-out points
+        lie where the polynomials are, and the slope turns at folds alone. Where it was
+        cut, and at a false end, there is NO_FURTHER.
     """
     if len(branch.q) == 1:
         return branch
@@ -61,7 +68,9 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
 
 
 def _split(branch: Branch, segments: np.ndarray) -> Procedure[Branch]:
-    """The branch with nodes in the middles of segments, predicted by their own two nodes, where they lie on them."""
+    """The branch with nodes in the middles of segments, predicted by their own two
+    nodes, where they lie on them.
+    """
     alone = [branch.part(np.array([k, k + 1])) for k in segments]
     Z = np.hstack([part.at(np.array([0.5])) for part in alone])
     border = branch.between(segments)
@@ -75,21 +84,26 @@ def _failing(branch: Branch) -> Procedure[np.ndarray]:
     n = len(branch.q) - 1
     failing = _too_long(branch)
     for fold in branch.turns():
-        # A node at which the slope turns is a fold: it falls on one side and rises on the other.
+        # A node at which the slope turns is a fold: it falls on one side and rises on
+        # the other.
         sides = branch.tangent[-1, [fold - 1, fold + 1]]
         failing[[fold - 1, fold]] |= sides.prod() > 0
     held_out = np.unique((n * (_GOLDEN * np.arange(1, _HELD_OUT + 1) % 1)).astype(int))
     Z, chord = branch.at(held_out + _PLACE), norm(np.diff(branch.Z))
     point = yield Call(correct, (Z, branch.between(held_out)))
     moved = norm(point.Z - Z)
-    failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING))
+    failing[held_out] |= ~point.ok | ~(
+        moved < np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING)
+    )
     # Nodes this close leave no room for another.
     failing[chord < _ROUNDING] = False
     return failing
 
 
 def _too_long(branch: Branch) -> np.ndarray:
-    """Which segments' polynomials are more than twice as long as their chords, shape (n - 1,)."""
+    """Which segments' polynomials are more than twice as long as their chords, shape (n
+    - 1,).
+    """
     Z, n = branch.Z, len(branch.q) - 1
     place = (np.arange(n)[:, None] + np.arange(1, _PARTS) / _PARTS).ravel()
     inner = branch.at(place).reshape(len(Z), n, -1)
@@ -102,7 +116,9 @@ def _too_long(branch: Branch) -> np.ndarray:
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     """The branch; ends whose own condition fails become NO_FURTHER."""
     Z = branch.Z[:, [0, -1]]
-    point = yield Call(correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),))
+    point = yield Call(
+        correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),)
+    )
     at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
         if kind in _DEFINED and not abs(scalar(kind, at_ends)[side]) < _MAX_END:

@@ -1,8 +1,9 @@
 """Points of a line's branches at which slope, stability or speed reach their extremes.
 
-The smallest slope, the largest slope of a stable gait and the largest speed of one are reached where a branch turns or
-ends, where a multiplier leaves the unit circle, where the speed is stationary, or at the border of a window. Each of
-these solves defining equations (`tasks.continuation.defining`), by which it is located, whatever led to it.
+The smallest slope, the largest slope of a stable gait and the largest speed of one are
+reached where a branch turns or ends, where a multiplier leaves the unit circle, where
+the speed is stationary, or at the border of a window. Each of these solves defining
+equations (`tasks.continuation.defining`), by which it is located, whatever led to it.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ _PARTS = 8
 _BLOCK = 4096
 #: Value of a scalar of stability at a node beside which it may change its sign twice.
 _NEAR_ZERO = 0.3
-#: A special point is at an end of stability if the magnitudes of its other multipliers are below this.
+#: A special point is at an end of stability if the magnitudes of its other multipliers
+#: are below this.
 _STABLE = 1 - 1e-9
-#: Kind of a point from which a tuned walker's branch continues to vanishing slopes: an end below such a slope [rad].
+#: Kind of a point from which a tuned walker's branch continues to vanishing slopes: an
+#: end below such a slope [rad].
 ANY_SLOPE, _VANISHING = "any slope", 1e-12
 
 
@@ -48,17 +51,21 @@ _NOT_OF = {
     "largest_stable_slope": ("label", "fastest", "speed"),
     "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
 }
-#: Costs are of the points that have the speed asked for: of all, and of the stable ones.
+#: Costs are of the points that have the speed asked for: of all, and of the stable
+#: ones.
 COSTS = ("least_cost", "least_stable_cost")
 QUANTITIES = (*_NOT_OF, *COSTS)
-#: Distance up to which a located point is the one guessed, or lies on its branch's polynomials.
+#: Distance up to which a located point is the one guessed, or lies on its branch's
+#: polynomials.
 _NEAR = 1e-2
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
 
 
 class Sought(NamedTuple):
-    """Where extremes are sought: the least and largest ln slope, and at which speed, if at any, as its logarithm."""
+    """Where extremes are sought: the least and largest ln slope, and at which speed, if
+    at any, as its logarithm.
+    """
 
     window: tuple[float, float]
     log_speed: float | None = None
@@ -82,10 +89,11 @@ class Points:
     speed_error : ndarray, shape (n,)
         Bound on the error of that.
     walks, long, stable : ndarray of bool, shape (n,)
-        Whether it is a step, or the limit of steps, whose legs pass once; a long one; and whether stable gaits are
-        next to it.
+        Whether it is a step, or the limit of steps, whose legs pass once; a long one;
+        and whether stable gaits are next to it.
     faster : ndarray of bool, shape (n,)
-        Whether the speed grows along the branch with the kind's scalar, where that is known.
+        Whether the speed grows along the branch with the kind's scalar, where that is
+        known.
     """
 
     line: np.ndarray
@@ -108,8 +116,14 @@ class Points:
 
 def nothing(problem: Lanes) -> Points:
     """Return no points."""
-    Z, none, no = np.empty((problem.m + 1 + problem.phases, 0)), np.empty(0), np.empty(0, bool)
-    return Points(np.empty(0, int), np.empty(0, "U32"), Z, Z, none, none, none, no, no, no, no)
+    Z, none, no = (
+        np.empty((problem.m + 1 + problem.phases, 0)),
+        np.empty(0),
+        np.empty(0, bool),
+    )
+    return Points(
+        np.empty(0, int), np.empty(0, "U32"), Z, Z, none, none, none, no, no, no, no
+    )
 
 
 def may_be(name: str, kind: np.ndarray) -> np.ndarray:
@@ -136,7 +150,9 @@ def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
     ndarray of bool, shape (n,)
     """
     q = points.log_slope
-    return np.asarray(points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE))
+    return np.asarray(
+        points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE)
+    )
 
 
 def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -151,8 +167,9 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of ndarray of bool, shape (n,)
-        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`, the `fastest_stable_speed` and the
-        `least_cost` of transport at a speed, and that of stable gaits.
+        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`,
+        the `fastest_stable_speed` and the `least_cost` of transport at a speed, and
+        that of stable gaits.
     """
     kind, inside = points.kind, in_window(points, window)
     low = inside | (points.walks & (kind == ANY_SLOPE))
@@ -168,7 +185,8 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
 
 
 def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarray:
-    """Return a number that is least where a quantity has its extreme: a logarithm, or minus one.
+    """Return a number that is least where a quantity has its extreme: a logarithm, or
+    minus one.
 
     Parameters
     ----------
@@ -185,7 +203,9 @@ def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarr
     return -log_slope if name == "largest_stable_slope" else log_slope
 
 
-def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, np.ndarray]:
+def best(
+    points: Points, lines: int, window: tuple[float, float]
+) -> dict[str, np.ndarray]:
     """Find the points at which quantities reach their extremes within a window.
 
     Parameters
@@ -214,7 +234,13 @@ def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, n
 
 @np.errstate(invalid="ignore", divide="ignore")
 def classify(
-    kind: str, at: Evaluation, line: np.ndarray, Z: np.ndarray, rows: np.ndarray, error: np.ndarray, walks: np.ndarray
+    kind: str,
+    at: Evaluation,
+    line: np.ndarray,
+    Z: np.ndarray,
+    rows: np.ndarray,
+    error: np.ndarray,
+    walks: np.ndarray,
 ) -> Points:
     """Describe located points of one kind.
 
@@ -245,18 +271,31 @@ def classify(
 
 
 class _Nodes:
-    """Nodes of all branches of several lines, one after another, and the values of scalars there."""
+    """Nodes of all branches of several lines, one after another, and the values of
+    scalars there.
+    """
 
-    def __init__(self, problem: Lanes, surveyed: Sequence[Sequence[Branch]], targets: Mapping[str, float]):
+    def __init__(
+        self,
+        problem: Lanes,
+        surveyed: Sequence[Sequence[Branch]],
+        targets: Mapping[str, float],
+    ):
         self.branches = [branch for branches in surveyed for branch in branches]
         lines = [i for i, branches in enumerate(surveyed) for _ in branches]
         lengths = [len(branch.q) for branch in self.branches]
-        self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
+        self.line, self.branch = (
+            np.repeat(lines, lengths),
+            np.repeat(np.arange(len(lines)), lengths),
+        )
         self.first = np.cumsum([0, *lengths])[:-1]
         self.Z = np.hstack([branch.Z for branch in self.branches])
         self.values = {"label": self.of_nodes("ratio") - LONG_BELOW}
         self.walks = self.of_nodes("leg_passes") == 1
-        radius, kinds = np.full(len(self.line), np.nan), ("flip", "neimark_sacker", "fastest", *targets)
+        radius, kinds = (
+            np.full(len(self.line), np.nan),
+            ("flip", "neimark_sacker", "fastest", *targets),
+        )
         self.values |= {kind: np.full(len(self.line), np.nan) for kind in kinds}
         for k in range(0, len(self.line), _BLOCK):
             part = slice(k, k + _BLOCK)
@@ -271,16 +310,23 @@ class _Nodes:
         return np.concatenate([getattr(branch, name) for branch in self.branches])
 
     def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Points (c, n) of the branches' polynomials at shares of the segments after some nodes."""
+        """Points (c, n) of the branches' polynomials at shares of the segments after
+        some nodes.
+        """
         Z = np.zeros((len(self.Z), len(node)))
         for b in np.unique(self.branch[node]).tolist():
             which = np.flatnonzero(self.branch[node] == b)
-            Z[:, which] = self.branches[b].at(node[which] - self.first[b] + share[which])
+            Z[:, which] = self.branches[b].at(
+                node[which] - self.first[b] + share[which]
+            )
         return Z
 
 
-def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -> Points:
-    """Locate the points of lines at which slope, stability or speed may reach their extremes.
+def find(
+    problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought
+) -> Points:
+    """Locate the points of lines at which slope, stability or speed may reach their
+    extremes.
 
     Parameters
     ----------
@@ -296,7 +342,10 @@ def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -
     window, log_speed = sought
     targets = {} if log_speed is None else {"speed": log_speed}
     nodes = _Nodes(problem, surveyed, targets)
-    guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]
+    guesses = [
+        _crossings(problem, nodes, kind, targets.get(kind, 0.0))
+        for kind in nodes.values
+    ]
     guesses += [_at_edge(nodes, edge) for edge in window]
     guesses += _turns_and_ends(nodes, are_tuned(problem.every_walker), window[0])
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
@@ -307,7 +356,9 @@ def find(problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought) -
 def _crossings(
     problem: Lanes, nodes: _Nodes, kind: str, target: float
 ) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """Kind, nodes before, guesses (c, n) and targets of the points where a scalar changes its sign on a segment."""
+    """Kind, nodes before, guesses (c, n) and targets of the points where a scalar
+    changes its sign on a segment.
+    """
     values = nodes.values[kind]
     a, b = values[:-1], values[1:]
     joined = nodes.branch[1:] == nodes.branch[:-1]
@@ -316,7 +367,12 @@ def _crossings(
         changes &= nodes.stable[1:] | nodes.stable[:-1]
     if kind in ("flip", "neimark_sacker"):
         # Between nodes it may change twice: beside one where it comes near zero.
-        least = (np.abs(a[:-1]) >= np.abs(b[:-1])) & (np.abs(b[:-1]) <= np.abs(b[1:])) & joined[:-1] & joined[1:]
+        least = (
+            (np.abs(a[:-1]) >= np.abs(b[:-1]))
+            & (np.abs(b[:-1]) <= np.abs(b[1:]))
+            & joined[:-1]
+            & joined[1:]
+        )
         least &= np.abs(b[:-1]) < _NEAR_ZERO
         changes[:-1] |= least
         changes[1:] |= least
@@ -337,22 +393,32 @@ def _crossings(
 
 @np.errstate(invalid="ignore", divide="ignore")
 def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and places, as shares of a row, of the roots of functions that have values g (n, p) at equal distances.
+    """Rows and places, as shares of a row, of the roots of functions that have values g
+    (n, p) at equal distances.
 
-    Between values of one sign two roots are those of the parabola through three of them.
+    Between values of one sign two roots are those of the parabola through three of
+    them.
     """
     i, j = np.nonzero(g[:, :-1] * g[:, 1:] <= 0)
     share = j + np.nan_to_num(g[i, j] / (g[i, j] - g[i, j + 1]))
     a, b, c = g[:, :-2], g[:, 1:-1], g[:, 2:]
     slope, bend = 0.5 * (c - a), 0.5 * (a + c) - b
     root = np.sqrt(slope**2 - 4 * bend * b)
-    least = (a * b > 0) & (b * c > 0) & np.isfinite(root) & (np.abs(slope) + root <= np.abs(2 * bend)) & (bend != 0)
+    least = (
+        (a * b > 0)
+        & (b * c > 0)
+        & np.isfinite(root)
+        & (np.abs(slope) + root <= np.abs(2 * bend))
+        & (bend != 0)
+    )
     k, l = np.nonzero(least)
     pair = [l + 1 + (-slope + sign * root)[k, l] / (2 * bend[k, l]) for sign in (-1, 1)]
     return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)
 
 
-def _at_edge(nodes: _Nodes, edge: float) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+def _at_edge(
+    nodes: _Nodes, edge: float
+) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """The points at which branches cross the edge of the window."""
     node, Z = [np.zeros(0, int)], [np.zeros((len(nodes.Z), 0))]
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
@@ -368,7 +434,8 @@ def _turns_and_ends(
 ) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """The folds and the ends of the branches, which are nodes.
 
-    `tuned` says of each line whether its walker is; `low` is the least ln slope of the window.
+    `tuned` says of each line whether its walker is; `low` is the least ln slope of the
+    window.
     """
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
@@ -384,28 +451,63 @@ def _turns_and_ends(
 
 
 def _located(
-    problem: Lanes, nodes: _Nodes, kind: str, node: np.ndarray, guess: np.ndarray, target: np.ndarray
+    problem: Lanes,
+    nodes: _Nodes,
+    kind: str,
+    node: np.ndarray,
+    guess: np.ndarray,
+    target: np.ndarray,
 ) -> Points:
-    """Solve the defining equations of points of one kind, or take them as nodes where they have none."""
+    """Solve the defining equations of points of one kind, or take them as nodes where
+    they have none.
+    """
     line = nodes.line[node]
     own = problem.some(line)
     is_end = kind not in SCALARS or kind.startswith("end_")
     # An end is itself a node; its neighbour shows whether its gaits are steps.
-    inner = np.where(np.append(nodes.branch, -1)[node + 1] == nodes.branch[node], node + 1, node - 1)
+    inner = np.where(
+        np.append(nodes.branch, -1)[node + 1] == nodes.branch[node], node + 1, node - 1
+    )
     walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
     if kind in SCALARS:
         solved = solve(own, kind, guess, target)
-        # Where a scalar is far from linear, Newton's steps are long: they may lead along the branch, but not off it.
+        # Where a scalar is far from linear, Newton's steps are long: they may lead
+        # along the branch, but not off it.
         far = solved.ok & (np.abs(solved.Z - guess).max(axis=0) > _NEAR)
-        off = [i for i in np.flatnonzero(far) if not _lies_on(nodes.branches[nodes.branch[node[i]]], solved.Z[:, i])]
+        off = [
+            i
+            for i in np.flatnonzero(far)
+            if not _lies_on(nodes.branches[nodes.branch[node[i]]], solved.Z[:, i])
+        ]
         solved.ok[off], solved.Z[:, off] = False, guess[:, off]
         at = evaluate(own, solved.Z)
-        return classify(kind, at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
+        return classify(
+            kind,
+            at,
+            line,
+            solved.Z,
+            solved.rows,
+            solved.error,
+            walks & (is_end | solved.ok),
+        )
     at, branch = evaluate(own, guess), nodes.branch[node]
-    located = [nodes.branches[b].end_errors[int(n > nodes.first[b])] for b, n in zip(branch, node, strict=True)]
-    return classify(kind, at, line, guess, np.full_like(guess, np.nan), 1e-9 + np.array(located), walks)
+    located = [
+        nodes.branches[b].end_errors[int(n > nodes.first[b])]
+        for b, n in zip(branch, node, strict=True)
+    ]
+    return classify(
+        kind,
+        at,
+        line,
+        guess,
+        np.full_like(guess, np.nan),
+        1e-9 + np.array(located),
+        walks,
+    )
 
 
 def _lies_on(branch: Branch, Z: np.ndarray) -> bool:
     """Whether a point (c,) lies on a branch."""
-    return any(np.abs(on[:, 0] - Z).max() < _NEAR for _, on, _ in branch.guesses(Z[-1:]))
+    return any(
+        np.abs(on[:, 0] - Z).max() < _NEAR for _, on, _ in branch.guesses(Z[-1:])
+    )

@@ -1,7 +1,8 @@
 """The equations of a gait, linearised.
 
-Its unknowns are one vector, Z: similarity coordinates w, which are ln angle, rates/angle and event times, then
-q = ln slope. In shapes, n counts lanes, m section coordinates, k event times, and c = m + k + 1 is the length of Z.
+Its unknowns are one vector, Z: similarity coordinates w, which are ln angle,
+rates/angle and event times, then q = ln slope. In shapes, n counts lanes, m section
+coordinates, k event times, and c = m + k + 1 is the length of Z.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 
 @dataclass
 class Evaluation:
-    """Steps at n points, and to first order the joint equations of state and event times there.
+    """Steps at n points, and to first order the joint equations of state and event
+    times there.
 
     Attributes
     ----------
@@ -81,8 +83,12 @@ class Evaluation:
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
-    """Evaluate the steps at points Z (c, n), with `samples` of their motion as `Problem.stride` takes them."""
-    return Evaluation(Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0], problem)
+    """Evaluate the steps at points Z (c, n), with `samples` of their motion as
+    `Problem.stride` takes them.
+    """
+    return Evaluation(
+        Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0], problem
+    )
 
 
 def determinants(matrices: np.ndarray) -> np.ndarray:
@@ -118,15 +124,19 @@ def rounding_step(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
     """
     stride, m, y = at.stride, at.m, np.abs(at.stride.y) / at.stride.y[0]
     inverse = np.linalg.inv(matrix)[:, but_times(m)].transpose(1, 2, 0)
-    error = matvec(np.abs(inverse), np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))]))
-    # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
+    error = matvec(
+        np.abs(inverse), np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))])
+    )
+    # Rounding of the start, carried through the step; the inverse takes back most of
+    # what the step amplifies.
     carried = stride.derivative[:, :m] + np.eye(len(stride.derivative), m)[..., None]
     error = error + matvec(np.abs(matvec(inverse[:, :-1, None], carried)), y)
     return np.asarray(6 * EPS * np.nan_to_num(error).max(axis=0))
 
 
 def but_times(m: int) -> list[int]:
-    """Return the places in Z of all but the event times, of which Newton's method asks only that they are the guards'.
+    """Return the places in Z of all but the event times, of which Newton's method asks
+    only that they are the guards'.
 
     Parameters
     ----------

@@ -1,8 +1,10 @@
-"""Many procedures side by side: each is written for one branch, and all of them are computed in common batches.
+"""Many procedures side by side: each is written for one branch, and all of them are
+computed in common batches.
 
-A procedure is a generator. Where it needs the step map it yields a `Call`, and goes on with the call's result. What
-many procedures ask for at the same time is computed in one batch, each lane with the walker of its procedure; a lane's
-bits do not depend on the others, so neither does what a procedure returns.
+A procedure is a generator. Where it needs the step map it yields a `Call`, and goes on
+with the call's result. What many procedures ask for at the same time is computed in one
+batch, each lane with the walker of its procedure; a lane's bits do not depend on the
+others, so neither does what a procedure returns.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ Result = TypeVar("Result")
 
 
 class Call(NamedTuple):
-    """A call of `function(problem, *arrays, **options)`, of arrays and for results whose last axis counts lanes."""
+    """A call of `function(problem, *arrays, **options)`, of arrays and for results
+    whose last axis counts lanes.
+    """
 
     function: Callable[..., Any]
     arrays: tuple[np.ndarray, ...]
@@ -37,7 +41,9 @@ def run(problem: Problem, procedure: Procedure[Result]) -> Result:
 # Lanes beside an end may be lost.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def side_by_side(
-    problem: Problem, lines: Sequence[int] | np.ndarray, procedures: Sequence[Procedure[Result]]
+    problem: Problem,
+    lines: Sequence[int] | np.ndarray,
+    procedures: Sequence[Procedure[Result]],
 ) -> list[Result]:
     """Run procedures side by side.
 
@@ -72,7 +78,10 @@ def side_by_side(
         calls, pending = pending, {}
         for (function, options), numbers in alike.items():
             counts = [calls[number].arrays[0].shape[-1] for number in numbers]
-            arrays = (np.concatenate(each, axis=-1) for each in zip(*(calls[n].arrays for n in numbers), strict=True))
+            arrays = (
+                np.concatenate(each, axis=-1)
+                for each in zip(*(calls[n].arrays for n in numbers), strict=True)
+            )
             lanes = np.repeat([lines[number] for number in numbers], counts)
             result = function(problem.some(lanes), *arrays, **dict(options))
             for number, own in zip(numbers, slices(counts), strict=True):

@@ -1,6 +1,8 @@
-"""Roots in brackets of functions whose every value costs a corrected gait, and the cubic between points of a curve.
+"""Roots in brackets of functions whose every value costs a corrected gait, and the
+cubic between points of a curve.
 
-scipy's root finder would serve as well, but importing it takes longer than computing most atlases.
+scipy's root finder would serve as well, but importing it takes longer than computing
+most atlases.
 """
 
 from __future__ import annotations
@@ -12,11 +14,14 @@ import numpy as np
 from gaitsweep.tasks.mechanics.sums import norm, total
 
 _MAX_STEPS = 60
-#: A curve has closed if between two points it passes its start within this share of their distance.
+#: A curve has closed if between two points it passes its start within this share of
+#: their distance.
 _CLOSED_WITHIN = 1e-2
 
 
-def bracketed_root(function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0) -> float:
+def bracketed_root(
+    function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0
+) -> float:
     """Find the root between a and b, to `tolerance` or to rounding.
 
     Raises
@@ -33,8 +38,11 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
             return float(end.value)
 
 
-def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, float, float]:
-    """Find the root between a and b of a function whose values are sent for the arguments yielded.
+def root_search(
+    a: float, b: float, tolerance: float = 0.0
+) -> Generator[float, float, float]:
+    """Find the root between a and b of a function whose values are sent for the
+    arguments yielded.
 
     Raises
     ------
@@ -68,9 +76,9 @@ def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, 
         fraction, value = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
         part = 0.5
         if value**2 < fraction and (1 - value) ** 2 < 1 - fraction:
-            part = at_a / (at_b - at_a) * at_c / (at_b - at_c) + (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (
-                at_c - at_b
-            )
+            part = at_a / (at_b - at_a) * at_c / (at_b - at_c) + (c - a) / (
+                b - a
+            ) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
         part = min(1 - near, max(near, part))
     return best
 
@@ -79,8 +87,11 @@ def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, 
 OnCurve = tuple[np.ndarray, np.ndarray]
 
 
-def hermite(a: OnCurve, b: OnCurve, length: float | np.ndarray, h: float | np.ndarray) -> np.ndarray:
-    """Point at the fraction h of the cubic Hermite polynomial between two points of a curve.
+def hermite(
+    a: OnCurve, b: OnCurve, length: float | np.ndarray, h: float | np.ndarray
+) -> np.ndarray:
+    """Point at the fraction h of the cubic Hermite polynomial between two points of a
+    curve.
 
     Parameters
     ----------
@@ -113,4 +124,6 @@ def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> np.ndarray:
     share = total((start[0] - a[0]) * chord) / length**2
     off = norm(hermite(a, b, length, share) - start[0])
     is_ahead = total(start[1] * chord) > 0.5 * length
-    return np.asarray((share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead)
+    return np.asarray(
+        (share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead
+    )

@@ -1,7 +1,9 @@
-"""Special points of a branch: where a scalar of `defining` vanishes along it, evaluated at corrected points.
+"""Special points of a branch: where a scalar of `defining` vanishes along it, evaluated
+at corrected points.
 
-Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike meets kneestrike, heelstrike turns
-tangential or an earlier strike occurs; and the hyperextension of the released knee, beyond which the branch continues.
+Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike
+meets kneestrike, heelstrike turns tangential or an earlier strike occurs; and the
+hyperextension of the released knee, beyond which the branch continues.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from gaitsweep.tasks.step.several_steps import from_largest
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Height of the foot at kneestrike, in angles of order one, that is rounding.
 _ON_GROUND = 1e-12
-#: Points from which the slope of vanishing steps is extrapolated, and how far they reach, over the first's distance.
+#: Points from which the slope of vanishing steps is extrapolated, and how far they
+#: reach, over the first's distance.
 _EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
 
 
@@ -38,15 +41,22 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and shank [sqrt(g/leg)], `period`
-        [sqrt(leg/g)], `error_bound` (relative, of the slope), the point `Z`, shape (c,), and `place`: the number of its
-        node, or a number between those of its neighbours.
+        `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and
+        shank [sqrt(g/leg)], `period` [sqrt(leg/g)], `error_bound` (relative, of the
+        slope), the point `Z`, shape (c,), and `place`: the number of its node, or a
+        number between those of its neighbours.
     """
     nodes = corrected(problem, branch)
     kinds = ["flip", "neimark_sacker", "branch_point"]
     kinds += ["release_hyperextension"] if problem.walker.knees else []
-    found = [(float(node), kind, nodes, node, error) for kind, node, error in turns_and_ends(branch)]
-    found += [(k + 0.5, kind, point, 0, 0.0) for kind, k, point in crossings(problem, branch, nodes, kinds)]
+    found = [
+        (float(node), kind, nodes, node, error)
+        for kind, node, error in turns_and_ends(branch)
+    ]
+    found += [
+        (k + 0.5, kind, point, 0, 0.0)
+        for kind, k, point in crossings(problem, branch, nodes, kinds)
+    ]
     records = []
     for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
         own = record(kind, point.at, lane, _error(kind, point, lane, known))
@@ -57,19 +67,29 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
 
 
 def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
-    """Return the folds and the ends of a branch, which are nodes: their kinds, nodes, and known errors of ln slope."""
+    """Return the folds and the ends of a branch, which are nodes: their kinds, nodes,
+    and known errors of ln slope.
+    """
     found = [("fold", node, 0.0) for node in branch.turns()]
     for side, why in enumerate(branch.why):
         # Both ends of a closed branch are one fold.
         if not (side and branch.why == ("fold", "fold")):
-            found.append(("lost" if why in LOST else why, side * (len(branch.q) - 1), branch.end_errors[side]))
+            found.append(
+                (
+                    "lost" if why in LOST else why,
+                    side * (len(branch.q) - 1),
+                    branch.end_errors[side],
+                )
+            )
     return found
 
 
 def corrected(problem: Problem, branch: Branch) -> Point:
     """Return the nodes of a branch as points."""
     nodes = correct(problem, branch.Z, branch.direction)
-    for end in np.flatnonzero(np.array(branch.why) == "branch_point"):  # a flip, known better than by these equations
+    for end in np.flatnonzero(
+        np.array(branch.why) == "branch_point"
+    ):  # a flip, known better than by these equations
         nodes.Z[:, -end] = branch.Z[:, -end]
     return nodes.oriented(branch.direction)
 
@@ -86,8 +106,11 @@ def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     return [point.at for _, segment, point in found if branch.leg_passes[segment] == 1]
 
 
-def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
-    """Yield what a branch passes between its nodes: kinds, segments and points of one lane.
+def crossings(
+    problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]
+) -> Iterator[tuple[str, int, Point]]:
+    """Yield what a branch passes between its nodes: kinds, segments and points of one
+    lane.
 
     Parameters
     ----------
@@ -99,7 +122,9 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
         Of SCALARS, and `branch_point`.
     """
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes.at), value_of(kind)) for kind in kinds if kind in SCALARS
+        kind: (scalar(kind, nodes.at), value_of(kind))
+        for kind in kinds
+        if kind in SCALARS
     }
     if "branch_point" in kinds:
         tests["branch_point"] = (
@@ -110,12 +135,18 @@ def crossings(problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[st
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
         for segment, end in zip((0, -1), branch.why, strict=True):
-            crosses[segment] &= end != kind  # nodes beside an end may lie on either side of it by rounding
+            crosses[segment] &= (
+                end != kind
+            )  # nodes beside an end may lie on either side of it by rounding
         crossed += [
             (kind, int(i), locate_root(branch, int(i), test))
-            for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
+            for i in np.nonzero(
+                crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1])
+            )[0]
         ]
-    located = side_by_side(problem, [0] * len(crossed), [procedure for *_, procedure in crossed])
+    located = side_by_side(
+        problem, [0] * len(crossed), [procedure for *_, procedure in crossed]
+    )
     for (kind, segment, _), point in zip(crossed, located, strict=True):
         if point.ok[0] and _is_genuine(kind, point):
             yield kind, segment, point
@@ -127,7 +158,8 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     Notes
     -----
     Where the fastest rate vanishes more slowly than the angle, the slope is a smooth function of angle/rate and is
-    extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the angle has vanished in doubles.
+    extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the
+    angle has vanished in doubles.
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
     Z, tangent = branch.Z[:, order], branch.tangent[:, order]
@@ -137,14 +169,17 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     beyond = shares > _EXTRAPOLATION_SPAN * shares[0]
     count = int(beyond.argmax()) if beyond.any() else len(shares)
     if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
-        wanted = np.cos(np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1))
+        wanted = np.cos(
+            np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1)
+        )
         wanted = shares[0] + (shares[count - 1] - shares[0]) * (0.5 - 0.5 * wanted)
         at = np.unique(np.abs(shares[:count, None] - wanted).argmin(axis=0))
         x, row = shares[at], np.exp(Z[-1, at])
         for k in range(1, len(x)):
             row = (x[k:] * row[:-1] - x[:-k] * row[1:]) / (x[k:] - x[:-k])
             values = np.append(values, row[0])
-        # Rounding, which extrapolation enlarges, may be alike in the last three: they were up to 3.6 times as far off.
+        # Rounding, which extrapolation enlarges, may be alike in the last three: they
+        # were up to 3.6 times as far off.
         left = 4 * float(np.ptp(values[-3:]) / values[-1])
     return {"slope": float(values[-1]), "error_bound": 4 * left + 8 * EPS}
 
@@ -163,13 +198,18 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
-    """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
+    """Whether the foot is on the ground at kneestrike, where its height has a corner,
+    and not in a smooth minimum.
+    """
     knee = point.at.stride.one.knee
-    return len(knee) > 0 and bool(np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND)
+    return len(knee) > 0 and bool(
+        np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND
+    )
 
 
 def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
-    """State at the start of a point's step, of several that with the largest stance angle.
+    """State at the start of a point's step, of several that with the largest stance
+    angle.
 
     Returns
     -------
@@ -177,7 +217,9 @@ def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
         `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
     """
     problem = point.problem
-    y, scale = problem.section(from_largest(point.w[:, [lane]], problem.m, problem.steps))
+    y, scale = problem.section(
+        from_largest(point.w[:, [lane]], problem.m, problem.steps)
+    )
     state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
@@ -189,12 +231,18 @@ def _error(kind: str, point: Point, lane: int, known: float) -> float:
         error += slope_error(point.at.problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
         error += slope_error(point.at.problem, kind, point.Z[:, lane])
-    elif not (kind == "branch_point" and known):  # that of a flip at which the branch begins is known
-        error += float(np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max())
+    elif not (
+        kind == "branch_point" and known
+    ):  # that of a flip at which the branch begins is known
+        error += float(
+            np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max()
+        )
     return error + 8 * EPS
 
 
-def record(kind: str, point: Evaluation, lane: int, error_bound: float) -> dict[str, Any]:
+def record(
+    kind: str, point: Evaluation, lane: int, error_bound: float
+) -> dict[str, Any]:
     """Describe a special point as `special_points` does, but for its place."""
     return {
         "kind": kind,

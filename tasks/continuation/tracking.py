@@ -1,10 +1,12 @@
 """Branches of gaits continued in slope, through folds, to their ends.
 
-A point is Z = (w, q): similarity coordinates of the section (ln angle, rates/angle) and event times, then q = ln slope.
-In Z a branch is smooth and nothing is singular where a strike turns tangential or the walker almost stops; lengths and
-angles are those of Z. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
-vector, a second-order predictor, and step lengths by predictor error and turning angle. Any number of branches, of any
-number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes.
+A point is Z = (w, q): similarity coordinates of the section (ln angle, rates/angle) and
+event times, then q = ln slope. In Z a branch is smooth and nothing is singular where a
+strike turns tangential or the walker almost stops; lengths and angles are those of Z.
+Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the
+null vector, a second-order predictor, and step lengths by predictor error and turning
+angle. Any number of branches, of any number of walkers, advance side by side in SIMD
+lanes. In shapes, n counts lanes.
 """
 
 from __future__ import annotations
@@ -14,7 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.joint import Evaluation, but_times, evaluate, rounding_step
+from gaitsweep.tasks.continuation.joint import (
+    Evaluation,
+    but_times,
+    evaluate,
+    rounding_step,
+)
 from gaitsweep.tasks.continuation.pseudo_arclength import (
     Newton,
     Point,
@@ -34,10 +41,12 @@ from gaitsweep.tasks.step.several_steps import sections
 from gaitsweep.tasks.step.simulate import MAX_LOG_ANGLE
 from gaitsweep.tasks.step.verify_step import StepCheck
 
-#: Slopes over which branches are followed [rad]: at the least, rounding changes tangents by parts in a thousand.
+#: Slopes over which branches are followed [rad]: at the least, rounding changes
+#: tangents by parts in a thousand.
 MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
-#: Steps of branches turn by at most 0.3 rad; what is kept near its target is the distance from the predicted point.
+#: Steps of branches turn by at most 0.3 rad; what is kept near its target is the
+#: distance from the predicted point.
 _CONTROL = StepControl(
     shortest=1e-7,
     longest=2.0,
@@ -50,21 +59,24 @@ _CONTROL = StepControl(
 )
 #: Gaits of several steps that flips begin lie near each other.
 _CONTROL_OF_SEVERAL = replace(_CONTROL, shortest=1e-12, max_bend=0.2)
-#: Of these the largest multiplier up to which branches are followed, and the largest change of the multipliers' sum
-#: over a continuation step.
+#: Of these the largest multiplier up to which branches are followed, and the largest
+#: change of the multipliers' sum over a continuation step.
 MAX_MULTIPLIER, _MAX_CHANGE = 20.0, 0.6
 #: Largest error of predicted event times.
 _MAX_TIME_ERROR = 0.1
 _MAX_NODES = 1500
-#: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
-#: nearby; over a shorter one branches cross.
+#: Where the sign of the branch point determinant changes over a longer step than this,
+#: Newton has jumped to a branch nearby; over a shorter one branches cross.
 MAX_CROSSING_STEP = 1e-4
 #: Number of points after which it is checked that a branch still consists of steps.
 _CHECK_EVERY = 12
 
 
-def correct(problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iterations: int = 8) -> Point:
-    """Correct points by bordered Newton: the solutions in the plane through them normal to `border`.
+def correct(
+    problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iterations: int = 8
+) -> Point:
+    """Correct points by bordered Newton: the solutions in the plane through them normal
+    to `border`.
 
     Parameters
     ----------
@@ -87,13 +99,16 @@ def correct(problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iter
         return evaluate(problem.some(lanes), Z)
 
     limits = replace(_NEWTON, max_iterations=max_iterations)
-    found = bordered_newton(linearise, rounding_step, limits, Z, border, but_times(problem.m))
+    found = bordered_newton(
+        linearise, rounding_step, limits, Z, border, but_times(problem.m)
+    )
     # As if the last step, which is rounding or nearly, changed nothing but the point.
     return replace(found, at=replace(found.at, Z=found.Z))
 
 
 def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) -> Point:
-    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself.
+    """Correct points; the corrector's derivative is that before its last step, this
+    one's that at the point itself.
 
     Parameters
     ----------
@@ -130,22 +145,25 @@ def _stop_reasons(point: Point) -> np.ndarray:
 
 #: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
 MOST_RATE = 36.0
-#: Why a track of several steps stops that passes the flip of half as many: beyond, it repeats itself; and why any stops
-#: whose last points are no steps.
+#: Why a track of several steps stops that passes the flip of half as many: beyond, it
+#: repeats itself; and why any stops whose last points are no steps.
 HALVED, NOT_A_STEP = "halved", "not a step"
 
 
 def rate_of_steps(Z: np.ndarray, m: int, steps: int = 1) -> np.ndarray:
-    """Return the norm (n,) of the rates over angle of gaits Z (c, n): steps vanish where it has no bound.
+    """Return the norm (n,) of the rates over angle of gaits Z (c, n): steps vanish
+    where it has no bound.
 
-    Rates are in sqrt(g/leg); of steps shorter than pi, as of legs that swing fast, relative to those of their duration.
+    Rates are in sqrt(g/leg); of steps shorter than pi, as of legs that swing fast,
+    relative to those of their duration.
     """
     brevity = np.minimum(1.0, Z[-2] / (np.pi * steps))
     return np.asarray(brevity * norm(Z[1:m]))
 
 
 def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:
-    """Return a number that is positive where a gait's angle or mean step's duration exceeds those of walking.
+    """Return a number that is positive where a gait's angle or mean step's duration
+    exceeds those of walking.
 
     Parameters
     ----------
@@ -159,7 +177,9 @@ def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:
     return np.maximum(Z[0] - MAX_LOG_ANGLE, Z[-2] - steps * LONGEST_PERIOD)
 
 
-def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Track, Track]]:
+def follow(
+    problem: Problem, Z: np.ndarray, step: float = 0.05
+) -> list[tuple[Track, Track]]:
     """Follow branches in both directions from solved gaits.
 
     Parameters
@@ -174,17 +194,26 @@ def follow(problem: Problem, Z: np.ndarray, step: float = 0.05) -> list[tuple[Tr
     Returns
     -------
     list of (Track, Track)
-        For each gait the tracks towards lower and higher slopes; both begin with the gait itself.
+        For each gait the tracks towards lower and higher slopes; both begin with the
+        gait itself.
     """
     n, first = Z.shape[1], correct(problem, Z, None)
     upwards = np.zeros(Z.shape)
     upwards[-1] = 1.0
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
-    tracks = _Branches(problem.some(lanes), lanes_of(first, lanes), sign * upwards[:, lanes], step, problem.steps > 1)
+    tracks = _Branches(
+        problem.some(lanes),
+        lanes_of(first, lanes),
+        sign * upwards[:, lanes],
+        step,
+        problem.steps > 1,
+    )
     tracks.stop[~first.ok[lanes]] = "no start"
     followed = [
-        Track(each.Z[:, :-1], each.tangent[:, :-1], HALVED) if each.stop_reason == HALVED else each
+        Track(each.Z[:, :-1], each.tangent[:, :-1], HALVED)
+        if each.stop_reason == HALVED
+        else each
         for each in tracks.follow(_MAX_NODES)
     ]
     return list(zip(followed[:n], followed[n:], strict=True))
@@ -196,7 +225,9 @@ def _trace(point: Point) -> np.ndarray:
 
 
 def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.ndarray:
-    """Whether the halves of gaits Z (c, n) have not changed sides between two points of their branches, shape (n,)."""
+    """Whether the halves of gaits Z (c, n) have not changed sides between two points of
+    their branches, shape (n,).
+    """
     if problem.steps % 2:
         return np.ones(before.shape[1], bool)
     halves = [sections(Z[:-1], problem.m, problem.steps)[0] for Z in (before, after)]
@@ -204,8 +235,11 @@ def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.
     return total(np.concatenate(apart[0] * apart[1])) > 0
 
 
-def points_along(problem: Problem, first: Point, direction: np.ndarray, step: float) -> Iterator[Point]:
-    """Yield the points of a branch in one direction, for what lies soon on it, as long as another can be found.
+def points_along(
+    problem: Problem, first: Point, direction: np.ndarray, step: float
+) -> Iterator[Point]:
+    """Yield the points of a branch in one direction, for what lies soon on it, as long
+    as another can be found.
 
     Parameters
     ----------
@@ -216,7 +250,10 @@ def points_along(problem: Problem, first: Point, direction: np.ndarray, step: fl
     step : float
         Length of the first step.
     """
-    tracks, alone = _Branches(problem, first, direction[:, None], step, several=True), np.array([0])
+    tracks, alone = (
+        _Branches(problem, first, direction[:, None], step, several=True),
+        np.array([0]),
+    )
     yield first.oriented(tracks.tangent)
     while tracks.step[0] > tracks.control.shortest:
         point, fair = tracks.advance(alone)
@@ -226,42 +263,70 @@ def points_along(problem: Problem, first: Point, direction: np.ndarray, step: fl
 
 
 class _Branches(Tracks):
-    """Branches in progress from n points, along the tangents on the side of an orientation (c, n).
+    """Branches in progress from n points, along the tangents on the side of an
+    orientation (c, n).
 
-    With `several`, as beside flips, steps are so short that no flip is passed unseen. `passed` and `tried` (2, n) are,
-    at the last points and at those tried after them, the sign of the determinant that vanishes where branches cross and
-    the sum of the multipliers.
+    With `several`, as beside flips, steps are so short that no flip is passed unseen.
+    `passed` and `tried` (2, n) are, at the last points and at those tried after them,
+    the sign of the determinant that vanishes where branches cross and the sum of the
+    multipliers.
     """
 
-    def __init__(self, problem: Problem, first: Point, orientation: np.ndarray, step: float, several: bool):
+    def __init__(
+        self,
+        problem: Problem,
+        first: Point,
+        orientation: np.ndarray,
+        step: float,
+        several: bool,
+    ):
         first = first.oriented(orientation)
         self.problem, self.several = problem, several
         self.recent = np.zeros((_CHECK_EVERY // 3, *first.Z.shape))
-        self.passed = np.array([np.sign(branch_point_determinant(first, orientation)), _trace(first)])
+        self.passed = np.array(
+            [np.sign(branch_point_determinant(first, orientation)), _trace(first)]
+        )
         self.tried = self.passed.copy()
-        super().__init__(_CONTROL_OF_SEVERAL if several else _CONTROL, first.Z, first.direction, step)
+        super().__init__(
+            _CONTROL_OF_SEVERAL if several else _CONTROL, first.Z, first.direction, step
+        )
 
-    def correct(self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray) -> Point:
+    def correct(
+        self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray
+    ) -> Point:
         return correct(self.problem.some(tracks), guess, border)
 
     def judge(
         self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        self.tried[:, tracks] = np.sign(branch_point_determinant(point, self.tangent[:, tracks])), _trace(point)
-        (side, trace), (new_side, new_trace) = self.passed[:, tracks], self.tried[:, tracks]
-        # Another root of a guard is another solution, even if the gait is nearly the same.
-        fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(axis=0)
+        self.tried[:, tracks] = (
+            np.sign(branch_point_determinant(point, self.tangent[:, tracks])),
+            _trace(point),
+        )
+        (side, trace), (new_side, new_trace) = (
+            self.passed[:, tracks],
+            self.tried[:, tracks],
+        )
+        # Another root of a guard is another solution, even if the gait is nearly the
+        # same.
+        fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(
+            axis=0
+        )
         fair &= (side * new_side >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
         if not self.several:
             return fair, error
         change = np.abs(new_trace - trace)
-        worth = self.control.target * (2 * change / _MAX_CHANGE) ** (1 / self.control.power)
+        worth = self.control.target * (2 * change / _MAX_CHANGE) ** (
+            1 / self.control.power
+        )
         return fair & (change < _MAX_CHANGE), np.maximum(error, worth)
 
     def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
         why = _stop_reasons(point)
         if self.problem.steps > 1:
-            why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = "multiplier_limit"
+            why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = (
+                "multiplier_limit"
+            )
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
@@ -270,11 +335,15 @@ class _Branches(Tracks):
 
     def record(self, tracks: np.ndarray) -> None:
         self.passed[:, tracks] = self.tried[:, tracks]
-        self.recent[self.count[tracks] % len(self.recent), :, tracks] = self.Z[:, tracks].T
+        self.recent[self.count[tracks] % len(self.recent), :, tracks] = self.Z[
+            :, tracks
+        ].T
         super().record(tracks)
 
     def _are_steps(self, tracks: np.ndarray) -> np.ndarray:
-        """Whether any of the last points of some tracks is a step that happens, shape (j,)."""
+        """Whether any of the last points of some tracks is a step that happens, shape
+        (j,).
+        """
         Z = self.recent[:, :, tracks]
         check = check_steps(self.problem.some(np.tile(tracks, len(Z))), np.hstack([*Z]))
         return np.asarray(check.step.reshape(len(Z), -1).any(axis=0))
@@ -283,7 +352,8 @@ class _Branches(Tracks):
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
 def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Determinant that vanishes where branches cross, of the joint derivative and the tangent as its last row.
+    """Determinant that vanishes where branches cross, of the joint derivative and the
+    tangent as its last row.
 
     Parameters
     ----------
@@ -295,7 +365,8 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n,)
-        Its sign is the same all along a branch, and the opposite on one that almost touches it.
+        Its sign is the same all along a branch, and the opposite on one that almost
+        touches it.
     """
     tangent = point.direction * np.sign(total(point.direction * direction))
     return np.linalg.det(bordered_matrix(point.at.derivative, tangent))

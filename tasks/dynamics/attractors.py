@@ -1,4 +1,6 @@
-"""Attractors: the gait that captures an orbit, the period with which it repeats, or neither."""
+"""Attractors: the gait that captures an orbit, the period with which it repeats, or
+neither.
+"""
 
 from __future__ import annotations
 
@@ -15,23 +17,25 @@ from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
 
 #: Longest period identified, and the name of an orbit with none up to it.
 LONGEST_PERIOD, WALKS_ON = 32, "walks on"
-#: Relative change after a period up to which an orbit no longer changes, and up to which it repeats if it changes so
-#: little after twice the period too.
+#: Relative change after a period up to which an orbit no longer changes, and up to
+#: which it repeats if it changes so little after twice the period too.
 _AT_REST, _REPEATS = 1e-11, 1e-5
-#: Largest distance at which a stable gait captures orbits, in coordinates along its eigenvectors and over its norm; how
-#: much larger than measured the curvature of the step map may be; and least volume of the eigenvectors, which have
-#: length one, of a gait that captures any.
+#: Largest distance at which a stable gait captures orbits, in coordinates along its
+#: eigenvectors and over its norm; how much larger than measured the curvature of the
+#: step map may be; and least volume of the eigenvectors, which have length one, of a
+#: gait that captures any.
 _NEAR, _SAFETY, _MIN_VOLUME = 1e-4, 8.0, 1e-8
 
 
 class Neighbourhoods:
     """Where orbits surely converge to their gaits.
 
-    In coordinates c along the eigenvectors of the step map's derivative at a gait, a step takes c to something no
-    larger than r |c| + k |c|^2, with the spectral radius r, the curvature k, and |c| the largest coordinate. So it
-    shortens all |c| below (1 - r)/k; half of that distance is taken. The curvature is measured at the sums of
-    eigenvectors, which determine a quadratic map. Unstable gaits, and gaits with hardly independent eigenvectors, have
-    no neighbourhood.
+    In coordinates c along the eigenvectors of the step map's derivative at a gait, a
+    step takes c to something no larger than r |c| + k |c|^2, with the spectral radius
+    r, the curvature k, and |c| the largest coordinate. So it shortens all |c| below (1
+    - r)/k; half of that distance is taken. The curvature is measured at the sums of
+    eigenvectors, which determine a quadratic map. Unstable gaits, and gaits with hardly
+    independent eigenvectors, have no neighbourhood.
 
     Parameters
     ----------
@@ -57,12 +61,22 @@ class Neighbourhoods:
         # Real and imaginary part stand for the vectors of a pair.
         real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
         sums = np.array(list(itertools.product((0, 1), repeat=m))[1:])
-        off = _NEAR * matvec(real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]).swapaxes(1, 2).reshape(m, -1)
+        off = _NEAR * matvec(
+            real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]
+        ).swapaxes(1, 2).reshape(m, -1)
         each = np.repeat(lanes, len(sums))
-        image = stride(problem.some(each), y[:, each] + off, slope[each], exact=False).image
+        image = stride(
+            problem.some(each), y[:, each] + off, slope[each], exact=False
+        ).image
         rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
-        curvature = (self._size(rest, each) / self._size(off, each) ** 2).reshape(-1, len(sums)).max(axis=1)
-        self.radius[lanes] = np.minimum(np.nan_to_num(0.5 * (1 - radius) / (_SAFETY * curvature)), _NEAR)
+        curvature = (
+            (self._size(rest, each) / self._size(off, each) ** 2)
+            .reshape(-1, len(sums))
+            .max(axis=1)
+        )
+        self.radius[lanes] = np.minimum(
+            np.nan_to_num(0.5 * (1 - radius) / (_SAFETY * curvature)), _NEAR
+        )
 
     def some(self, lanes: np.ndarray) -> Neighbourhoods:
         """Return those of some lanes (k,)."""
@@ -76,18 +90,26 @@ class Neighbourhoods:
         return self._distance(y, lanes) < self.radius[lanes]
 
     def lie_near(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-        """Whether states (m, k) of some lanes (k,) lie as near to stable gaits as any neighbourhood extends."""
+        """Whether states (m, k) of some lanes (k,) lie as near to stable gaits as any
+        neighbourhood extends.
+        """
         return self._distance(y, lanes) < _NEAR
 
     def _distance(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
         return self._size(y - self.y[:, lanes], lanes)
 
     def _size(self, off: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-        """Largest coordinate of deviations (m, k) along the eigenvectors of some lanes (k,)."""
-        return np.asarray(np.abs(matvec(self._coordinates[:, :, lanes], off)).max(axis=0))
+        """Largest coordinate of deviations (m, k) along the eigenvectors of some lanes
+        (k,).
+        """
+        return np.asarray(
+            np.abs(matvec(self._coordinates[:, :, lanes], off)).max(axis=0)
+        )
 
 
-def attractors(walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int) -> np.ndarray:
+def attractors(
+    walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int
+) -> np.ndarray:
     """Find the attractor of each orbit.
 
     Parameters
@@ -97,13 +119,14 @@ def attractors(walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int) -> n
     homes : mapping
         Neighbourhoods of gaits by name, one gait for each walker.
     steps : int
-        Steps after which the period of an orbit that still changes is told, from the steps that follow.
+        Steps after which the period of an orbit that still changes is told, from the
+        steps that follow.
 
     Returns
     -------
     ndarray of str, shape (n,)
-        A name of `homes`, `period k` with k up to LONGEST_PERIOD, WALKS_ON for all that repeats less often, or how the
-        walker fell.
+        A name of `homes`, `period k` with k up to LONGEST_PERIOD, WALKS_ON for all that
+        repeats less often, or how the walker fell.
     """
     n = walk.y.shape[1]
     found = np.full(n, WALKS_ON, "U24")
@@ -114,7 +137,8 @@ def attractors(walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int) -> n
         y = walk.y[:, lanes]
         moved = change(seen[:, lanes], y)
         if elapsed <= LONGEST_PERIOD:
-            # Beside a flip an orbit alternates while it settles: after twice its period it is at rest much sooner.
+            # Beside a flip an orbit alternates while it settles: after twice its period
+            # it is at rest much sooner.
             period[lanes[(moved < _REPEATS) & (period[lanes] == 0)]] = elapsed
         repeats = (taken > steps) & (moved < _REPEATS) & (elapsed == 2 * period[lanes])
         known = (period[lanes] > 0) & (repeats | (moved < _AT_REST))
@@ -126,7 +150,12 @@ def attractors(walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int) -> n
         walk.lanes = lanes[~known]
         if taken == steps or (taken < steps and elapsed == LONGEST_PERIOD):
             seen, seen_at, period = walk.y.copy(), taken, np.zeros(n, int)
-    for name, home in homes.items():  # beside a flip a neighbourhood may be too small to hold what settles there
+    for (
+        name,
+        home,
+    ) in (
+        homes.items()
+    ):  # beside a flip a neighbourhood may be too small to hold what settles there
         single = np.flatnonzero(found == names[0])
         found[single[home.lie_near(walk.y[:, single], single)]] = name
     fell = walk.outcome != STRUCK

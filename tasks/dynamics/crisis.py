@@ -1,9 +1,12 @@
-"""Crisis of an attractor: the slope beyond which orbits near its remains fall, or converge to another attractor.
+"""Crisis of an attractor: the slope beyond which orbits near its remains fall, or
+converge to another attractor.
 
-The last attractor of a cascade ends neither at a fold nor at a flip but in a crisis: it touches the boundary of its
-basin (C. Grebogi, E. Ott, J. A. Yorke, Physica D 7 (1983) 181-200). That slope solves no equation here; it is bracketed
-by simulation, from many initial states at many slopes side by side. Orbits that leave at once did not begin in the
-basin and are ignored; of the others all persist at the bracket's lower slope, and some do not at its upper slope.
+The last attractor of a cascade ends neither at a fold nor at a flip but in a crisis: it
+touches the boundary of its basin (C. Grebogi, E. Ott, J. A. Yorke, Physica D 7 (1983)
+181-200). That slope solves no equation here; it is bracketed by simulation, from many
+initial states at many slopes side by side. Orbits that leave at once did not begin in
+the basin and are ignored; of the others all persist at the bracket's lower slope, and
+some do not at its upper slope.
 """
 
 from __future__ import annotations
@@ -14,16 +17,21 @@ from gaitsweep.tasks.dynamics.walk import Walk, change
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK
 
-#: An orbit whose last step changes it by less than this, relative, has converged to a gait of period one.
+#: An orbit whose last step changes it by less than this, relative, has converged to a
+#: gait of period one.
 _SETTLED = 1e-8
 #: Steps within which an orbit may leave without its slope being rejected.
 _TRANSIENT = 60
-#: Rounds in which the bracket of a loss is divided, and by how many slopes, simulated side by side.
+#: Rounds in which the bracket of a loss is divided, and by how many slopes, simulated
+#: side by side.
 _ROUNDS, _AT_ONCE = 3, 4
 
 
-def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int) -> np.ndarray:
-    """Find the slopes at which all orbits that outlast the transient persist and none converges to period one.
+def surviving_slopes(
+    problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int
+) -> np.ndarray:
+    """Find the slopes at which all orbits that outlast the transient persist and none
+    converges to period one.
 
     Parameters
     ----------
@@ -48,12 +56,18 @@ def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, st
         # One orbit that leaves decides for its slope.
         survives[number[lasting[walk.outcome[lasting] != STRUCK]]] = False
         if taken == strides:
-            survives[number[walk.lanes[change(walk.before, walk.y[:, walk.lanes]) < _SETTLED]]] = False
+            survives[
+                number[
+                    walk.lanes[change(walk.before, walk.y[:, walk.lanes]) < _SETTLED]
+                ]
+            ] = False
         walk.lanes = walk.lanes[survives[number[walk.lanes]]]
     return survives
 
 
-def lost(problem: Problem, starts: np.ndarray, low: float, high: float, strides: int) -> tuple[float, float]:
+def lost(
+    problem: Problem, starts: np.ndarray, low: float, high: float, strides: int
+) -> tuple[float, float]:
     """Bracket the slope at which an attractor is lost.
 
     Parameters
@@ -68,13 +82,15 @@ def lost(problem: Problem, starts: np.ndarray, low: float, high: float, strides:
     Returns
     -------
     low, high : float [rad]
-        Neighbouring slopes of the last round. NaN for `low` where the attractor does not persist there either, and for
-        `high` where it is not lost.
+        Neighbouring slopes of the last round. NaN for `low` where the attractor does
+        not persist there either, and for `high` where it is not lost.
     """
     for number in range(_ROUNDS):
         slope = np.linspace(low, high, _AT_ONCE + 2)
         if number:
-            survives = np.array([True, *surviving_slopes(problem, starts, slope[1:-1], strides), False])
+            survives = np.array(
+                [True, *surviving_slopes(problem, starts, slope[1:-1], strides), False]
+            )
         else:  # the ends with the others
             survives = surviving_slopes(problem, starts, slope, strides)
             if not survives[0]:

@@ -1,4 +1,6 @@
-"""Initial states of orbits: a line's gaits at given slopes, and a low-discrepancy sequence to distribute states."""
+"""Initial states of orbits: a line's gaits at given slopes, and a low-discrepancy
+sequence to distribute states.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ def r_sequence(m: int, count: int) -> np.ndarray:
     Notes
     -----
     The R sequence, an additive recurrence by powers of the generalised golden ratio (M. Roberts, "The unreasonable
-    effectiveness of quasirandom sequences", 2018). A longer sequence begins with the shorter one.
+    effectiveness of quasirandom sequences", 2018). A longer sequence begins with the
+    shorter one.
     """
     steps = np.array([_GOLDEN_RATIO[m] ** -(i + 1) for i in range(m)])
     return (0.5 + steps[:, None] * np.arange(1, count + 1)) % 1
@@ -48,8 +51,9 @@ def labelled(
     Returns
     -------
     list of (index, place, gaits)
-        Of each piece of a branch the indices of the slopes that it covers; the labels of the gaits there as `places`
-        has them, -1 where none was found and verified to be a step; and these gaits.
+        Of each piece of a branch the indices of the slopes that it covers; the labels
+        of the gaits there as `places` has them, -1 where none was found and verified to
+        be a step; and these gaits.
     """
     found, keys = [], []
     for branch in branches:
@@ -57,16 +61,24 @@ def labelled(
             guesses = branch.known_guesses(Z, segment, slope[index])
             at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
             converged, key = at.converged & at.step, np.full((2, len(slope)), np.nan)
-            # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
+            # As in `points`, one that is lost still counts for the labels of the
+            # others, as its branch's gait.
             key[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
-            key[1, index] = np.where(converged, gait_ratio(at.stride), branch.ratio_on(segment))
+            key[1, index] = np.where(
+                converged, gait_ratio(at.stride), branch.ratio_on(segment)
+            )
             found.append((index, converged, at))
             keys.append(key)
     every = places(*np.array(keys).reshape(-1, 2, len(slope)).swapaxes(0, 1))
-    return [(index, np.where(ok, place[index], -1), at) for place, (index, ok, at) in zip(every, found, strict=True)]
+    return [
+        (index, np.where(ok, place[index], -1), at)
+        for place, (index, ok, at) in zip(every, found, strict=True)
+    ]
 
 
-def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
+def gaits_at(
+    problem: Problem, branches: list[Branch], slope: np.ndarray, label: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Find a line's gaits of one label at given slopes.
 
     Parameters

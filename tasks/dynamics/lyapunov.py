@@ -10,7 +10,8 @@ from gaitsweep.tasks.mechanics.sums import total
 
 
 def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """QR decomposition of many small matrices by the Gram-Schmidt process, applied twice.
+    """QR decomposition of many small matrices by the Gram-Schmidt process, applied
+    twice.
 
     Parameters
     ----------
@@ -36,7 +37,8 @@ def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 v = v - _dot(Q[:, j], v) * Q[:, j]
         size = np.sqrt(_dot(v, v))
         diagonal[k] = size
-        # A direction that the map takes to zero has no image: zero stands for it, and its exponent is minus infinity.
+        # A direction that the map takes to zero has no image: zero stands for it, and
+        # its exponent is minus infinity.
         Q[:, k] = np.where(size > 0, v / np.where(size > 0, size, 1.0), 0.0)
     return Q, diagonal
 
@@ -66,8 +68,14 @@ class Exponents:
 
     @classmethod
     def begin(cls, m: int, n: int, blocks: int) -> Exponents:
-        """Begin with all m directions of n lanes, their growth to be summed in so many blocks."""
-        return cls(np.repeat(np.eye(m)[:, :, None], n, axis=2), np.zeros((blocks, m, n)), np.zeros(blocks, int))
+        """Begin with all m directions of n lanes, their growth to be summed in so many
+        blocks.
+        """
+        return cls(
+            np.repeat(np.eye(m)[:, :, None], n, axis=2),
+            np.zeros((blocks, m, n)),
+            np.zeros(blocks, int),
+        )
 
     def step(self, J: np.ndarray, lanes: np.ndarray, block: int | None) -> None:
         """Map the directions of some lanes by one step.
@@ -99,7 +107,8 @@ class Exponents:
 
 
 def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate exponents and their standard errors from means over blocks of orbits of one attractor.
+    """Estimate exponents and their standard errors from means over blocks of orbits of
+    one attractor.
 
     Parameters
     ----------
@@ -118,5 +127,7 @@ def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flat = np.moveaxis(means, 1, 0).reshape(means.shape[1], -1)
     count = flat.shape[1]
     with np.errstate(invalid="ignore"):
-        deviation = np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
+        deviation = (
+            np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
+        )
         return np.mean(flat, axis=1), deviation / np.sqrt(count)

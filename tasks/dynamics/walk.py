@@ -1,4 +1,6 @@
-"""Walkers that take steps side by side: orbits, basins, crises, manifolds and attractors all consist of these."""
+"""Walkers that take steps side by side: orbits, basins, crises, manifolds and
+attractors all consist of these.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,11 @@ from gaitsweep.tasks.step.simulate import STRUCK, stride
 
 
 class Walk:
-    """Walkers on their way from n states, each in a lane, until they fall or are left behind.
+    """Walkers on their way from n states, each in a lane, until they fall or are left
+    behind.
 
-    Arrays are of all n walkers, whichever still walk, so what is known of one keeps its place. Whoever needs a walker
-    no longer drops its number from `lanes`.
+    Arrays are of all n walkers, whichever still walk, so what is known of one keeps its
+    place. Whoever needs a walker no longer drops its number from `lanes`.
 
     Attributes
     ----------
@@ -42,7 +45,8 @@ class Walk:
         self.taken, self.outcome = np.zeros(n, int), np.full(n, STRUCK)
 
     def steps(self, count: int, exact: bool = False) -> Iterator[int]:
-        """Take steps while anyone walks, and count them from 1; the last may be a fall of all.
+        """Take steps while anyone walks, and count them from 1; the last may be a fall
+        of all.
 
         Parameters
         ----------
@@ -55,13 +59,23 @@ class Walk:
             if not len(lanes):
                 return
             step = stride(self.problem.some(lanes), before, self.slope[lanes], exact)
-            self.y[:, lanes], self.times[:, lanes], self.outcome[lanes] = step.image, step.times, step.outcome
+            self.y[:, lanes], self.times[:, lanes], self.outcome[lanes] = (
+                step.image,
+                step.times,
+                step.outcome,
+            )
             walks = step.outcome == STRUCK
-            self.lanes, self.before, self.jacobian = lanes[walks], before[:, walks], step.jacobian[:, :, walks]
+            self.lanes, self.before, self.jacobian = (
+                lanes[walks],
+                before[:, walks],
+                step.jacobian[:, :, walks],
+            )
             self.taken[self.lanes] += 1
             yield number
 
 
 def change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Largest change of states (..., m, n) over the largest of their coordinates, shape (..., n)."""
+    """Largest change of states (..., m, n) over the largest of their coordinates, shape
+    (..., n).
+    """
     return np.asarray(np.abs(after - before).max(axis=-2) / np.abs(before).max(axis=-2))

@@ -1,4 +1,6 @@
-"""Charts and what holds them as plain arrays, to be stored and passed between processes."""
+"""Charts and what holds them as plain arrays, to be stored and passed between
+processes.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +20,32 @@ def arrays_of(value: Any, name: str = "") -> Arrays:
     Parameters
     ----------
     value : ndarray, number, text, or tuple of these; or a dataclass, list, or tuple of arrays
-        A dataclass has the arrays of its fields, a list those of its parts 0, 1, ..., None has none.
+        A dataclass has the arrays of its fields, a list those of its parts 0, 1, ...,
+        None has none.
     name : str
     """
-    if isinstance(value, list) or (isinstance(value, tuple) and any(isinstance(each, np.ndarray) for each in value)):
+    if isinstance(value, list) or (
+        isinstance(value, tuple) and any(isinstance(each, np.ndarray) for each in value)
+    ):
         value = {str(i): each for i, each in enumerate(value)}
     elif dataclasses.is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        value = {
+            field.name: getattr(value, field.name)
+            for field in dataclasses.fields(value)
+        }
     if value is None or not isinstance(value, dict):
         return {} if value is None else {name: np.asarray(value)}
-    parts = (arrays_of(each, f"{name}/{part}" if name else part) for part, each in value.items())
+    parts = (
+        arrays_of(each, f"{name}/{part}" if name else part)
+        for part, each in value.items()
+    )
     return {key: array for part in parts for key, array in part.items()}
 
 
 def value_of(kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """Return the dataclass of a kind that arrays hold; what they do not hold has its default."""
+    """Return the dataclass of a kind that arrays hold; what they do not hold has its
+    default.
+    """
     values: dict[str, Any] = {}
     for name, kinds in _kinds(kind).items():
         if (array := arrays.get(name)) is not None:
@@ -40,13 +53,19 @@ def value_of(kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
             values[name] = array if np.ndarray in kinds else plain
         elif own := under(name, arrays):
             of = next(filter(dataclasses.is_dataclass, kinds), None)
-            values[name] = value_of(of, own) if of else tuple(own[str(i)] for i in range(len(own)))
+            values[name] = (
+                value_of(of, own) if of else tuple(own[str(i)] for i in range(len(own)))
+            )
     return kind(**values)
 
 
 def under(name: str, arrays: Mapping[str, np.ndarray]) -> Arrays:
     """Return the arrays whose names begin with another, by the rest of theirs."""
-    return {key.removeprefix(f"{name}/"): array for key, array in arrays.items() if key.startswith(f"{name}/")}
+    return {
+        key.removeprefix(f"{name}/"): array
+        for key, array in arrays.items()
+        if key.startswith(f"{name}/")
+    }
 
 
 def parts(arrays: Mapping[str, np.ndarray]) -> list[Arrays]:
@@ -62,4 +81,6 @@ def parts(arrays: Mapping[str, np.ndarray]) -> list[Arrays]:
 @functools.cache
 def _kinds(kind: Any) -> dict[str, tuple[Any, ...]]:
     """What each field of a dataclass may hold, or what its parts are."""
-    return {name: get_args(hint) or (hint,) for name, hint in get_type_hints(kind).items()}
+    return {
+        name: get_args(hint) or (hint,) for name, hint in get_type_hints(kind).items()
+    }

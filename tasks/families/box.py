@@ -37,11 +37,13 @@ def tensor_nodes(sizes: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Box:
-    """Values of keys from `low` to `high`, in the walker's units, and how often these were `halved` along each key.
+    """Values of keys from `low` to `high`, in the walker's units, and how often these
+    were `halved` along each key.
 
-    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere. With `log`, one for all
-    keys or one for each, the coordinates of keys whose distance from their origin, 0 unless it is given, grows by more
-    than a factor of eight are those of its logarithm.
+    Nodes lie inside, where no constant of a walker vanishes that does not vanish
+    everywhere. With `log`, one for all keys or one for each, the coordinates of keys
+    whose distance from their origin, 0 unless it is given, grows by more than a factor
+    of eight are those of its logarithm.
     """
 
     keys: tuple[str, ...]
@@ -53,7 +55,9 @@ class Box:
 
     @cached_property
     def _distances(self) -> tuple[np.ndarray, ...]:
-        """Of each key the origin, the side of it, 1 or -1, the distances of both faces, and whether these are far."""
+        """Of each key the origin, the side of it, 1 or -1, the distances of both faces,
+        and whether these are far.
+        """
         low, high = np.array(self.low), np.array(self.high)
         origin = np.array(self.origin or np.zeros(len(low)))
         side = np.where(low < origin, -1, 1)
@@ -62,14 +66,20 @@ class Box:
 
     def share(self, part: Box) -> float:
         """Return the share of its coordinates' range that a part has."""
-        return float(np.prod(0.5 * np.diff(self.unit(np.array([part.low, part.high])), axis=0)))
+        return float(
+            np.prod(0.5 * np.diff(self.unit(np.array([part.low, part.high])), axis=0))
+        )
 
     def holds(self, point: np.ndarray) -> bool:
-        """Return whether a point (d,) lies inside or on the border [the walker's units]."""
+        """Return whether a point (d,) lies inside or on the border [the walker's
+        units].
+        """
         return bool(((point >= self.low) & (point <= self.high)).all())
 
     def common(self, other: Box) -> Box:
-        """Return the part that another box of the same keys has too; it holds nothing if there is none."""
+        """Return the part that another box of the same keys has too; it holds nothing
+        if there is none.
+        """
         low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
         return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()))
 
@@ -105,7 +115,12 @@ class Box:
         if not is_log.any():
             return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(is_log, origin + side * near * np.exp(0.5 * (1 + side * unit) * np.log(far / near)), linear)
+            return np.where(
+                is_log,
+                origin
+                + side * near * np.exp(0.5 * (1 + side * unit) * np.log(far / near)),
+                linear,
+            )
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.
@@ -139,13 +154,21 @@ class Box:
         -------
         ndarray, shape (2^d, d)
         """
-        return at * np.array(list(itertools.product((-1.0, 1.0), repeat=len(self.keys))))
+        return at * np.array(
+            list(itertools.product((-1.0, 1.0), repeat=len(self.keys)))
+        )
 
-    def parts(self, axis: int, at: float | None = None, origin: float | None = None) -> tuple[Box, Box]:
-        """Return both parts along one key, divided at a value of it, or halved; its origin may be another."""
+    def parts(
+        self, axis: int, at: float | None = None, origin: float | None = None
+    ) -> tuple[Box, Box]:
+        """Return both parts along one key, divided at a value of it, or halved; its
+        origin may be another.
+        """
         halved = list(self.halved or (0,) * len(self.keys))
         halved[axis] += at is None
-        middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
+        middle = (
+            float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
+        )
         origins = self.origin or (0.0,) * len(self.keys)
         own = replace(self, halved=tuple(halved))
         if origin is not None:
@@ -183,11 +206,19 @@ class Box:
 
 
 class Refused(Exception):
-    """Why a box cannot be described as one, the key along which, and the value at which, it should be divided.
+    """Why a box cannot be described as one, the key along which, and the value at
+    which, it should be divided.
 
-    Beside its `origin`, if there is one, gaits are smooth functions of the logarithm of the distance from it.
+    Beside its `origin`, if there is one, gaits are smooth functions of the logarithm of
+    the distance from it.
     """
 
-    def __init__(self, why: str, axis: int = 0, at: float | None = None, origin: float | None = None):
+    def __init__(
+        self,
+        why: str,
+        axis: int = 0,
+        at: float | None = None,
+        origin: float | None = None,
+    ):
         super().__init__(why)
         self.axis, self.at, self.origin = axis, at, origin

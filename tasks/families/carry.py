@@ -1,4 +1,6 @@
-"""Points carried over the keys of a box in steps, each from a prediction along the last."""
+"""Points carried over the keys of a box in steps, each from a prediction along the
+last.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,15 @@ class Carried:
 
     def __init__(self, Z: np.ndarray, stride: float):
         self.Z, self.stride = Z.copy(), np.full(Z.shape[1], stride)
-        self.rate = np.zeros_like(Z)  # of the last steps: a parabola would lead to the other sheet beside a turn
+        self.rate = np.zeros_like(
+            Z
+        )  # of the last steps: a parabola would lead to the other sheet beside a turn
 
     def advance(
-        self, active: np.ndarray, step: np.ndarray, correct: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+        self,
+        active: np.ndarray,
+        step: np.ndarray,
+        correct: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     ) -> np.ndarray:
         """Carry some points by steps.
 
@@ -28,7 +35,8 @@ class Carried:
         active : ndarray of int, shape (k,)
         step : ndarray, shape (k,)
         correct : callable
-            From predictions (c, k) the points there, and which of them are accepted, (k,).
+            From predictions (c, k) the points there, and which of them are accepted,
+            (k,).
 
         Returns
         -------
@@ -43,19 +51,28 @@ class Carried:
         return fair
 
     def carry(
-        self, correct: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+        self,
+        correct: Callable[
+            [np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]
+        ],
     ) -> np.ndarray:
-        """Carry all points over ways of length 1, and return whether they arrived, bool (n,).
+        """Carry all points over ways of length 1, and return whether they arrived, bool
+        (n,).
 
         Parameters
         ----------
         correct : callable
-            As `advance` has it, with the numbers of the points and how far along their ways they are before it.
+            As `advance` has it, with the numbers of the points and how far along their
+            ways they are before it.
         """
         share, active = np.zeros(len(self.stride)), np.arange(len(self.stride))
         while len(active):
             step = np.minimum(self.stride[active], 1 - share[active])
-            fair = self.advance(active, step, partial(correct, active, share[active] + step))
+            fair = self.advance(
+                active, step, partial(correct, active, share[active] + step)
+            )
             share[active[fair]] += step[fair]
-            active = active[(share[active] < 1 - 1e-12) & (self.stride[active] > _SHORTEST)]
+            active = active[
+                (share[active] < 1 - 1e-12) & (self.stride[active] > _SHORTEST)
+            ]
         return np.asarray(share >= 1 - 1e-12)

@@ -1,4 +1,6 @@
-"""Cells: boxes of keys with patches that predict all gaits in a window of slopes, made from few lines and checked."""
+"""Cells: boxes of keys with patches that predict all gaits in a window of slopes, made
+from few lines and checked.
+"""
 
 from __future__ import annotations
 
@@ -26,42 +28,50 @@ from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.problem import Lanes
 
-#: Coordinates of lines at the centre of a box, where no constant of a walker vanishes that does not vanish everywhere,
-#: and at its corners; a known line this near to one wanted serves as well.
+#: Coordinates of lines at the centre of a box, where no constant of a walker vanishes
+#: that does not vanish everywhere, and at its corners; a known line this near to one
+#: wanted serves as well.
 _CENTRE, _CORNER, _NEAR_NODE = 1e-3, 0.999, 0.02
-#: Largest Newton correction of a good patch's predictions at random points; a patch that stays worse is used up to the
-#: last.
+#: Largest Newton correction of a good patch's predictions at random points; a patch
+#: that stays worse is used up to the last.
 _GOOD, _FAIR = 1e-6, 2e-2
 _DRAWN = 48
 #: Newton step after which a node is accurate enough.
 _ENOUGH = 1e-5
-#: Nodes along a piece and along each key with which a patch begins; most along a piece, and along each of one or two
-#: keys.
+#: Nodes along a piece and along each key with which a patch begins; most along a piece,
+#: and along each of one or two keys.
 _FIRST, _MOST, _MOST_OF_KEYS = (8, 5), 48, (33, 13)
 #: Nodes for each key from which on no more are added for few points.
 _LEAST_NODES = 600
-#: Nodes along a piece and along each key at which rounding and the Lipschitz constant are measured.
+#: Nodes along a piece and along each key at which rounding and the Lipschitz constant
+#: are measured.
 _MEASURED = (12, 3)
-#: A piece that goes on farther than this beyond the window, in ln slope, is cut, at most twice as far.
+#: A piece that goes on farther than this beyond the window, in ln slope, is cut, at
+#: most twice as far.
 _CLEAR = 0.03
 #: Least width of a piece that is cut at one end, in ln slope.
 _WIDTH = 0.1
 #: Pieces are predicted to their ends up to this far beyond the window, in ln slope.
 _REACH = 4.0
-#: The part of a box that is cut off at a face of tuned walkers, the largest slope of balance, over those of the window,
-#: that does not matter, and places along keys at which ends are compared.
+#: The part of a box that is cut off at a face of tuned walkers, the largest slope of
+#: balance, over those of the window, that does not matter, and places along keys at
+#: which ends are compared.
 _SLIVER, _BALANCED, _PLACES = 1 / 64, 0.25, 9
-#: Norm of rates over angle at an end from which on steps nearly vanish there [sqrt(g/leg)].
+#: Norm of rates over angle at an end from which on steps nearly vanish there
+#: [sqrt(g/leg)].
 _FAST = 4.0
 #: How near a patch is to pieces of lines in a corner, and inside.
 _ALIKE = (0.1, 1e-2)
-#: First share of the way on which a gait is carried at a time, and the largest distance from its prediction.
+#: First share of the way on which a gait is carried at a time, and the largest distance
+#: from its prediction.
 _STRIDE, _MAX_STRIDE_ERROR = 0.25, 0.3
 
 
 @dataclass(eq=False)
 class Cell:
-    """A box with its patches; where they were refused, `why` says so, and its lines are surveyed one by one."""
+    """A box with its patches; where they were refused, `why` says so, and its lines are
+    surveyed one by one.
+    """
 
     box: Box
     structure: Structure
@@ -70,8 +80,12 @@ class Cell:
 
 
 def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
-    """Return cells as plain arrays, but for their structures, which follow from their boxes."""
-    return arrays_of([{"box": cell.box, "patches": cell.patches, "why": cell.why} for cell in cells])
+    """Return cells as plain arrays, but for their structures, which follow from their
+    boxes.
+    """
+    return arrays_of(
+        [{"box": cell.box, "patches": cell.patches, "why": cell.why} for cell in cells]
+    )
 
 
 def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
@@ -80,7 +94,9 @@ def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
     for own in parts(arrays):
         box = value_of(Box, under("box", own))
         patches = [value_of(Patch, each) for each in parts(under("patches", own))]
-        cells.append(Cell(box, structure_of(family, box), patches, str(own["why"].item())))
+        cells.append(
+            Cell(box, structure_of(family, box), patches, str(own["why"].item()))
+        )
     return cells
 
 
@@ -114,12 +130,19 @@ class Lines:
         self.structures: list[Structure] = []
         self.pieces: list[list[Piece]] = []
 
-    def at(self, box: Box, structure: Structure, wanted: np.ndarray) -> tuple[np.ndarray, list[list[Piece]]]:
-        """Return coordinates and pieces of lines at or beside those wanted (n, d), then of all others in the box.
+    def at(
+        self, box: Box, structure: Structure, wanted: np.ndarray
+    ) -> tuple[np.ndarray, list[list[Piece]]]:
+        """Return coordinates and pieces of lines at or beside those wanted (n, d), then
+        of all others in the box.
 
         Those that are not known are surveyed.
         """
-        alike = [k for k, own in enumerate(self.structures) if own == structure and box.holds(self.keys[k])]
+        alike = [
+            k
+            for k, own in enumerate(self.structures)
+            if own == structure and box.holds(self.keys[k])
+        ]
         known = box.unit(self.keys[alike])
         near = np.abs(wanted[:, None] - known).max(axis=2, initial=0.0) < _NEAR_NODE
         new = ~near.any(axis=1)
@@ -139,7 +162,12 @@ class Lines:
 
 
 def make_cell(
-    family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float, why: str = ""
+    family: Family,
+    box: Box,
+    window: tuple[float, float],
+    lines: Lines,
+    points: float,
+    why: str = "",
 ) -> Cell:
     """Make the cell of a box for a window of slopes.
 
@@ -152,7 +180,8 @@ def make_cell(
     lines : Lines
         Those surveyed so far, to which the cell's own are added.
     points : float
-        About how many points it is for: good predictions of few are not worth many nodes.
+        About how many points it is for: good predictions of few are not worth many
+        nodes.
     why : str, optional
         Why the cell is to have no patches.
 
@@ -167,10 +196,11 @@ def make_cell(
 
 @dataclass(frozen=True)
 class _End:
-    """Where a piece ends over the keys: the chart of its ln slope with its error, the kind, and where walking ends.
+    """Where a piece ends over the keys: the chart of its ln slope with its error, the
+    kind, and where walking ends.
 
-    `kind` is `cut`, `fold`, `end`, a located one, or `beyond`: then the chart ends beyond that of walking, at most by
-    `reach`. `vanishing` is as spans have it.
+    `kind` is `cut`, `fold`, `end`, a located one, or `beyond`: then the chart ends
+    beyond that of walking, at most by `reach`. `vanishing` is as spans have it.
     """
 
     kind: str
@@ -186,7 +216,14 @@ class _End:
 class _Maker(Maker):
     """Makes the patches of one box and window."""
 
-    def __init__(self, family: Family, box: Box, window: tuple[float, float], lines: Lines, points: float):
+    def __init__(
+        self,
+        family: Family,
+        box: Box,
+        window: tuple[float, float],
+        lines: Lines,
+        points: float,
+    ):
         super().__init__(family, box, structure_of(family, box))
         self.window, self.known = window, lines
         self.total = max(_LEAST_NODES * self.d, int(points / 2))
@@ -199,28 +236,40 @@ class _Maker(Maker):
         return self.checked([self.patch(group) for group in self.groups()])
 
     def begin(self) -> None:
-        """Survey the lines at the centre, the corners and a random place; others may be known."""
-        wanted = np.vstack([np.full((1, self.d), _CENTRE), self.box.corners(_CORNER), self.box.lot()])
+        """Survey the lines at the centre, the corners and a random place; others may be
+        known.
+        """
+        wanted = np.vstack(
+            [np.full((1, self.d), _CENTRE), self.box.corners(_CORNER), self.box.lot()]
+        )
         self.unit, self.lines = self.known.at(self.box, self.structure, wanted)
         self.few = len(wanted) - 1
 
     def check_tuning(self) -> None:
-        """Refuse a box with tuned walkers, beside which special points move by powers, unless they stay off the window.
+        """Refuse a box with tuned walkers, beside which special points move by powers,
+        unless they stay off the window.
 
-        Others have them at slopes of the order of that at which the still walker, legs together, is balanced.
+        Others have them at slopes of the order of that at which the still walker, legs
+        together, is balanced.
         """
-        for axis, (low, high) in enumerate(zip(self.box.low, self.box.high, strict=True)):
+        for axis, (low, high) in enumerate(
+            zip(self.box.low, self.box.high, strict=True)
+        ):
             tuning = Tuning(self.family, self.box, axis)
             if tuning.largest < _BALANCED * np.exp(self.window[0]):
                 continue
             if any(at := tuning.at_faces()):
                 share, tuned = (_SLIVER, low) if at[0] else (1 - _SLIVER, high)
-                raise Refused("tuned walkers at a face", axis, low + share * (high - low), tuned)
+                raise Refused(
+                    "tuned walkers at a face", axis, low + share * (high - low), tuned
+                )
             if (value := tuning.inside()) is not None:
                 raise Refused("tuned walkers inside", axis, value)
 
     def groups(self) -> list[list[Piece]]:
-        """Pieces that come near the window on any line at the centre and the corners, each on all of these."""
+        """Pieces that come near the window on any line at the centre and the corners,
+        each on all of these.
+        """
         low, high = self.window[0] - _CLEAR, self.window[1] + _CLEAR
         groups: list[list[Piece]] = []
         for group in match(self.lines[: self.few], low, high):
@@ -229,17 +278,26 @@ class _Maker(Maker):
                 continue
             if len(known) < len(group):
                 present = np.array([piece is not None for piece in group], float)
-                raise Refused(f"{len(known)} of {len(group)} lines have a piece", self.rougher(present))
+                raise Refused(
+                    f"{len(known)} of {len(group)} lines have a piece",
+                    self.rougher(present),
+                )
             groups.append(known)
         return groups
 
     def rougher(self, values: np.ndarray) -> int:
-        """The key along which values at the centre and the corners (1 + 2^d,) change most."""
+        """The key along which values at the centre and the corners (1 + 2^d,) change
+        most.
+        """
         corners = values[1:].reshape((2,) * self.d)
-        return int(np.argmax([np.abs(np.diff(corners, axis=k)).sum() for k in range(self.d)]))
+        return int(
+            np.argmax([np.abs(np.diff(corners, axis=k)).sum() for k in range(self.d)])
+        )
 
     def both_ends(self, group: list[Piece]) -> list[_End]:
-        """Both ends of a piece over the box: where it is cut it goes on, and never before its other end."""
+        """Both ends of a piece over the box: where it is cut it goes on, and never
+        before its other end.
+        """
         ends = [self.end(group, k, self.window[k]) for k in (0, 1)]
         for k, sign in enumerate((-1, 1)):
             if ends[k].kind == "cut" and ends[1 - k].kind != "cut":
@@ -250,7 +308,9 @@ class _Maker(Maker):
         return ends
 
     def end(self, group: list[Piece], k: int, edge: float) -> _End:
-        """The lower (0) or upper (1) end of a piece over the box: cut beyond an `edge` on all lines, or its own."""
+        """The lower (0) or upper (1) end of a piece over the box: cut beyond an `edge`
+        on all lines, or its own.
+        """
         sign = (-1, 1)[k]
         q = np.array([piece.q[k] for piece in group])
         beyond = sign * (q - edge)
@@ -259,23 +319,38 @@ class _Maker(Maker):
             return _End("cut", Chart((1,) * self.d, np.array([[cut]]), error=0.0))
         kinds = {piece.kinds[k] for piece in group}
         if beyond.max() > _REACH:
-            raise Refused("a piece ends in the window or far from it", self.rougher(np.clip(beyond, -1, _REACH)))
-        # Near vanishing steps the slope is a smooth function of angle over rate, on whose square the angle depends.
+            raise Refused(
+                "a piece ends in the window or far from it",
+                self.rougher(np.clip(beyond, -1, _REACH)),
+            )
+        # Near vanishing steps the slope is a smooth function of angle over rate, on
+        # whose square the angle depends.
         rate = max(piece.rate_beside(k) for piece in group)
         vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
         (kind, *others) = sorted(kinds)
         if kinds <= EVENTS and (others or kind == "end_earlier_strike"):
             return self.event(q, sign, vanishing)
         if others or kind not in EVENTS | {"fold", "end_zero_step"}:
-            numbers = np.unique([piece.kinds[k] for piece in group], return_inverse=True)[1]
-            raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.rougher(numbers.astype(float)))
+            numbers = np.unique(
+                [piece.kinds[k] for piece in group], return_inverse=True
+            )[1]
+            raise Refused(
+                f"a piece ends at {' or '.join(sorted(kinds))}",
+                self.rougher(numbers.astype(float)),
+            )
         known = np.column_stack([piece.end_point(k) for piece in group])
         name = known[:, 0].tobytes()
         if name not in self.located:  # two pieces meet at a fold
-            self.located[name] = self.ends(kind, self.unit[: self.few], known, self.total)
+            self.located[name] = self.ends(
+                kind, self.unit[: self.few], known, self.total
+            )
         points = self.located[name]
         slope = replace(points, coefficients=points.coefficients[:, -1:])
-        return _End("fold", slope) if kind == "fold" else _End("end", slope, vanishing=vanishing)
+        return (
+            _End("fold", slope)
+            if kind == "fold"
+            else _End("end", slope, vanishing=vanishing)
+        )
 
     def event(self, q: np.ndarray, sign: int, vanishing: float) -> _End:
         """An end beyond that of walking, from ln slopes at the centre and the corners."""
@@ -290,32 +365,61 @@ class _Maker(Maker):
         nodes = tensor_nodes(sizes)
         folds = ends[0].kind == "fold", ends[1].kind == "fold"
         vanishing = ends[0].vanishing, ends[1].vanishing
-        span = Span(Chart.through(sizes, np.array([end.at(nodes) for end in ends])), folds, vanishing)
+        span = Span(
+            Chart.through(sizes, np.array([end.at(nodes) for end in ends])),
+            folds,
+            vanishing,
+        )
         gaits, side = self.gaits(group, span)
         points = tensor_nodes((_MEASURED[0], *[_MEASURED[1]] * self.d))
-        along = measured(self.problem(points[:, 1:]), gaits(points), span.log_slope(points), _MEASURED[1] ** self.d)
-        if any(vanishing):  # rounding over step size grows from node to node: it is measured at each gait
+        along = measured(
+            self.problem(points[:, 1:]),
+            gaits(points),
+            span.log_slope(points),
+            _MEASURED[1] ** self.d,
+        )
+        if any(
+            vanishing
+        ):  # rounding over step size grows from node to node: it is measured at each gait
             along[-1][:] = np.nan
         numbers = np.array([[piece.number, piece.place] for piece in group])
         errors = np.array([end.chart.error for end in ends])
         reach = np.array([end.reach for end in ends])
         kinds = ends[0].kind, ends[1].kind
-        return Patch(self.unit[: self.few], numbers, span, kinds, errors, reach, gaits, along, side)
+        return Patch(
+            self.unit[: self.few],
+            numbers,
+            span,
+            kinds,
+            errors,
+            reach,
+            gaits,
+            along,
+            side,
+        )
 
     def gaits(self, group: list[Piece], span: Span) -> tuple[Chart, float]:
-        """The chart of the gaits of a piece over a span, and the side of a fold on which all lie."""
-        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {group[0].number} {group[0].place}")
+        """The chart of the gaits of a piece over a span, and the side of a fold on
+        which all lie.
+        """
+        drawn = self.box.draw(
+            _DRAWN, 1 + self.d, f"patch {group[0].number} {group[0].place}"
+        )
         way = _Way(self, group, span)
 
         def attempt(sizes: tuple[int, ...], before: Chart | None) -> Chart:
             chart = Chart.through(sizes, way.solved(tensor_nodes(sizes), before))
             w = chart(drawn)
-            off = np.abs(newton_step(self.stride(span, drawn, w), w)).max(axis=0) * span.distance(drawn)
+            off = np.abs(newton_step(self.stride(span, drawn, w), w)).max(
+                axis=0
+            ) * span.distance(drawn)
             return replace(chart, error=float(np.nan_to_num(off, nan=np.inf).max()))
 
         first = (_FIRST[0], *[_FIRST[1]] * self.d)
         most = (_MOST, *[_MOST_OF_KEYS[self.d - 1]] * self.d)
-        gaits = fit(attempt(first, None), attempt, most, self.total, _GOOD, _FAIR, self.d)
+        gaits = fit(
+            attempt(first, None), attempt, most, self.total, _GOOD, _FAIR, self.d
+        )
         sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
         if not (sides == way.side).all():
             raise Refused("a fold lies inside")
@@ -327,42 +431,73 @@ class _Maker(Maker):
 
     def near_window(self, pieces: Sequence[Piece], beyond: float) -> list[Piece]:
         """Pieces that reach the window, or `beyond` of it."""
-        return [p for p in pieces if p.q[1] > self.window[0] - beyond and p.q[0] < self.window[1] + beyond]
+        return [
+            p
+            for p in pieces
+            if p.q[1] > self.window[0] - beyond and p.q[0] < self.window[1] + beyond
+        ]
 
     def checked(self, patches: list[Patch]) -> list[Patch]:
-        """Patches that have all pieces of all lines and no others, and whose ends are what they should be."""
-        for number, (unit, line) in enumerate(zip(self.unit[:, None], self.lines, strict=True)):
+        """Patches that have all pieces of all lines and no others, and whose ends are
+        what they should be.
+        """
+        for number, (unit, line) in enumerate(
+            zip(self.unit[:, None], self.lines, strict=True)
+        ):
             alike = _ALIKE[0 if number < self.few else 1]
             pieces = self.near_window(line, 0.5 * _CLEAR)
             for patch in patches:
                 off = [self.compare(patch, piece, unit) for piece in pieces]
-                (low,), (high,) = patch.span.ends(unit) + np.array([[1.0], [-1.0]]) * patch.reach[:, None]
+                (low,), (high,) = (
+                    patch.span.ends(unit)
+                    + np.array([[1.0], [-1.0]]) * patch.reach[:, None]
+                )
                 if off and min(off) < alike:
                     pieces.pop(int(np.argmin(off)))
-                elif high > self.window[0] - 0.5 * _CLEAR and low < self.window[1] + 0.5 * _CLEAR:
+                elif (
+                    high > self.window[0] - 0.5 * _CLEAR
+                    and low < self.window[1] + 0.5 * _CLEAR
+                ):
                     raise Refused("a line lacks a piece")
-            if any(piece.q[1] > self.window[0] and piece.q[0] < self.window[1] for piece in pieces):
+            if any(
+                piece.q[1] > self.window[0] and piece.q[0] < self.window[1]
+                for piece in pieces
+            ):
                 raise Refused("a line has a further piece")
         for patch in patches:
             self.check_ends(patch)
         return patches
 
     def check_ends(self, patch: Patch) -> None:
-        """Refuse a patch that is cut where gaits are no steps, or beyond whose ends of walking they are."""
+        """Refuse a patch that is cut where gaits are no steps, or beyond whose ends of
+        walking they are.
+        """
         for k, kind in enumerate(patch.kinds):
             if kind in ("cut", "beyond"):
-                edges = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d)))
+                edges = np.array(
+                    list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d))
+                )
                 points = np.column_stack([np.full(len(edges), (-1.0, 1.0)[k]), edges])
-                _, check = verify_steps(self.problem(edges), patch.gaits(points), patch.span.log_slope(points))
+                _, check = verify_steps(
+                    self.problem(edges),
+                    patch.gaits(points),
+                    patch.span.log_slope(points),
+                )
                 if check.doubt.any():
-                    raise Refused("samples do not tell whether gaits at a piece's end are steps")
+                    raise Refused(
+                        "samples do not tell whether gaits at a piece's end are steps"
+                    )
                 if not (check.step == (kind == "cut")).all():
                     raise Refused(
-                        "a piece ends before it is cut" if kind == "cut" else "walking goes on beyond its end"
+                        "a piece ends before it is cut"
+                        if kind == "cut"
+                        else "walking goes on beyond its end"
                     )
 
     def compare(self, patch: Patch, piece: Piece, unit: np.ndarray) -> float:
-        """How far a patch is from a piece of a line, at three slopes that both have; infinite where there is none."""
+        """How far a patch is from a piece of a line, at three slopes that both have;
+        infinite where there is none.
+        """
         ends = patch.span.ends(unit)[:, 0]
         low, high = max(ends[0], piece.q[0]), min(ends[1], piece.q[1])
         if low >= high:
@@ -373,17 +508,29 @@ class _Maker(Maker):
 
 
 class _Way:
-    """Gaits of a piece, of lines at the centre and the corners of a box, carried to other points of a span."""
+    """Gaits of a piece, of lines at the centre and the corners of a box, carried to
+    other points of a span.
+    """
 
     def __init__(self, maker: _Maker, group: list[Piece], span: Span):
         self.maker, self.group, self.piece, self.span = maker, group, group[0], span
-        inside = span.points(np.array(self.piece.q), np.repeat(maker.unit[:1], 2, axis=0))[:, 0]
+        inside = span.points(
+            np.array(self.piece.q), np.repeat(maker.unit[:1], 2, axis=0)
+        )[:, 0]
         self.low, self.high = (float(np.clip(x, -1, 1)) for x in inside)
         middle = np.array([[0.5 * (self.low + self.high), *maker.unit[0]]])
-        self.side = float(side_of_fold(maker.stride(span, middle, self.piece.gaits(span.log_slope(middle))))[0])
+        self.side = float(
+            side_of_fold(
+                maker.stride(span, middle, self.piece.gaits(span.log_slope(middle)))
+            )[0]
+        )
 
-    def newton(self, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaits near guesses (m + k, n), and whether they are on the right side of folds, (n,)."""
+    def newton(
+        self, points: np.ndarray, guess: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gaits near guesses (m + k, n), and whether they are on the right side of
+        folds, (n,).
+        """
         problem, q = self.maker.problem(points[:, 1:]), self.span.log_slope(points)
         w, converged = newton(problem, guess, q, enough=_ENOUGH)
         off = np.abs(w - guess) / np.maximum(1.0, np.abs(guess) / _FAST)
@@ -405,18 +552,30 @@ class _Way:
         position, place = np.unique(points[:, 0], return_inverse=True)
         of_lines = []
         for piece, unit in zip(self.group, lines, strict=True):
-            q = self.span.log_slope(np.column_stack([position, np.tile(unit, (len(position), 1))]))
+            q = self.span.log_slope(
+                np.column_stack([position, np.tile(unit, (len(position), 1))])
+            )
             of_lines.append(piece.gaits(q).ravel())
-        every = Chart.of_corners(lines, np.array(of_lines).T)(points[:, 1:]).reshape(-1, len(position), len(points))
+        every = Chart.of_corners(lines, np.array(of_lines).T)(points[:, 1:]).reshape(
+            -1, len(position), len(points)
+        )
         return np.asarray(every[:, place, np.arange(len(points))])
 
-    def carried(self, points: np.ndarray, guesses: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Gaits carried to points (n, 1 + d) along straight lines, as what they are off guesses."""
+    def carried(
+        self, points: np.ndarray, guesses: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Gaits carried to points (n, 1 + d) along straight lines, as what they are off
+        guesses.
+        """
         start = np.tile(self.maker.unit[0], (len(points), 1))
         start = np.column_stack([np.clip(points[:, 0], self.low, self.high), start])
-        gaits = Carried(self.piece.gaits(self.span.log_slope(start)) - guesses(start), _STRIDE)
+        gaits = Carried(
+            self.piece.gaits(self.span.log_slope(start)) - guesses(start), _STRIDE
+        )
 
-        def correct(active: np.ndarray, share: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def correct(
+            active: np.ndarray, share: np.ndarray, off: np.ndarray
+        ) -> tuple[np.ndarray, np.ndarray]:
             at = start[active] + share[:, None] * (points - start)[active]
             guess = guesses(at)
             w, fair = self.newton(at, guess + off)
@@ -425,5 +584,8 @@ class _Way:
         there = gaits.carry(correct)
         if not there.all():
             lost = (points - start)[~there, 1:]
-            raise Refused(f"a gait is lost on its way to {len(lost)} nodes", int(np.abs(lost).sum(axis=0).argmax()))
+            raise Refused(
+                f"a gait is lost on its way to {len(lost)} nodes",
+                int(np.abs(lost).sum(axis=0).argmax()),
+            )
         return gaits.Z + guesses(points)

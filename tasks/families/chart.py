@@ -1,4 +1,6 @@
-"""Charts: polynomials with an error measured at points drawn, and the one rule by which nodes are added to them."""
+"""Charts: polynomials with an error measured at points drawn, and the one rule by which
+nodes are added to them.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,11 @@ from gaitsweep.tasks.families.box import Refused, roots
 
 #: Points at which polynomials are evaluated at a time, and rows of a matrix product.
 _POINTS, _ROWS = 256, 8
-#: Share of the error wanted, or of the largest if all are below, above which the last coefficients along a dimension
-#: ask for more nodes there.
+#: Share of the error wanted, or of the largest if all are below, above which the last
+#: coefficients along a dimension ask for more nodes there.
 _UNRESOLVED = 0.1
-#: Most and fewest nodes along a dimension after some are added, as multiples of those before; at least two are.
+#: Most and fewest nodes along a dimension after some are added, as multiples of those
+#: before; at least two are.
 _MOST_GROWN, _LEAST_GROWN = 1.6, 1.15
 
 
@@ -43,20 +46,28 @@ class Chart:
     size: np.ndarray | float = 1.0
 
     @classmethod
-    def through(cls, sizes: tuple[int, ...], values: np.ndarray, size: np.ndarray | float = 1.0) -> Chart:
-        """Return the chart of values (c, n) at `tensor_nodes(sizes)`, with no error measured."""
+    def through(
+        cls, sizes: tuple[int, ...], values: np.ndarray, size: np.ndarray | float = 1.0
+    ) -> Chart:
+        """Return the chart of values (c, n) at `tensor_nodes(sizes)`, with no error
+        measured.
+        """
         coefficients = values.T.reshape(*sizes, -1)
         for axis, n in enumerate(sizes):
             inverse = 2.0 / n * chebvander(roots(n), n - 1).T
             inverse[0] *= 0.5
-            coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis)
+            coefficients = np.moveaxis(
+                np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis
+            )
         return cls(sizes, coefficients.reshape(values.shape[1], -1), size=size)
 
     @classmethod
     def of_corners(cls, unit: np.ndarray, values: np.ndarray) -> Chart:
-        """Return the chart of values (c, 1 + 2^d) at points inside and near the corners of the cube (1 + 2^d, d).
+        """Return the chart of values (c, 1 + 2^d) at points inside and near the corners
+        of the cube (1 + 2^d, d).
 
-        It is linear in each dimension but for squares, of which all have one coefficient.
+        It is linear in each dimension but for squares, of which all have one
+        coefficient.
         """
         d = unit.shape[1]
         basis = [chebvander(x, 2) for x in unit.T]
@@ -64,17 +75,24 @@ class Chart:
         squares = [tuple(2 * (k == axis) for k in range(d)) for axis in range(d)]
 
         def term(degrees: tuple[int, ...]) -> np.ndarray:
-            return np.prod([own[:, k] for own, k in zip(basis, degrees, strict=True)], axis=0)
+            return np.prod(
+                [own[:, k] for own, k in zip(basis, degrees, strict=True)], axis=0
+            )
 
         terms = np.column_stack([*map(term, linear), sum(map(term, squares))])
         solved = np.linalg.solve(terms, values.T)
         coefficients = np.zeros((*(3,) * d, len(values)))
-        for degrees, own in zip([*linear, *squares], [*solved, *[solved[-1]] * (d - 1)], strict=True):
+        for degrees, own in zip(
+            [*linear, *squares], [*solved, *[solved[-1]] * (d - 1)], strict=True
+        ):
             coefficients[degrees] = own
         return cls((3,) * d, coefficients.reshape(-1, len(values)))
 
-    def __call__(self, points: np.ndarray, columns: Sequence[int] | slice = slice(None)) -> np.ndarray:
-        """Evaluate some of the values at points, each by itself: the bits of one do not depend on the others.
+    def __call__(
+        self, points: np.ndarray, columns: Sequence[int] | slice = slice(None)
+    ) -> np.ndarray:
+        """Evaluate some of the values at points, each by itself: the bits of one do not
+        depend on the others.
 
         Parameters
         ----------
@@ -95,14 +113,20 @@ class Chart:
         return values.T
 
     def _sums(self, points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-        """Sum over one dimension after the other, the last first; what several points share is summed once."""
+        """Sum over one dimension after the other, the last first; what several points
+        share is summed once.
+        """
         c = coefficients.shape[1]
         sums, place = coefficients[None], np.zeros(len(points), int)
         for k in reversed(range(len(self.sizes))):
-            _, first, back = np.unique(points[:, k:], axis=0, return_index=True, return_inverse=True)
+            _, first, back = np.unique(
+                points[:, k:], axis=0, return_index=True, return_inverse=True
+            )
             basis, n = chebvander(points[first, k], self.sizes[k] - 1), self.sizes[k]
             if k == len(self.sizes) - 1:
-                sums = _product(basis, sums.reshape(-1, n, c).swapaxes(0, 1).reshape(n, -1))
+                sums = _product(
+                    basis, sums.reshape(-1, n, c).swapaxes(0, 1).reshape(n, -1)
+                )
             else:  # term by term: how a product of so small matrices rounds depends on where they lie
                 terms = sums[place[first]].reshape(len(first), -1, n, c)
                 sums = np.zeros((len(first), terms.shape[1], c))
@@ -112,14 +136,18 @@ class Chart:
         return sums[place, 0]
 
     def tails(self, last: int = 1) -> np.ndarray:
-        """Return the sums of the sizes of the `last` coefficients in each dimension, over the sizes of the values.
+        """Return the sums of the sizes of the `last` coefficients in each dimension,
+        over the sizes of the values.
 
         Returns
         -------
         ndarray, shape (len(sizes), c)
         """
         c = np.abs(self.coefficients).reshape(*self.sizes, -1)
-        tails = [np.moveaxis(c, k, 0)[-last:].reshape(-1, c.shape[-1]).sum(axis=0) for k in range(len(self.sizes))]
+        tails = [
+            np.moveaxis(c, k, 0)[-last:].reshape(-1, c.shape[-1]).sum(axis=0)
+            for k in range(len(self.sizes))
+        ]
         return np.reshape(tails, (len(self.sizes), c.shape[-1])) / self.size
 
     def range_of(self, column: int) -> tuple[float, float]:
@@ -130,10 +158,16 @@ class Chart:
 
 
 def _product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Rows times a matrix, in blocks of one shape: a product rounds differently for another number of rows."""
+    """Rows times a matrix, in blocks of one shape: a product rounds differently for
+    another number of rows.
+    """
     padded = np.zeros((len(rows) + -len(rows) % _ROWS, rows.shape[1]))
     padded[: len(rows)] = rows
-    return np.asarray((padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)[: len(rows)])
+    return np.asarray(
+        (padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)[
+            : len(rows)
+        ]
+    )
 
 
 def fit(
@@ -145,7 +179,8 @@ def fit(
     fair: float,
     keys: int,
 ) -> Chart:
-    """Add nodes to a chart until it is good, along the dimensions that it does not resolve.
+    """Add nodes to a chart until it is good, along the dimensions that it does not
+    resolve.
 
     Parameters
     ----------
@@ -178,11 +213,16 @@ def fit(
             break
         chart = attempt(sizes, chart)
     if not chart.error <= fair:
-        raise Refused(f"predictions err by {chart.error:.1g}", int(np.argmax(chart.tails().max(axis=1)[-keys:])))
+        raise Refused(
+            f"predictions err by {chart.error:.1g}",
+            int(np.argmax(chart.tails().max(axis=1)[-keys:])),
+        )
     return chart
 
 
 def _grown(n: int, tail: float, goal: float) -> int:
-    """Nodes with which the last coefficients would reach a goal, if they go on falling as they did from 1."""
+    """Nodes with which the last coefficients would reach a goal, if they go on falling
+    as they did from 1.
+    """
     needed = np.log(goal) / np.log(tail) if tail < 1 else _MOST_GROWN
     return max(n + 2, math.ceil(n * min(max(needed, _LEAST_GROWN), _MOST_GROWN)))

@@ -1,4 +1,6 @@
-"""How a box of keys is divided where it cannot be described as one: into cells, or landscapes."""
+"""How a box of keys is divided where it cannot be described as one: into cells, or
+landscapes.
+"""
 
 from __future__ import annotations
 
@@ -12,33 +14,42 @@ from gaitsweep.tasks.families.cell import Cell, Lines, make_cell
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.tuning import Tuning
 
-#: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
-#: along one key never leaves.
+#: Largest excess of halvings along one key over those along another: changes in a box
+#: may follow a curve that halving along one key never leaves.
 _MAX_UNEVENNESS = 2
 #: How often a box may be divided, and fewest lines for which making its patches pays.
 _MAX_SPLITS, _MIN_LINES = 8, 12
-#: Share of the time of a plane's lines that its charts may take in vain, the time of a surveyed line with all that is
-#: made of it, over that of a line, and the least share of their time that lines in described boxes save.
+#: Share of the time of a plane's lines that its charts may take in vain, the time of a
+#: surveyed line with all that is made of it, over that of a line, and the least share
+#: of their time that lines in described boxes save.
 _IN_VAIN, _A_SURVEY, _SAVED = 0.1, 1.5, 0.5
 Part = TypeVar("Part")
 
 
 class Cells(NamedTuple):
-    """The cells of a box, or its halves, and how many lines were surveyed for it in vain."""
+    """The cells of a box, or its halves, and how many lines were surveyed for it in
+    vain.
+    """
 
     made: list[Cell]
     halves: Sequence[Box] = ()
     surveyed: float = 0.0
 
 
-def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
+def divide(
+    box: Box,
+    make: Callable[[Box, str], Part],
+    is_worth: Callable[[Box], bool],
+    splits: int,
+) -> list[Part]:
     """Make the parts into which a box must be divided, the largest first.
 
     Parameters
     ----------
     box : Box
     make : callable
-        Makes a part of a box or raises Refused; with a reason, makes an empty one that gives it.
+        Makes a part of a box or raises Refused; with a reason, makes an empty one that
+        gives it.
     is_worth : callable
         Whether making a box pays.
     splits : int
@@ -62,12 +73,16 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
             if len(place) == splits:
                 parts[place] = make(part, str(refused))
                 continue
-            left += [((*place, i), half) for i, half in enumerate(halves(part, refused))]
+            left += [
+                ((*place, i), half) for i, half in enumerate(halves(part, refused))
+            ]
     return [parts[place] for place in sorted(parts)]
 
 
 def halves(box: Box, refused: Refused) -> tuple[Box, Box]:
-    """Divide a box that was refused: along the key that it tells, or along another that was halved too rarely."""
+    """Divide a box that was refused: along the key that it tells, or along another that
+    was halved too rarely.
+    """
     axis, halved = refused.axis, box.halved or (0,) * len(box.keys)
     if refused.at is None and halved[axis] >= min(halved) + _MAX_UNEVENNESS:
         axis = halved.index(min(halved))
@@ -83,7 +98,8 @@ def make_cells(
     surveyed: float = 0.0,
     many: float = math.inf,
 ) -> Cells:
-    """Make the cells of a box for a window of slopes, as long as that takes less than its lines one by one.
+    """Make the cells of a box for a window of slopes, as long as that takes less than
+    its lines one by one.
 
     Parameters
     ----------
@@ -98,7 +114,8 @@ def make_cells(
     surveyed : float
         Lines that were surveyed in vain before.
     many : float
-        Lines from which on a box that cannot be described whole is halved and its halves are left to others.
+        Lines from which on a box that cannot be described whole is halved and its
+        halves are left to others.
     """
     if not box.origin:
         tuned = [Tuning(family, box, axis).outside() for axis in range(len(box.keys))]
@@ -114,7 +131,9 @@ def make_cells(
 
     def is_worth(part: Box) -> bool:
         in_vain = _A_SURVEY * (surveyed + len(lines.pieces))
-        return lines_in(part) >= _MIN_LINES and in_vain <= _IN_VAIN * count + _SAVED * sum(described)
+        return lines_in(
+            part
+        ) >= _MIN_LINES and in_vain <= _IN_VAIN * count + _SAVED * sum(described)
 
     if count < many or not is_worth(box):
         return Cells(divide(box, cell, is_worth, _MAX_SPLITS))

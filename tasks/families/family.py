@@ -15,7 +15,9 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 @dataclass(frozen=True)
 class Family:
-    """A walker with free keys: its name or table and the keys that have one value, as JSON, and the free ones."""
+    """A walker with free keys: its name or table and the keys that have one value, as
+    JSON, and the free ones.
+    """
 
     text: str
     keys: tuple[str, ...]
@@ -23,7 +25,11 @@ class Family:
     @classmethod
     def of(cls, line: Mapping[str, Any], keys: Iterable[str]) -> Family:
         """Return the family of a line with some keys free."""
-        fixed = {key: value for key, value in (line.get("set") or {}).items() if key not in set(keys)}
+        fixed = {
+            key: value
+            for key, value in (line.get("set") or {}).items()
+            if key not in set(keys)
+        }
         return cls(json.dumps([line["walker"], fixed], sort_keys=True), tuple(keys))
 
     def walkers(self, points: np.ndarray) -> WalkerArray:
@@ -34,4 +40,6 @@ class Family:
         points : ndarray, shape (n, d) [the walker's units]
         """
         walker, fixed = json.loads(self.text)
-        return resolve_many(walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
+        return resolve_many(
+            walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))}
+        )

@@ -1,4 +1,6 @@
-"""The special points of a box of keys, at which the quantities of its designs reach their extremes."""
+"""The special points of a box of keys, at which the quantities of its designs reach
+their extremes.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 
-#: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
+#: Lines surveyed along each key, and designs along each key at which the manifolds are
+#: compared.
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
 #: Further random lines.
 _DRAWN = 2
@@ -42,8 +45,9 @@ _DRAWN = 2
 _NEAR_NODE = 0.02
 #: Predictions that differ by less are both solved.
 _TIE = 1e-3
-#: Kinds of points that get a manifold, if one can be made, already where their value comes this near the best of a
-#: line: points of other kinds become the best only where another point changes its flags.
+#: Kinds of points that get a manifold, if one can be made, already where their value
+#: comes this near the best of a line: points of other kinds become the best only where
+#: another point changes its flags.
 _RIVALS = ("fold", "flip")
 _RIVAL = {
     "smallest_slope": 0.05,
@@ -53,18 +57,21 @@ _RIVAL = {
 }
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MAX_LINES = 6, 8
-#: Share of the lattice whose designs are left to lines instead of halving the box, as a single one is.
+#: Share of the lattice whose designs are left to lines instead of halving the box, as a
+#: single one is.
 _RARE = 0.02
 #: Points closer than this are identical.
 _SAME = 1e-6
-#: Boxes of fewer designs than this are left to lines; most halvings of a box; designs of a box, for each part of it
-#: that is tried, from which on that takes less time than their lines.
+#: Boxes of fewer designs than this are left to lines; most halvings of a box; designs
+#: of a box, for each part of it that is tried, from which on that takes less time than
+#: their lines.
 _MIN_DESIGNS, _MAX_SPLITS, _A_TRY = 64, 8, 100
 
 
 @dataclass
 class Landscape:
-    """A box with the manifolds that hold the extremes of its designs; where it was refused, `why` says so.
+    """A box with the manifolds that hold the extremes of its designs; where it was
+    refused, `why` says so.
 
     Attributes
     ----------
@@ -72,7 +79,8 @@ class Landscape:
     structure : Structure
     manifolds : list of Manifold
     patterns : set of bytes
-        What the flags of all manifolds may be at a design: as on some line that was surveyed.
+        What the flags of all manifolds may be at a design: as on some line that was
+        surveyed.
     any_slope : bool
         Whether the gaits of all designs continue to vanishing slopes.
     why : str
@@ -87,9 +95,14 @@ class Landscape:
 
 
 def points_at(
-    maker: Maker, manifolds: list[Manifold], unit: np.ndarray, window: tuple[float, float], every: bool = False
+    maker: Maker,
+    manifolds: list[Manifold],
+    unit: np.ndarray,
+    window: tuple[float, float],
+    every: bool = False,
 ) -> tuple[Points, np.ndarray, np.ndarray]:
-    """Solve the points of manifolds at designs at which their quantities may have their extremes.
+    """Solve the points of manifolds at designs at which their quantities may have their
+    extremes.
 
     Parameters
     ----------
@@ -108,8 +121,8 @@ def points_at(
     near : ndarray of bool, shape (n,)
         Designs whose points are all as near their predictions as they should be.
     flags : ndarray of int8, shape (n, manifolds)
-        Of which quantities each point may be the extreme, and the side to which the speed grows; -1 where it is not
-        solved.
+        Of which quantities each point may be the extreme, and the side to which the
+        speed grows; -1 where it is not solved.
     """
     n, problem = len(unit), maker.problem(unit)
     if not manifolds:
@@ -118,14 +131,18 @@ def points_at(
     kinds = np.array([manifold.kind for manifold in manifolds])
     froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
     left = np.column_stack([manifold.region.holds(unit) for manifold in manifolds])
-    near = ~np.logical_or.reduce([manifold.region.is_near(unit) for manifold in manifolds])
+    near = ~np.logical_or.reduce(
+        [manifold.region.is_near(unit) for manifold in manifolds]
+    )
     flags = np.where(left, -1, 0).astype(np.int8)
     parts = [nothing(problem)]
     served = {name: np.full(n, np.inf) for name in QUANTITIES}
     while left.any():
         due = left.copy() if every else np.zeros_like(left)
         for name in QUANTITIES:
-            value = np.column_stack([values(name, Z[-1], v) for Z, v in zip(predicted, froude, strict=True)])
+            value = np.column_stack(
+                [values(name, Z[-1], v) for Z, v in zip(predicted, froude, strict=True)]
+            )
             value[:, ~may_be(name, kinds)] = np.inf
             value[~left] = np.inf
             first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE
@@ -139,7 +156,9 @@ def points_at(
             flags[lanes, k] = _flags(points, window)
             for name, which in roles(points, window).items():
                 value = values(name, points.log_slope, points.log_froude)
-                served[name][lanes] = np.minimum(served[name][lanes], np.where(which, value, np.inf))
+                served[name][lanes] = np.minimum(
+                    served[name][lanes], np.where(which, value, np.inf)
+                )
             parts.append(points)
     return join_lanes(parts), near, flags
 
@@ -159,11 +178,15 @@ def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
     """
     known = np.array([np.frombuffer(pattern, np.int8) for pattern in sorted(patterns)])
     known = known.reshape(len(patterns), flags.shape[1])
-    return np.asarray(((flags[:, None] == known) | (flags[:, None] < 0)).all(axis=2).any(axis=1))
+    return np.asarray(
+        ((flags[:, None] == known) | (flags[:, None] < 0)).all(axis=2).any(axis=1)
+    )
 
 
 def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
-    """Quantities of which points may be the extremes, and the side to which the speed grows, in bits, shape (n,)."""
+    """Quantities of which points may be the extremes, and the side to which the speed
+    grows, in bits, shape (n,).
+    """
     every = roles(points, window)
     bits = [*every.values(), every["fastest_stable_speed"] & points.faster]
     return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
@@ -171,7 +194,9 @@ def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Line:
-    """A surveyed line: the structure and keys (d,) [the walker's units] of its walker, and its points."""
+    """A surveyed line: the structure and keys (d,) [the walker's units] of its walker,
+    and its points.
+    """
 
     structure: Structure
     keys: np.ndarray
@@ -179,11 +204,17 @@ class _Line:
 
 
 class _Surveyor:
-    """Finds the manifolds of a box; `lines` are those surveyed for boxes that hold it, to which its own are added."""
+    """Finds the manifolds of a box; `lines` are those surveyed for boxes that hold it,
+    to which its own are added.
+    """
 
     def __init__(self, family: Family, box: Box, sought: Sought, lines: list[_Line]):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
-        self.maker, self.box, self.lines = Maker(family, box, self.structure), box, lines
+        self.maker, self.box, self.lines = (
+            Maker(family, box, self.structure),
+            box,
+            lines,
+        )
         self.sought, self.window = sought, sought.window
         self.d = len(box.keys)
         self.unit = np.zeros((0, self.d))
@@ -191,28 +222,43 @@ class _Surveyor:
         self.nodes = np.zeros(0, int)  # numbers of the lines at or beside the nodes
         self.manifolds: list[Manifold] = []
         self.tried: set[tuple[str, int, str]] = set()
-        #: For each line the share of the lattice that it stands for; lines whose designs are left to be surveyed.
+        #: For each line the share of the lattice that it stands for; lines whose
+        #: designs are left to be surveyed.
         self.shares: list[float] = []
         self.left: set[int] = set()
-        # Evenly in the keys, and in their logarithms too where these are the coordinates.
+        # Evenly in the keys, and in their logarithms too where these are the
+        # coordinates.
         even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, self.d))
-        both = np.vstack([even, box.unit(Box(box.keys, box.low, box.high).at(even))]).round(9)
+        both = np.vstack(
+            [even, box.unit(Box(box.keys, box.low, box.high).at(even))]
+        ).round(9)
         axes = [np.unique(both[:, k]) for k in range(self.d)]
-        self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.d)
+        self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(
+            -1, self.d
+        )
 
     def check_tuning(self) -> None:
-        """Refuse a box of two keys in which walkers are tuned at one value of a key, whatever the other is.
+        """Refuse a box of two keys in which walkers are tuned at one value of a key,
+        whatever the other is.
 
-        Beside it points at the window's edge have ends on both sides, and a region has one.
+        Beside it points at the window's edge have ends on both sides, and a region has
+        one.
         """
         for axis in range(self.d if self.d == 2 else 0):
-            tunings = [Tuning(self.maker.family, self.box, axis, others) for others in (-1.0, 0.0, 1.0)]
-            found = [value for tuning in tunings if (value := tuning.inside()) is not None]
+            tunings = [
+                Tuning(self.maker.family, self.box, axis, others)
+                for others in (-1.0, 0.0, 1.0)
+            ]
+            found = [
+                value for tuning in tunings if (value := tuning.inside()) is not None
+            ]
             if len(found) == len(tunings) and np.ptp(found) < _SAME * abs(found[0]):
                 raise Refused("tuned walkers inside", axis, found[0])
 
     def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
-        """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""
+        """Survey lines, which stand for shares of the lattice, all of it where none are
+        given; locate their points.
+        """
         problem = self.maker.problem(unit)
         points = find(problem, survey_lines(problem, COARSE), self.sought)
         lines = []
@@ -223,16 +269,26 @@ class _Surveyor:
         self.lines += lines
         self.take(unit, lines, shares)
 
-    def take(self, unit: np.ndarray, lines: Sequence[_Line], shares: Sequence[float] = ()) -> None:
-        """Take surveyed lines, which stand for shares of the lattice, all of it where none are given."""
+    def take(
+        self, unit: np.ndarray, lines: Sequence[_Line], shares: Sequence[float] = ()
+    ) -> None:
+        """Take surveyed lines, which stand for shares of the lattice, all of it where
+        none are given.
+        """
         self.points += [line.points for line in lines]
         self.unit = np.vstack([self.unit, unit])
         self.shares += shares or [1.0] * len(unit)
 
     def begin(self) -> None:
-        """Take the lines that are known, and survey the others at nodes and at random designs."""
+        """Take the lines that are known, and survey the others at nodes and at random
+        designs.
+        """
         nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
-        inside = [line for line in self.lines if line.structure == self.structure and self.box.holds(line.keys)]
+        inside = [
+            line
+            for line in self.lines
+            if line.structure == self.structure and self.box.holds(line.keys)
+        ]
         if inside:
             self.take(self.box.unit(np.array([line.keys for line in inside])), inside)
         known = np.abs(nodes[:, None] - self.unit).max(axis=2, initial=0.0) < _NEAR_NODE
@@ -257,45 +313,78 @@ class _Surveyor:
         vanishing = [ANY_SLOPE in points.kind[points.walks] for points in self.points]
         if len(set(vanishing)) > 1:
             raise Refused("some designs walk at any slope", self.roughest())
-        return Landscape(self.box, self.structure, self.manifolds, patterns, vanishing[0])
+        return Landscape(
+            self.box, self.structure, self.manifolds, patterns, vanishing[0]
+        )
 
     def missing(self, rivals: bool) -> bool:
-        """Add a manifold through an extreme of a line that lies on none; or all through points that rival extremes."""
-        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
+        """Add a manifold through an extreme of a line that lies on none; or all through
+        points that rival extremes.
+        """
+        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[
+            0
+        ]
         for i, points in enumerate(self.points):
             for name, (number,) in best(points, 1, self.window).items():
                 if number < 0 or points.kind[number] == ANY_SLOPE or i in self.left:
                     continue
                 value = values(name, points.log_slope, points.log_froude)
-                near = roles(points, self.window)[name] & (value < value[number] + _RIVAL[name] * rivals)
+                near = roles(points, self.window)[name] & (
+                    value < value[number] + _RIVAL[name] * rivals
+                )
                 for k in np.flatnonzero(near) if rivals else [number]:
                     kind = str(points.kind[k])
-                    on = [_is_same(points, k, own, j) for j in np.flatnonzero(own.line == i)]
-                    if any(on) or (rivals and (kind not in _RIVALS or (kind, i, name) in self.tried)):
+                    on = [
+                        _is_same(points, k, own, j)
+                        for j in np.flatnonzero(own.line == i)
+                    ]
+                    if any(on) or (
+                        rivals
+                        and (kind not in _RIVALS or (kind, i, name) in self.tried)
+                    ):
                         continue
                     if kind not in SCALARS:
                         raise Refused(f"a branch ends at {kind}", self.roughest())
                     self.tried.add((kind, i, name))
                     edges = np.array(self.window)
                     edge = float(edges[np.abs(edges - points.log_slope[k]).argmin()])
-                    target = {"window": edge, "speed": self.sought.log_speed or 0.0}.get(kind, 0.0)
+                    target = {
+                        "window": edge,
+                        "speed": self.sought.log_speed or 0.0,
+                    }.get(kind, 0.0)
                     try:
-                        self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
+                        self.manifolds.append(
+                            self.maker.manifold(
+                                kind, self.unit[i], points.Z[:, k], target
+                            )
+                        )
                     except Refused:
-                        if not rivals and self.shares[i] > max(_RARE, 1 / len(self.lattice)):
+                        if not rivals and self.shares[i] > max(
+                            _RARE, 1 / len(self.lattice)
+                        ):
                             raise
                         if not rivals:
                             self.left.add(i)
                         continue
                     if not rivals:
                         return True
-                    new, _, _ = points_at(self.maker, self.manifolds[-1:], self.unit, self.window, every=True)
+                    new, _, _ = points_at(
+                        self.maker,
+                        self.manifolds[-1:],
+                        self.unit,
+                        self.window,
+                        every=True,
+                    )
                     own = join_lanes([own, new])
         return False
 
     def patterns(self) -> set[bytes]:
-        """Flags of the manifolds on lines whose extremes they reproduce, and on none whose extremes they do not."""
-        own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)
+        """Flags of the manifolds on lines whose extremes they reproduce, and on none
+        whose extremes they do not.
+        """
+        own, near, flags = points_at(
+            self.maker, self.manifolds, self.unit, self.window, every=True
+        )
         chosen = best(own, len(self.unit), self.window)
         patterns: set[bytes] = set()
         others: set[bytes] = set()
@@ -305,20 +394,28 @@ class _Surveyor:
                 if number >= 0 and points.kind[number] == ANY_SLOPE:
                     continue
                 j = chosen[name][i]
-                agrees &= (number < 0) == (j < 0) and (number < 0 or _is_same(points, number, own, j))
+                agrees &= (number < 0) == (j < 0) and (
+                    number < 0 or _is_same(points, number, own, j)
+                )
             if near[i]:
                 (patterns if agrees else others).add(flags[i].tobytes())
         return patterns - others
 
     def unknown(self, patterns: set[bytes]) -> tuple[np.ndarray, list[float]]:
-        """Designs (n, d) of the lattice with flags of no line so far, one for each, and the share with these."""
-        _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
+        """Designs (n, d) of the lattice with flags of no line so far, one for each, and
+        the share with these.
+        """
+        _, near, flags = points_at(
+            self.maker, self.manifolds, self.lattice, self.window, every=True
+        )
         every: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
             every.setdefault(flags[i].tobytes(), []).append(i)
         known = {row.tobytes() for row in self.unit}
         places, shares = [], []
-        for pattern, members in sorted(every.items(), key=lambda item: (-len(item[1]), item[1][0])):
+        for pattern, members in sorted(
+            every.items(), key=lambda item: (-len(item[1]), item[1][0])
+        ):
             of = self.lattice[members]
             place = of[np.abs(of - of.mean(axis=0)).max(axis=1).argmin()]
             if pattern not in patterns and place.tobytes() not in known:
@@ -330,17 +427,27 @@ class _Surveyor:
         """The key along which the surveyed lines change most, or else the widest."""
         kinds = []
         for points in [self.points[i] for i in self.nodes]:
-            kinds.append(" ".join(str(points.kind[k]) for (k,) in best(points, 1, self.window).values() if k >= 0))
+            kinds.append(
+                " ".join(
+                    str(points.kind[k])
+                    for (k,) in best(points, 1, self.window).values()
+                    if k >= 0
+                )
+            )
         _, number = np.unique(kinds, return_inverse=True)
         number = number.reshape((len(_NODES),) * self.d)
-        return int(np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]))
+        return int(
+            np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)])
+        )
 
 
 def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
     return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
 
 
-def make(family: Family, box: Box, sought: Sought, count: int, splits: int = _MAX_SPLITS) -> list[Landscape]:
+def make(
+    family: Family, box: Box, sought: Sought, count: int, splits: int = _MAX_SPLITS
+) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
 
     Parameters

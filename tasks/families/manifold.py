@@ -1,4 +1,6 @@
-"""Special points as functions of keys: polynomials that predict a point, and the rows that polish it in one step."""
+"""Special points as functions of keys: polynomials that predict a point, and the rows
+that polish it in one step.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import foot_radius, log_froude_by_Z, newton_step
+from gaitsweep.tasks.continuation.defining import (
+    foot_radius,
+    log_froude_by_Z,
+    newton_step,
+)
 from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
@@ -16,7 +22,8 @@ from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.step_map import SAMPLES
 
-#: Factor by which a point may lie farther from its prediction, and err more, than those drawn.
+#: Factor by which a point may lie farther from its prediction, and err more, than those
+#: drawn.
 _SAFETY = 8.0
 #: Smallest error of predictions: below is rounding.
 LEAST = 1e-9
@@ -24,14 +31,15 @@ LEAST = 1e-9
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Share of the way to a turn within which designs are surveyed, the smallest that counts, and that by which rounding
-#: puts designs on the border of a box beyond it.
+#: Share of the way to a turn within which designs are surveyed, the smallest that
+#: counts, and that by which rounding puts designs on the border of a box beyond it.
 _AT_TURN, _MIN_SHARE, _BORDER = 1e-5, 1e-12, 1e-12
 
 
 @dataclass(frozen=True)
 class Region:
-    """The part of a box that a manifold covers: up to a curve along one key, or all of it.
+    """The part of a box that a manifold covers: up to a curve along one key, or all of
+    it.
 
     Attributes
     ----------
@@ -42,10 +50,12 @@ class Region:
     curve : Chart
         The coordinate at which it ends over that of the other key, if there is one.
     turns : bool
-        Whether two sheets meet there: beside it points depend on the root of the distance.
+        Whether two sheets meet there: beside it points depend on the root of the
+        distance.
     powers : tuple of float
-        Where steps vanish there: the powers of the root of the distance with which the exponentials of the coordinates
-        of a point grow, and after them that of the derivatives of its scalar.
+        Where steps vanish there: the powers of the root of the distance with which the
+        exponentials of the coordinates of a point grow, and after them that of the
+        derivatives of its scalar.
     """
 
     axis: int
@@ -69,11 +79,17 @@ class Region:
         return np.asarray(self.curve(np.delete(unit, self.axis, axis=1))[0])
 
     def share(self, unit: np.ndarray) -> np.ndarray:
-        """Return the share (n,) of the way from the box's own border to the curve at designs (n, d)."""
-        return np.asarray((1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit)))
+        """Return the share (n,) of the way from the box's own border to the curve at
+        designs (n, d).
+        """
+        return np.asarray(
+            (1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit))
+        )
 
     def own(self, unit: np.ndarray) -> np.ndarray:
-        """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which it is smooth."""
+        """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which
+        it is smooth.
+        """
         own, share = unit.copy(), self.share(unit)
         if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
@@ -89,7 +105,8 @@ class Region:
         return unit
 
     def growth(self, unit: np.ndarray) -> tuple[np.ndarray | float, np.ndarray | float]:
-        """Return what is known of points where steps vanish at the curve; elsewhere 0 and 1.
+        """Return what is known of points where steps vanish at the curve; elsewhere 0
+        and 1.
 
         Parameters
         ----------
@@ -106,10 +123,14 @@ class Region:
         if not self.powers:
             return 0.0, 1.0
         log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _MIN_SHARE))
-        return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
+        return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(
+            self.powers[-1] * log_root
+        )
 
     def predict(self, chart: Chart, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return points and the derivatives of their scalar, (c, n) each, of a chart over it at designs (n, d)."""
+        """Return points and the derivatives of their scalar, (c, n) each, of a chart
+        over it at designs (n, d).
+        """
         Z, rows = np.split(chart(self.own(unit)), 2)
         growth, factor = self.growth(unit)
         return Z + growth, rows * factor
@@ -119,7 +140,9 @@ class Region:
         return np.asarray(self.share(unit) <= 1 + _BORDER)
 
     def is_near(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs (n, d) lie too near a curve where two sheets meet, or steps vanish, bool (n,)."""
+        """Return whether designs (n, d) lie too near a curve where two sheets meet, or
+        steps vanish, bool (n,).
+        """
         return np.asarray((np.abs(self.share(unit) - 1) < _AT_TURN) & self.is_root)
 
 
@@ -134,8 +157,8 @@ class Manifold:
         As `tasks.continuation.defining.scalar` has it.
     region : Region
     chart : Chart
-        Of Z and of the derivatives of the kind's scalar (2 c values); its error is the largest Newton step from
-        predictions at random points.
+        Of Z and of the derivatives of the kind's scalar (2 c values); its error is the
+        largest Newton step from predictions at random points.
     linear, quadratic : float
         Largest error after a Newton step, over the step and over its square.
     """
@@ -162,7 +185,8 @@ class Manifold:
         return self.region.predict(self.chart, unit)
 
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Solve the points of designs that are `there`, by a Newton step from their predictions.
+        """Solve the points of designs that are `there`, by a Newton step from their
+        predictions.
 
         Parameters
         ----------
@@ -178,18 +202,36 @@ class Manifold:
             Whether they are as near their predictions as they should be.
         """
         Z, rows = self.predict(unit)
-        step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
+        step = newton_step(
+            problem,
+            self.kind,
+            Z,
+            rows,
+            self.target,
+            0 if _is_end(self.kind) else SAMPLES,
+        )
         near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
         walks = _walks(problem, self.kind, step, near)
         error = self._error(step.last_step) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))
         if len(again):
-            further = newton_step(problem.some(again), self.kind, step.Z[:, again], rows[:, again], self.target)
+            further = newton_step(
+                problem.some(again),
+                self.kind,
+                step.Z[:, again],
+                rows[:, again],
+                self.target,
+            )
             step.Z[:, again] = further.Z
             error[again] = self._error(further.last_step) + further.rounding
-        points = classify(self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks)
-        # Where the speed grows towards the other side of the point, it has a maximum before it.
-        points.faster = total(log_froude_by_Z(Z, foot_radius(problem)) * step.direction) > 0
+        points = classify(
+            self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks
+        )
+        # Where the speed grows towards the other side of the point, it has a maximum
+        # before it.
+        points.faster = (
+            total(log_froude_by_Z(Z, foot_radius(problem)) * step.direction) > 0
+        )
         return points, near
 
     def _error(self, size: np.ndarray) -> np.ndarray:
@@ -202,7 +244,9 @@ def _is_end(kind: str) -> bool:
 
 
 def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarray:
-    """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
+    """Whether special points are steps whose legs pass once, or, of an end, the gaits
+    just before it.
+    """
     walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
     if not len(lanes):
         return walks

@@ -1,4 +1,6 @@
-"""A patch: charts that predict the gaits on one piece of a family's branches, and whether gaits are those predicted."""
+"""A patch: charts that predict the gaits on one piece of a family's branches, and
+whether gaits are those predicted.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,17 @@ from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 
-#: How far Newton's method may move a prediction, in units of the largest error that was measured.
+#: How far Newton's method may move a prediction, in units of the largest error that was
+#: measured.
 PREDICTED_WITHIN = 8.0
-#: By how much the Lipschitz constant may exceed that at the nearest places where it was measured.
+#: By how much the Lipschitz constant may exceed that at the nearest places where it was
+#: measured.
 _LIPSCHITZ_SAFETY = 4.0
 
 
 def side_of_fold(stride: AnyStride) -> np.ndarray:
-    """Return a sign that changes where gaits pass a fold: that of the determinant of the equations' derivative.
+    """Return a sign that changes where gaits pass a fold: that of the determinant of
+    the equations' derivative.
 
     Parameters
     ----------
@@ -37,26 +42,32 @@ def side_of_fold(stride: AnyStride) -> np.ndarray:
         0 where the derivative is singular or not finite.
     """
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1))))
+        return np.asarray(
+            np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1)))
+        )
 
 
 @dataclass(frozen=True)
 class Patch:
-    """The gaits on one piece of a family's branches, in a box of keys and a range of slopes.
+    """The gaits on one piece of a family's branches, in a box of keys and a range of
+    slopes.
 
     Attributes
     ----------
     lines, numbers : ndarray, shape (l, d) and (l, 2)
-        Coordinates of keys of surveyed lines, and on each the numbers of the branch and of the piece on it.
+        Coordinates of keys of surveyed lines, and on each the numbers of the branch and
+        of the piece on it.
     span : Span
         The piece, or the part of it at which it is cut.
     kinds : (str, str)
-        Of which kind its ends are: `cut`, where the piece goes on, `fold`, `end`, where walking ends, or `beyond`,
-        where the equations go on and walking ended before.
+        Of which kind its ends are: `cut`, where the piece goes on, `fold`, `end`, where
+        walking ends, or `beyond`, where the equations go on and walking ended before.
     end_errors, reach : ndarray, shape (2,)
-        Errors of folds and located ends, and how far before an end beyond walking that may be, in ln slope.
+        Errors of folds and located ends, and how far before an end beyond walking that
+        may be, in ln slope.
     gaits : Chart
-        Of the gaits in similarity coordinates; its error is the largest correction that was measured.
+        Of the gaits in similarity coordinates; its error is the largest correction that
+        was measured.
     measured : tuple of ndarray
         What `measured` gives at `roots(p)` along the piece.
     side : float
@@ -78,15 +89,24 @@ class Patch:
         """The part of the span in which all gaits are steps."""
         if not self.reach.any():
             return self.span
-        keys = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=len(self.span.ends.sizes))))
+        keys = np.array(
+            list(itertools.product((-1.0, 0.0, 1.0), repeat=len(self.span.ends.sizes)))
+        )
         low, high = self.span.ends(keys)
-        inner = self.span.points(np.concatenate([low + self.reach[0], high - self.reach[1]]), np.vstack([keys, keys]))
+        inner = self.span.points(
+            np.concatenate([low + self.reach[0], high - self.reach[1]]),
+            np.vstack([keys, keys]),
+        )
         low, high = np.split(0.5 * (1 + inner[:, 0]), 2)
         return replace(self.span, part=(float(low.max()), float(high.min())))
 
     def numbers_at(self, unit: np.ndarray) -> np.ndarray:
-        """Return the numbers of branch and piece (n, 2) on the surveyed line nearest to coordinates of keys (n, d)."""
-        return self.numbers[np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)]
+        """Return the numbers of branch and piece (n, 2) on the surveyed line nearest to
+        coordinates of keys (n, d).
+        """
+        return self.numbers[
+            np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)
+        ]
 
     def guesses(self, unit: np.ndarray, slope: np.ndarray) -> Guesses:
         """Predict gaits.
@@ -97,16 +117,29 @@ class Patch:
             Coordinates of keys.
         slope : ndarray, shape (n,) [rad]
         """
-        points, (lipschitz, gradient, std) = self.span.points(np.log(slope), unit), self.measured
+        points, (lipschitz, gradient, std) = (
+            self.span.points(np.log(slope), unit),
+            self.measured,
+        )
         last = len(lipschitz) - 1
         node = np.abs(points[:, :1] - roots(last + 1)).argmin(axis=1)
         around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
         lipschitz = _LIPSCHITZ_SAFETY * np.max([lipschitz[k] for k in around], axis=0)
         std = np.max([std[:, k] for k in around], axis=0)
-        return Guesses(self.gaits(points), slope, lipschitz, gradient[..., node], std, np.full(len(slope), UNKNOWN))
+        return Guesses(
+            self.gaits(points),
+            slope,
+            lipschitz,
+            gradient[..., node],
+            std,
+            np.full(len(slope), UNKNOWN),
+        )
 
-    def judge(self, at: Polished, w: np.ndarray, q: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which gaits are as predicted (steps, or none near an end of walking), and which are steps.
+    def judge(
+        self, at: Polished, w: np.ndarray, q: np.ndarray, unit: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which gaits are as predicted (steps, or none near an end of walking),
+        and which are steps.
 
         Parameters
         ----------
@@ -129,7 +162,9 @@ class Patch:
         return near_predictions(at, w, error, self.side) & (at.step | may_end), at.step
 
 
-def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def measured(
+    problem: Problem, w: np.ndarray, q: np.ndarray, each: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measure what the error bounds of gaits need, for groups of gaits.
 
     Parameters
@@ -146,17 +181,23 @@ def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple
     Returns
     -------
     lipschitz, gradient, rounding_std : ndarray, shape (g,), (m, m + k, g) and (o + m, g)
-        The largest Lipschitz estimate of each group, its mean gradient and the root of its mean variance of rounding,
-        as `Guesses` has them.
+        The largest Lipschitz estimate of each group, its mean gradient and the root of
+        its mean variance of rounding, as `Guesses` has them.
     """
     lipschitz, gradient = curvature(problem, w, q)
     variance = rounding_std(problem, w, q) ** 2
-    gradient, variance = (total(values[..., k::each] for k in range(each)) / each for values in (gradient, variance))
+    gradient, variance = (
+        total(values[..., k::each] for k in range(each)) / each
+        for values in (gradient, variance)
+    )
     return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)
 
 
-def near_predictions(at: Polished, w: np.ndarray, error: np.ndarray | float, side: float) -> np.ndarray:
-    """Whether gaits converged as near their predictions as they should, on the right side of a fold.
+def near_predictions(
+    at: Polished, w: np.ndarray, error: np.ndarray | float, side: float
+) -> np.ndarray:
+    """Whether gaits converged as near their predictions as they should, on the right
+    side of a fold.
 
     Parameters
     ----------
@@ -175,4 +216,8 @@ def near_predictions(at: Polished, w: np.ndarray, error: np.ndarray | float, sid
     """
     with np.errstate(invalid="ignore"):
         moved = np.abs(at.w - w).max(axis=0)
-    return np.asarray(at.converged & (moved < PREDICTED_WITHIN * error) & (side_of_fold(at.stride) == side))
+    return np.asarray(
+        at.converged
+        & (moved < PREDICTED_WITHIN * error)
+        & (side_of_fold(at.stride) == side)
+    )

@@ -17,17 +17,24 @@ _NEAREST = 1e-9
 _NARROWEST = 2.0**-12
 
 
-def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """Return the share of the range of ln slope at a coordinate from 0 to 1 in which gaits are smooth.
+def along(
+    share: np.ndarray,
+    folds: tuple[bool, bool],
+    vanishing: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
+    """Return the share of the range of ln slope at a coordinate from 0 to 1 in which
+    gaits are smooth.
 
     Parameters
     ----------
     share : ndarray
     folds : (bool, bool)
-        Whether the piece begins and ends at a fold, where gaits depend on the root of the distance in ln slope.
+        Whether the piece begins and ends at a fold, where gaits depend on the root of
+        the distance in ln slope.
     vanishing : (float, float)
-        Where it begins or ends at steps that nearly vanish, minus the logarithm of the share of the piece that is left:
-        there gaits depend on that logarithm. 0 elsewhere.
+        Where it begins or ends at steps that nearly vanish, minus the logarithm of the
+        share of the piece that is left: there gaits depend on that logarithm. 0
+        elsewhere.
 
     Returns
     -------
@@ -38,14 +45,21 @@ def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[float, f
         return 1 - along(1 - share, folds[::-1], vanishing[::-1])
     low, high = folds
     if vanishing[1]:
-        return np.expm1(-vanishing[1] * (share**2 if low else share)) / np.expm1(-vanishing[1])
+        return np.expm1(-vanishing[1] * (share**2 if low else share)) / np.expm1(
+            -vanishing[1]
+        )
     if low and high:
         return 0.5 * (1 - np.cos(np.pi * share))
     return share**2 if low else 1 - (1 - share) ** 2 if high else share
 
 
-def coordinate(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """Return the coordinate at a share of the range of ln slope, the inverse of `along`.
+def coordinate(
+    share: np.ndarray,
+    folds: tuple[bool, bool],
+    vanishing: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
+    """Return the coordinate at a share of the range of ln slope, the inverse of
+    `along`.
 
     Parameters
     ----------
@@ -72,7 +86,8 @@ def coordinate(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[flo
 
 @dataclass(frozen=True)
 class Span:
-    """Part of a piece of branches, over 0 to 2 keys; points of it are a position from -1 to 1 and coordinates of keys.
+    """Part of a piece of branches, over 0 to 2 keys; points of it are a position from
+    -1 to 1 and coordinates of keys.
 
     Attributes
     ----------
@@ -92,7 +107,9 @@ class Span:
     part: tuple[float, float] = (0.0, 1.0)
 
     @classmethod
-    def between(cls, ends: np.ndarray, keys: int, folds: tuple[bool, bool] = (False, False)) -> Span:
+    def between(
+        cls, ends: np.ndarray, keys: int, folds: tuple[bool, bool] = (False, False)
+    ) -> Span:
         """Return the span between two ln slopes (2,), whatever the keys."""
         return cls(Chart((1,) * keys, ends[None]), folds)
 
@@ -100,10 +117,16 @@ class Span:
         """Return the ln slopes (n,) of points (n, 1 + d)."""
         low, high = self.ends(points[:, 1:])
         start, stop = self.part
-        return low + (high - low) * along(start + (stop - start) * 0.5 * (1 + points[:, 0]), self.folds, self.vanishing)
+        return low + (high - low) * along(
+            start + (stop - start) * 0.5 * (1 + points[:, 0]),
+            self.folds,
+            self.vanishing,
+        )
 
     def points(self, q: np.ndarray, unit: np.ndarray | None = None) -> np.ndarray:
-        """Return the points (n, 1 + d) at ln slopes (n,) and coordinates of keys (n, d), the inverse of `log_slope`."""
+        """Return the points (n, 1 + d) at ln slopes (n,) and coordinates of keys (n,
+        d), the inverse of `log_slope`.
+        """
         unit = np.zeros((len(q), 0)) if unit is None else unit
         low, high = self.ends(unit)
         start, stop = self.part
@@ -111,12 +134,19 @@ class Span:
         return np.column_stack([2 * (share - start) / (stop - start) - 1, unit])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return how far points (n, 1 + d) are from the piece's folds, as a share of the piece, (n,); 1 without."""
+        """Return how far points (n, 1 + d) are from the piece's folds, as a share of
+        the piece, (n,); 1 without.
+        """
         start, stop = self.part
         share = start + (stop - start) * 0.5 * (1 + points[:, 0])
         low, high = self.folds
         return np.asarray(
-            np.clip(np.minimum(share if low else 1.0, 1 - share if high else 1.0), _NEAREST, 1.0) * np.ones(len(points))
+            np.clip(
+                np.minimum(share if low else 1.0, 1 - share if high else 1.0),
+                _NEAREST,
+                1.0,
+            )
+            * np.ones(len(points))
         )
 
     @property
@@ -126,7 +156,8 @@ class Span:
         return float(low), float(high)
 
     def samples(self, nodes: int) -> np.ndarray:
-        """Return Chebyshev nodes of a span over no keys and, between and beyond them, points drawn by its hash.
+        """Return Chebyshev nodes of a span over no keys and, between and beyond them,
+        points drawn by its hash.
 
         Returns
         -------
@@ -135,9 +166,15 @@ class Span:
         """
         numbers = np.array([*self.ends.coefficients[0], *self.folds, *self.part])
         seed = int.from_bytes(hashlib.sha256(numbers.tobytes()).digest()[:8], "little")
-        angle = np.arange(nodes + 1) + np.random.default_rng(seed).random(nodes + 1) - 0.5
-        # Beyond the outermost nodes there is only half a gap, and very near its end a gait beside a fold is rounding.
-        angle[0], angle[-1] = 0.4 * angle[0] + 0.3, nodes - 0.3 + 0.4 * (angle[-1] - nodes)
+        angle = (
+            np.arange(nodes + 1) + np.random.default_rng(seed).random(nodes + 1) - 0.5
+        )
+        # Beyond the outermost nodes there is only half a gap, and very near its end a
+        # gait beside a fold is rounding.
+        angle[0], angle[-1] = (
+            0.4 * angle[0] + 0.3,
+            nodes - 0.3 + 0.4 * (angle[-1] - nodes),
+        )
         return np.concatenate([roots(nodes), -np.cos(np.pi * angle / nodes)])[:, None]
 
     def halves(self) -> Iterator[Span]:

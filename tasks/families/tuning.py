@@ -1,4 +1,6 @@
-"""Where the walkers of a box are tuned: their gaits continue to vanishing slopes, and special points move by powers."""
+"""Where the walkers of a box are tuned: their gaits continue to vanishing slopes, and
+special points move by powers.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,16 @@ from gaitsweep.tasks.walkers.walker import WalkerError
 
 #: Places along a key beside which walkers may be tuned, and how far outside they count.
 _PLACES, _NEAR = np.linspace(-1, 1, 9), 1.25
-#: A face lies where walkers are tuned if the slope at which its own are balanced, over the largest of the box, is less
-#: than this: the place may be a root, found to about so much. It says how a box is divided, not who is tuned.
+#: A face lies where walkers are tuned if the slope at which its own are balanced, over
+#: the largest of the box, is less than this: the place may be a root, found to about so
+#: much. It says how a box is divided, not who is tuned.
 _AT_FACE = 1e-9
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Slopes at which still walkers, legs together, are balanced, along a key through the middle of a box.
+    """Slopes at which still walkers, legs together, are balanced, along a key through
+    the middle of a box.
 
     Attributes
     ----------
@@ -40,7 +44,9 @@ class Tuning:
     others: float = 0.0
 
     def balanced(self, at: np.ndarray) -> np.ndarray:
-        """Return the slopes [rad] at coordinates of the key, shape (n,) both: of that order are smallest slopes."""
+        """Return the slopes [rad] at coordinates of the key, shape (n,) both: of that
+        order are smallest slopes.
+        """
         unit = np.full((len(at), len(self.box.keys)), self.others)
         unit[:, self.axis] = at
         walkers = self.family.walkers(self.box.at(unit))
@@ -64,11 +70,15 @@ class Tuning:
         return bool(low), bool(high)
 
     def inside(self) -> float | None:
-        """Return the first value of the key between the faces at which walkers are tuned [the walker's units]."""
+        """Return the first value of the key between the faces at which walkers are
+        tuned [the walker's units].
+        """
         return None if any(self.at_faces()) else self._between(_PLACES, self.slopes)
 
     def outside(self) -> float | None:
-        """Return a value of the key near outside faces that are not, where walkers are tuned [the walker's units]."""
+        """Return a value of the key near outside faces that are not, where walkers are
+        tuned [the walker's units].
+        """
         for side in () if any(self.at_faces()) else (-1, 1):
             places = side * np.array([1.0, _NEAR])
             # Some walkers outside cannot be.
@@ -78,7 +88,9 @@ class Tuning:
         return None
 
     def _between(self, places: np.ndarray, slopes: np.ndarray) -> float | None:
-        """The first value of the key at which walkers are tuned, between places with these slopes."""
+        """The first value of the key at which walkers are tuned, between places with
+        these slopes.
+        """
         crossing = np.flatnonzero(np.sign(slopes[1:]) != np.sign(slopes[:-1]))
         if not len(crossing):
             return None
@@ -89,7 +101,9 @@ class Tuning:
         return float(self.box.at(unit)[0, self.axis])
 
     def beside(self) -> int:
-        """Return -1 or 1 if walkers are tuned at the lower or the upper face, or just outside or inside; 0 if not."""
+        """Return -1 or 1 if walkers are tuned at the lower or the upper face, or just
+        outside or inside; 0 if not.
+        """
         for side in (-1, 1):
             a, b = self.balanced(side * np.array([0.9, 1.1]))
             if a * b < 0:

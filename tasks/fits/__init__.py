@@ -1,1 +1,3 @@
-"""Laws fitted to arrays: `power_law`, the `transition` between two power laws, and `feigenbaum` ratios."""
+"""Laws fitted to arrays: `power_law`, the `transition` between two power laws, and
+`feigenbaum` ratios.
+"""

@@ -1,10 +1,13 @@
-"""Feigenbaum's scaling of a cascade: ratios of its intervals and the slope of accumulation."""
+"""Feigenbaum's scaling of a cascade: ratios of its intervals and the slope of
+accumulation.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Feigenbaum's constant (M. J. Feigenbaum, J. Stat. Phys. 19, 1978), to the digits a double holds.
+#: Feigenbaum's constant (M. J. Feigenbaum, J. Stat. Phys. 19, 1978), to the digits a
+#: double holds.
 DELTA = 4.669201609102990
 
 

@@ -1,4 +1,6 @@
-"""Power laws y = a x^p, fitted over the range where the local exponent is constant to a tolerance."""
+"""Power laws y = a x^p, fitted over the range where the local exponent is constant to a
+tolerance.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Range of the local exponent allowed on a plateau, and the decades and points that a plateau must span.
+#: Range of the local exponent allowed on a plateau, and the decades and points that a
+#: plateau must span.
 FLATNESS, MIN_DECADES, MIN_POINTS = 0.01, 1.0, 5
 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """A fitted law: exponent with its interval, amplitude, and the range and number of points of the fit.
+    """A fitted law: exponent with its interval, amplitude, and the range and number of
+    points of the fit.
 
-    The interval joins the 95 % confidence interval of the regression with the range of local exponents on the
-    plateau: for computed data the curvature of the function, not scatter, is the error.
+    The interval joins the 95 % confidence interval of the regression with the range of
+    local exponents on the plateau: for computed data the curvature of the function, not
+    scatter, is the error.
     """
 
     exponent: float
@@ -56,7 +61,8 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     PowerLaw or None
         None below three points.
     """
-    # `scipy.stats` has regression too, but takes longer to import than most fits to compute, points included.
+    # `scipy.stats` has regression too, but takes longer to import than most fits to
+    # compute, points included.
     from scipy.special import stdtrit
 
     if len(x) < 3:
@@ -66,7 +72,8 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     slope = float(from_mean @ (log_y - log_y.mean()) / (from_mean @ from_mean))
     intercept = log_y.mean() - slope * log_x.mean()
     local = local_exponents(x, y)
-    # From the residuals: computed from 1 - r^2 the error of a good fit is lost to rounding.
+    # From the residuals: computed from 1 - r^2 the error of a good fit is lost to
+    # rounding.
     residual = log_y - (intercept + slope * log_x)
     error = np.sqrt(residual @ residual / (len(x) - 2) / (from_mean @ from_mean))
     half_width = float(stdtrit(len(x) - 2, 0.975) * error)
@@ -81,8 +88,11 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     )
 
 
-def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:
-    """Find the runs of points over which the local exponent changes by less than `flatness`, in order of x.
+def plateaus(
+    x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS
+) -> list[tuple[int, int]]:
+    """Find the runs of points over which the local exponent changes by less than
+    `flatness`, in order of x.
 
     Parameters
     ----------
@@ -98,7 +108,8 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
     """
     p = local_exponents(x, y)
     runs, start = [], 0
-    # Monotonic queues: indices of the run's largest and smallest exponents and of those that may succeed them.
+    # Monotonic queues: indices of the run's largest and smallest exponents and of those
+    # that may succeed them.
     high: deque[int] = deque()
     low: deque[int] = deque()
     for i, value in enumerate(p):
@@ -117,4 +128,8 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
                 if extremes[0] < start:
                     extremes.popleft()
     runs.append((start, len(p)))
-    return [(a, b) for a, b in runs if b - a + 1 >= MIN_POINTS and np.log10(x[b] / x[a]) >= MIN_DECADES]
+    return [
+        (a, b)
+        for a, b in runs
+        if b - a + 1 >= MIN_POINTS and np.log10(x[b] / x[a]) >= MIN_DECADES
+    ]

@@ -1,4 +1,6 @@
-"""The rho^(3/2) transition of short steps with light feet (sections 4.1 and 6.3 of the paper)."""
+"""The rho^(3/2) transition of short steps with light feet (sections 4.1 and 6.3 of the
+paper).
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,17 @@ import numpy as np
 
 from gaitsweep.tasks.fits.power_law import fit
 
-#: Above the transition all walkers with light feet follow walker D: angle = B slope^(1/3) as slope -> 0
-#: (M. Garcia et al., J. Biomech. Eng. 120, 1998).
+#: Above the transition all walkers with light feet follow walker D: angle = B
+#: slope^(1/3) as slope -> 0 (M. Garcia et al., J. Biomech. Eng. 120, 1998).
 CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
-#: Largest deviation from 1 of the exponent over the slopes that the linear law is fitted to.
+#: Largest deviation from 1 of the exponent over the slopes that the linear law is
+#: fitted to.
 _LINEAR = 0.05
 
 
 def asymptotic(ratio: np.ndarray) -> np.ndarray:
-    """Slope at which the two laws cross, to leading order in the foot mass ratio: ratio^(3/2) coth^2(pi/2)/8.
+    """Slope at which the two laws cross, to leading order in the foot mass ratio:
+    ratio^(3/2) coth^2(pi/2)/8.
 
     Parameters
     ----------
@@ -30,7 +34,9 @@ def asymptotic(ratio: np.ndarray) -> np.ndarray:
     return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
 
 
-def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float, float, int]:
+def linear_amplitude(
+    slope: np.ndarray, angle: np.ndarray
+) -> tuple[float, float, float, int]:
     """Fit the limit of angle/slope as slope -> 0.
 
     Parameters
@@ -41,8 +47,9 @@ def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float
     Returns
     -------
     amplitude, error, largest, n : float, float, float [rad], int
-        The limit, its relative standard error, the largest slope and the number of points of the fit; NaN below four,
-        and where the angle does not grow with the slope there, so that the slopes begin above the linear law.
+        The limit, its relative standard error, the largest slope and the number of
+        points of the fit; NaN below four, and where the angle does not grow with the
+        slope there, so that the slopes begin above the linear law.
 
     Notes
     -----
@@ -53,7 +60,9 @@ def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float
     near = np.abs(y - y[0]) < 0.02
     last = int(np.argmin(near)) if not near.all() else len(y)
     # Many slopes may lie within 2 % of any law.
-    if last < 4 or abs(y[last - 1] - y[0]) > _LINEAR * math.log(slope[last - 1] / slope[0]):
+    if last < 4 or abs(y[last - 1] - y[0]) > _LINEAR * math.log(
+        slope[last - 1] / slope[0]
+    ):
         return math.nan, math.nan, math.nan, last
     design = np.stack([np.ones(last), (slope[:last] / slope[last - 1]) ** 2], axis=1)
     solution, residual, _, _ = np.linalg.lstsq(design, y[:last], rcond=None)
@@ -76,7 +85,8 @@ class FittedLines:
     slope : float [rad]
         Where they cross.
     below, above : float [rad]
-        The lower line is fitted to slopes below the one, the upper one, of power 1/3, above the other.
+        The lower line is fitted to slopes below the one, the upper one, of power 1/3,
+        above the other.
     exponent, amplitude : float
         The lower law, angle = amplitude slope^exponent.
     cube_root : float
@@ -103,8 +113,9 @@ def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> Fitte
     Returns
     -------
     FittedLines
-        The lower line is fitted over slopes below expected/10, the upper, held at power 1/3, above 3 expected; its
-        numbers are NaN where either has fewer than three points.
+        The lower line is fitted over slopes below expected/10, the upper, held at power
+        1/3, above 3 expected; its numbers are NaN where either has fewer than three
+        points.
     """
     low, high = expected / 10, expected * 3
     lower = fit(slope[slope < low], angle[slope < low])

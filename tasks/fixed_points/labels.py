@@ -13,19 +13,22 @@ def places(angle: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     angle : ndarray, shape (k, n)
-        Stance angles [rad], or any increasing function of them, of up to k gaits at each of n slopes; NaN for none.
+        Stance angles [rad], or any increasing function of them, of up to k gaits at
+        each of n slopes; NaN for none.
     ratio : ndarray, shape (k, n)
         (thigh rate - stance rate)/|stance rate| just before heelstrike.
 
     Returns
     -------
     ndarray of int, shape (k, n)
-        0 (`long`) or 1 (`short`) for the largest angle of each, from 2 on for the others by decreasing angle, -1
-        where there is no gait.
+        0 (`long`) or 1 (`short`) for the largest angle of each, from 2 on for the
+        others by decreasing angle, -1 where there is no gait.
     """
     exists, long = np.isfinite(angle), ratio < LONG_BELOW
     labels = np.where(exists, np.where(long, 0, 1), -1)
-    crowded = np.flatnonzero(((exists & long).sum(axis=0) > 1) | ((exists & ~long).sum(axis=0) > 1))
+    crowded = np.flatnonzero(
+        ((exists & long).sum(axis=0) > 1) | ((exists & ~long).sum(axis=0) > 1)
+    )
     order = np.argsort(-angle[:, crowded], axis=0, kind="stable")
     place = np.take_along_axis(labels[:, crowded], order, axis=0)
     first = np.zeros(place.shape, bool)

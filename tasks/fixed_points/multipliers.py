@@ -8,9 +8,11 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.sums import norm, polynomial
 
-#: Radius around an eigenvalue that is tried, over that which a linear change would need.
+#: Radius around an eigenvalue that is tried, over that which a linear change would
+#: need.
 _ROUCHE = 1.25
-#: Largest move of an eigenvalue, over its distance from the next, that is found to first order.
+#: Largest move of an eigenvalue, over its distance from the next, that is found to
+#: first order.
 _SIMPLE = 1e-3
 
 
@@ -22,7 +24,8 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     jacobian : ndarray, shape (m, m, n)
         Derivative of the map on its section.
     width : int
-        Number of multipliers, at least m; those beyond the section's dimension are exactly zero (paper, section 2.2).
+        Number of multipliers, at least m; those beyond the section's dimension are
+        exactly zero (paper, section 2.2).
 
     Returns
     -------
@@ -44,21 +47,27 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     else:
         finite = np.isfinite(jacobian).all(axis=(0, 1))
         values[:, :m] = np.nan
-        values[finite, :m] = np.linalg.eigvals(np.moveaxis(jacobian[:, :, finite], -1, 0))
-    order = np.lexsort((-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1)
+        values[finite, :m] = np.linalg.eigvals(
+            np.moveaxis(jacobian[:, :, finite], -1, 0)
+        )
+    order = np.lexsort(
+        (-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1
+    )
     values[:, :m] = np.take_along_axis(values[:, :m], order, axis=1)
     return values
 
 
 def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
-    """Coefficients of the characteristic polynomial: c of z^m - c_1 z^(m-1) + c_2 z^(m-2) - ...
+    """Coefficients of the characteristic polynomial: c of z^m - c_1 z^(m-1) + c_2
+    z^(m-2) - ...
 
     Parameters
     ----------
     jacobian : ndarray, shape (m, m, n)
         m is 2 or 3.
     sign : float
-        That of odd permutations: 1 for permanents, which of absolute values show how the coefficients round.
+        That of odd permutations: 1 for permanents, which of absolute values show how
+        the coefficients round.
 
     Returns
     -------
@@ -67,12 +76,18 @@ def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
     """
 
     def minor(i: int, j: int) -> np.ndarray:
-        return np.asarray(jacobian[i, i] * jacobian[j, j] + sign * jacobian[i, j] * jacobian[j, i])
+        return np.asarray(
+            jacobian[i, i] * jacobian[j, j] + sign * jacobian[i, j] * jacobian[j, i]
+        )
 
     if len(jacobian) == 2:
         return np.stack([jacobian[0, 0] + jacobian[1, 1], minor(0, 1)])
     (a, b, c), (d, e, f), (g, h, i) = jacobian
-    determinant = a * (e * i + sign * f * h) + b * (f * g + sign * d * i) + c * (d * h + sign * e * g)
+    determinant = (
+        a * (e * i + sign * f * h)
+        + b * (f * g + sign * d * i)
+        + c * (d * h + sign * e * g)
+    )
     return np.stack([a + e + i, minor(0, 1) + minor(0, 2) + minor(1, 2), determinant])
 
 
@@ -98,12 +113,15 @@ def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray
     largest = norm(np.concatenate(jacobian)) + error
     factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
     powers = [np.ones_like(largest), largest, largest * largest][:m]
-    return np.stack([factor * power * error for factor, power in zip(factors, powers, strict=True)])
+    return np.stack(
+        [factor * power * error for factor, power in zip(factors, powers, strict=True)]
+    )
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """How eigenvalues move with the coefficients of the characteristic polynomial, to first order.
+    """How eigenvalues move with the coefficients of the characteristic polynomial, to
+    first order.
 
     Parameters
     ----------
@@ -130,7 +148,8 @@ def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Bound of the error of every eigenvalue, for errors of the coefficients of the characteristic polynomial.
+    """Bound of the error of every eigenvalue, for errors of the coefficients of the
+    characteristic polynomial.
 
     Parameters
     ----------
@@ -146,25 +165,31 @@ def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
     Notes
     -----
     At an eigenvalue the true polynomial, a product of distances from its zeros, is no larger than the polynomial's
-    change d there: one zero lies within d^(1/m). By Rouche's theorem one lies within r if on that circle the product of
-    the distances from all eigenvalues exceeds the change; if eigenvalues are simple, an r little above d over the
-    product of the distances of the others.
+    change d there: one zero lies within d^(1/m). By Rouche's theorem one lies within r
+    if on that circle the product of the distances from all eigenvalues exceeds the
+    change; if eigenvalues are simple, an r little above d over the product of the
+    distances of the others.
     """
     m = len(error)
     worst = np.zeros(error.shape[1])
     for i in range(m):
         size = np.abs(values[:, i])
         change = polynomial(error, size)
-        gaps = np.array([np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i])
+        gaps = np.array(
+            [np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i]
+        )
         radius = _ROUCHE * change / math.prod(gaps)
         on_circle = radius * math.prod(gaps - radius)
-        is_simple = (radius < gaps.min(axis=0)) & (on_circle >= polynomial(error, size + radius))
+        is_simple = (radius < gaps.min(axis=0)) & (
+            on_circle >= polynomial(error, size + radius)
+        )
         worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
     return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
 
 
 def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
-    """Return the largest magnitude of the multipliers that do not define a special point.
+    """Return the largest magnitude of the multipliers that do not define a special
+    point.
 
     Parameters
     ----------

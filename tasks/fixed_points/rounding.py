@@ -13,7 +13,8 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 def reported(
     problem: Problem, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is reported of gaits: the angle and the rates with which they start, and the period.
+    """What is reported of gaits: the angle and the rates with which they start, and the
+    period.
 
     Parameters
     ----------
@@ -42,21 +43,31 @@ def reported(
 
 
 def reported_sizes(values: np.ndarray) -> np.ndarray:
-    """Scales (o, n) of the errors of what is reported: for rates the largest of them, which alone cannot vanish."""
+    """Scales (o, n) of the errors of what is reported: for rates the largest of them,
+    which alone cannot vanish.
+    """
     return np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
 
 
-def sensitivity(stride: AnyStride, values: np.ndarray, by_unknowns: np.ndarray) -> np.ndarray:
-    """How far relative errors of 1 of image and legs' angles at the strikes move what is reported, (o, n)."""
+def sensitivity(
+    stride: AnyStride, values: np.ndarray, by_unknowns: np.ndarray
+) -> np.ndarray:
+    """How far relative errors of 1 of image and legs' angles at the strikes move what
+    is reported, (o, n).
+    """
     residual = residual_sizes(stride.y + stride.newton, len(stride.newton_times))
-    return reported_sizes(values) + matvec(np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual))
+    return reported_sizes(values) + matvec(
+        np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual)
+    )
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def characteristic_scale(stride: AnyStride) -> np.ndarray:
-    """How far a relative error of 1 on the way moves the coefficients of the derivative's characteristic polynomial.
+    """How far a relative error of 1 on the way moves the coefficients of the
+    derivative's characteristic polynomial.
 
-    Eliminating the event times divides by the rates of the guards, twice: the derivative, and their own error.
+    Eliminating the event times divides by the rates of the guards, twice: the
+    derivative, and their own error.
 
     Parameters
     ----------
@@ -75,14 +86,17 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
     return np.asarray(powers * (1 + by_time / slowest))
 
 
-#: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
+#: Units in which a step is evaluated to see how it rounds; a number divisible by
+#: fifteen is exact in each.
 UNITS = (1.0, 0.75, 1.25, 0.9375)
-#: Distance of neighbouring states: enough to round differently, and near enough to the gait even for long steps.
+#: Distance of neighbouring states: enough to round differently, and near enough to the
+#: gait even for long steps.
 _NEIGHBOUR = 1e-11
 
 
 def by_fifteen(y: np.ndarray) -> np.ndarray:
-    """Return numbers near others that are exact in each of the units: divisible by fifteen, with few bits.
+    """Return numbers near others that are exact in each of the units: divisible by
+    fifteen, with few bits.
 
     Parameters
     ----------
@@ -97,10 +111,14 @@ def by_fifteen(y: np.ndarray) -> np.ndarray:
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1) -> np.ndarray:
-    """Standard deviation that rounding gives angle, rates and period of a fixed point, over their `sensitivity`.
+def rounding_std(
+    problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1
+) -> np.ndarray:
+    """Standard deviation that rounding gives angle, rates and period of a fixed point,
+    over their `sensitivity`.
 
-    And the coefficients of the derivative's characteristic polynomial, over their `characteristic_scale`.
+    And the coefficients of the derivative's characteristic polynomial, over their
+    `characteristic_scale`.
 
     Parameters
     ----------
@@ -129,11 +147,19 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
         for unit in UNITS:
             parameters = problem.parameters(slope, power * unit)
             stride = problem.map(y / unit, w[m:], parameters)
-            _, gait, by_unknowns = reported(problem, stride.y + stride.newton, stride.newton_times, parameters)
-            values.append(np.vstack([gait[:-1] * unit, gait[-1:], characteristic(stride.jacobian)]))
+            _, gait, by_unknowns = reported(
+                problem, stride.y + stride.newton, stride.newton_times, parameters
+            )
+            values.append(
+                np.vstack(
+                    [gait[:-1] * unit, gait[-1:], characteristic(stride.jacobian)]
+                )
+            )
         # The sensitivity is the same in all units but for rounding: the last serves.
         by_image = sensitivity(stride, gait, by_unknowns)
-        scale = np.vstack([by_image[:-1] * unit, by_image[-1:], characteristic_scale(stride)])
+        scale = np.vstack(
+            [by_image[:-1] * unit, by_image[-1:], characteristic_scale(stride)]
+        )
         off = values - total(values) / len(UNITS)
         variances.append(total(off * off) / (len(UNITS) - 1) / scale**2)
     known = np.isfinite(variances)
@@ -141,7 +167,8 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
 
 
 def rounding(stride: AnyStride) -> np.ndarray:
-    """Estimate how far rounding of the step map alone can move the fixed point, relative to `sizes`.
+    """Estimate how far rounding of the step map alone can move the fixed point,
+    relative to `sizes`.
 
     Parameters
     ----------
@@ -155,20 +182,32 @@ def rounding(stride: AnyStride) -> np.ndarray:
     Notes
     -----
     With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
-    the step, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. Rounding on the way lies between the two.
-    The estimate tells Newton when to stop; bounds measure it (`rounding_std`, `defining.slope_error`).
+    the step, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. Rounding on
+    the way lies between the two. The estimate tells Newton when to stop; bounds measure
+    it (`rounding_std`, `defining.slope_error`).
     """
     size = sizes(stride.y)
-    # Off balance, a short step has rates that far exceed its section's; their rounding accumulates on the way.
-    # Where a strike is tangential to the last digit neither the image nor the rates are corrected.
+    # Off balance, a short step has rates that far exceed its section's; their rounding
+    # accumulates on the way. Where a strike is tangential to the last digit neither the
+    # image nor the rates are corrected.
     one, n = stride.one, size.shape[1]
     impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
-    fastest = np.maximum(impact.reshape(-1, n).max(axis=0), np.abs(one.start).reshape(-1, n).max(axis=0))
+    fastest = np.maximum(
+        impact.reshape(-1, n).max(axis=0), np.abs(one.start).reshape(-1, n).max(axis=0)
+    )
     beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
-    # Angles and rates mix on the way, so the rounding of all is that of the largest. A point foot's motion has few
-    # constants; that of others many, each of them rounded, and several times the operations.
+    # Angles and rates mix on the way, so the rounding of all is that of the largest. A
+    # point foot's motion has few constants; that of others many, each of them rounded,
+    # and several times the operations.
     share = 0.5 if len(stride.jacobian) == 2 else 3.0
-    image = np.broadcast_to(share * (size + np.abs(stride.residual[: len(size)] + stride.y)).max(axis=0), size.shape)
+    image = np.broadcast_to(
+        share * (size + np.abs(stride.residual[: len(size)] + stride.y)).max(axis=0),
+        size.shape,
+    )
     inverse = stride.inverse[: len(size), : len(size)]
     through = np.abs(inverse - np.eye(len(size))[:, :, None])
-    return EPS * (matvec(np.abs(inverse), image + beyond) + matvec(through, size + beyond)) / size
+    return (
+        EPS
+        * (matvec(np.abs(inverse), image + beyond) + matvec(through, size + beyond))
+        / size
+    )

@@ -1,4 +1,6 @@
-"""Fixed points without a known gait to begin with: a lattice of initial guesses over the section."""
+"""Fixed points without a known gait to begin with: a lattice of initial guesses over
+the section.
+"""
 
 from __future__ import annotations
 
@@ -15,31 +17,43 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.verify_step import StepCheck
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Coarse Newton steps of a guess: what is not near a gait by then hardly ever converges.
+#: Coarse Newton steps of a guess: what is not near a gait by then hardly ever
+#: converges.
 _MAX_ITERATIONS = 15
-#: Guesses whose first, second, ... Newton step is larger are given up: hardly one converges, and others reach its gait.
-#: By the number of phases of a step.
+#: Guesses whose first, second, ... Newton step is larger are given up: hardly one
+#: converges, and others reach its gait. By the number of phases of a step.
 _MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
-#: Guesses in one cell of this size after three steps converge to one gait: the nearest to it continues.
+#: Guesses in one cell of this size after three steps converge to one gait: the nearest
+#: to it continues.
 _MERGE_CELL = 0.1
-#: Stance angles of the lattice, and its periods over the time in which the leg swings by itself: with straight legs,
-#: and with knees. Gaits of random walkers have periods of 0.5 to 1.8 swings.
+#: Stance angles of the lattice, and its periods over the time in which the leg swings
+#: by itself: with straight legs, and with knees. Gaits of random walkers have periods
+#: of 0.5 to 1.8 swings.
 _ANGLES, _ANGLES_KNEED = 9, 7
-_PERIODS, _PERIODS_KNEED = (0.5, 0.65, 0.8, 0.95, 1.1, 1.27, 1.6), (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42)
-#: Periods farther apart have another between them [sqrt(leg/g)]: a slow leg's steps nearly end upright.
+_PERIODS, _PERIODS_KNEED = (
+    (0.5, 0.65, 0.8, 0.95, 1.1, 1.27, 1.6),
+    (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42),
+)
+#: Periods farther apart have another between them [sqrt(leg/g)]: a slow leg's steps
+#: nearly end upright.
 _LARGEST_GAP = 1.25
-#: Rates of kneed legs just before heelstrike, the swing leg's over the stance leg's: of long and of short gaits.
+#: Rates of kneed legs just before heelstrike, the swing leg's over the stance leg's: of
+#: long and of short gaits.
 _RATIOS = (0.8, 0.0)
 #: Periods of the lattice replaced by those in which point feet exchange places.
 _EXCHANGED = (2, 3)
 #: Largest rate over angle of a guess.
 _MAX_RATE = 20.0
-#: Largest rate [sqrt(g/leg)] to which linear theory is of use, and the swing leg's over the angle of a guess beyond.
+#: Largest rate [sqrt(g/leg)] to which linear theory is of use, and the swing leg's over
+#: the angle of a guess beyond.
 _LINEAR_UP_TO, _PLAIN_SWING = 1.0, -0.5
 
 
-def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.ndarray]:
-    """Return the initial guesses at some slopes, from a lattice over step length and period.
+def starts(
+    walker: Walker, slopes: Sequence[float], shares: int = 1
+) -> list[np.ndarray]:
+    """Return the initial guesses at some slopes, from a lattice over step length and
+    period.
 
     Parameters
     ----------
@@ -56,10 +70,11 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     Notes
     -----
     Stance angles run from the linear (slope) to the cube-root scaling, periods are those of `periods`. The rates are
-    those with which, to first order in the angles, the legs exchange places in the period, with knees the stance leg
-    alone; where these are too large for linear theory, as on steep slopes, the stance leg has that of an inverted
-    pendulum. With point feet heelstrike fixes the ratio of the rates, so that both legs do so in certain periods only:
-    the two shortest take the place of two of the lattice.
+    those with which, to first order in the angles, the legs exchange places in the
+    period, with knees the stance leg alone; where these are too large for linear
+    theory, as on steep slopes, the stance leg has that of an inverted pendulum. With
+    point feet heelstrike fixes the ratio of the rates, so that both legs do so in
+    certain periods only: the two shortest take the place of two of the lattice.
     """
     linear = SmallAngles(walker)
     angles, others = (_ANGLES_KNEED, [_RATIOS]) if walker.knees else (_ANGLES, [])
@@ -67,7 +82,9 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     for i, slope in enumerate(slopes):
         top = np.log(min(2.0 * slope ** (1 / 3), 1.2))
         bottom = np.log(max(0.7 * slope, 0.02 * slope ** (1 / 3)))
-        grid = np.meshgrid(np.linspace(bottom, top, angles), _periods(linear), *others, indexing="ij")
+        grid = np.meshgrid(
+            np.linspace(bottom, top, angles), _periods(linear), *others, indexing="ij"
+        )
         lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))
 
     counts = [lattice.shape[1] for lattice in lattices]
@@ -81,7 +98,9 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
 
 
 def periods(walker: Walker) -> np.ndarray:
-    """Periods of the guesses, from that in which the walker's leg swings by itself, shape (k,) [sqrt(leg/g)]."""
+    """Periods of the guesses, from that in which the walker's leg swings by itself,
+    shape (k,) [sqrt(leg/g)].
+    """
     return _periods(SmallAngles(walker))
 
 
@@ -98,8 +117,12 @@ def _straight_guesses(
     """Rates over the angle and periods of guesses for straight legs."""
     if linear.point_foot:
         lattice = _periods(linear)
-        for place, exchange in zip(_EXCHANGED, linear.exchange_periods(angle, slope), strict=True):
-            period = np.where((period == lattice[place]) & np.isfinite(exchange), exchange, period)
+        for place, exchange in zip(
+            _EXCHANGED, linear.exchange_periods(angle, slope), strict=True
+        ):
+            period = np.where(
+                (period == lattice[place]) & np.isfinite(exchange), exchange, period
+            )
 
     rates = linear.exchange_rates(angle, period, slope)
     plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
@@ -116,9 +139,15 @@ def _straight_guesses(
 
 
 def _kneed_guesses(
-    linear: SmallAngles, angle: np.ndarray, period: np.ndarray, ratio: np.ndarray, slope: np.ndarray
+    linear: SmallAngles,
+    angle: np.ndarray,
+    period: np.ndarray,
+    ratio: np.ndarray,
+    slope: np.ndarray,
 ) -> list[np.ndarray]:
-    """Rates over the angle just before heelstrike, times of kneestrike and periods of guesses for legs with knees."""
+    """Rates over the angle just before heelstrike, times of kneestrike and periods of
+    guesses for legs with knees.
+    """
     rate, kneestrike = linear.kneed_exchange(angle, period, ratio, slope)
     is_linear = np.abs(rate) <= _LINEAR_UP_TO
     plain = -1.0 / np.tanh(period / 2)
@@ -126,8 +155,11 @@ def _kneed_guesses(
     return [rate, ratio * rate, kneestrike, period]
 
 
-def search(problem: Problem, slope: float) -> tuple[np.ndarray, AnyStride | None, StepCheck | None]:
-    """Find the distinct fixed points that the lattice of guesses leads to at one slope, in order of the stance angle.
+def search(
+    problem: Problem, slope: float
+) -> tuple[np.ndarray, AnyStride | None, StepCheck | None]:
+    """Find the distinct fixed points that the lattice of guesses leads to at one slope,
+    in order of the stance angle.
 
     Parameters
     ----------
@@ -148,8 +180,11 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, AnyStride | None
     return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
 
 
-def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> list[list[np.ndarray]]:
-    """Find the distinct fixed points that the lattice of guesses leads to, whether they are steps or not.
+def search_lines(
+    problem: Lanes, slopes: Sequence[float], shares: int = 1
+) -> list[list[np.ndarray]]:
+    """Find the distinct fixed points that the lattice of guesses leads to, whether they
+    are steps or not.
 
     Parameters
     ----------
@@ -165,27 +200,42 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
         In similarity coordinates, for each slope one array a line.
     """
     lines = range(len(problem.lanes))
-    lattice = [w for line in lines for w in starts(problem.walker_of(line), slopes, shares)]
+    lattice = [
+        w for line in lines for w in starts(problem.walker_of(line), slopes, shares)
+    ]
     # A group is a slope of a line.
     group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
 
-    def solve(w: np.ndarray, group: np.ndarray, apart: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        w: np.ndarray, group: np.ndarray, apart: float, **options: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         lanes = problem.some(group // len(slopes))
-        w, converged = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
+        w, converged = newton(
+            lanes, w, log_slope[group % len(slopes)], group=group, **options
+        )
         w, group = w[:, converged], group[converged]
         kept, _ = distinct(w, group, apart)
         return w[:, kept], group[kept]
 
-    limits = {"max_iterations": _MAX_ITERATIONS, "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases]}
+    limits = {
+        "max_iterations": _MAX_ITERATIONS,
+        "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases],
+    }
     # Only what converges with coarse integration is integrated exactly.
     w, group = solve(w, group, 1e-3, coarse=True, merge_cell=_MERGE_CELL, **limits)
     w, group = solve(w, group, 1e-5)
-    return [[w[:, group == i + len(slopes) * line] for line in lines] for i in range(len(slopes))]
+    return [
+        [w[:, group == i + len(slopes) * line] for line in lines]
+        for i in range(len(slopes))
+    ]
 
 
-def distinct(w: np.ndarray, group: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which solutions remain, in a fixed order, if those nearer than `apart` to one that remains of their group go.
+def distinct(
+    w: np.ndarray, group: np.ndarray, apart: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which solutions remain, in a fixed order, if those nearer than `apart` to one
+    that remains of their group go.
 
     Parameters
     ----------

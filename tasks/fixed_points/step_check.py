@@ -23,9 +23,13 @@ def verified(stride: AnyStride) -> StepCheck:
 
 
 def verify_steps(
-    problem: Problem, w: np.ndarray, log_slope: np.ndarray, sampled: AnyStride | None = None
+    problem: Problem,
+    w: np.ndarray,
+    log_slope: np.ndarray,
+    sampled: AnyStride | None = None,
 ) -> tuple[AnyStride, StepCheck]:
-    """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely, twice.
+    """Verify that fixed points are steps; lanes that samples leave in doubt are sampled
+    16 times as finely, twice.
 
     Parameters
     ----------
@@ -41,7 +45,8 @@ def verify_steps(
     stride : Stride
         The sampled steps.
     check : StepCheck
-        Where a doubt is left, the finest samples do not tell whether a guard only comes near zero.
+        Where a doubt is left, the finest samples do not tell whether a guard only comes
+        near zero.
     """
     stride = sampled or problem.stride(w, log_slope, samples=SAMPLES)[0]
     check = verified(stride)
@@ -49,7 +54,9 @@ def verify_steps(
         lanes = np.flatnonzero(check.doubt)
         if not len(lanes):
             break
-        fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=samples)
+        fine, _ = problem.some(lanes).stride(
+            w[:, lanes], log_slope[lanes], samples=samples
+        )
         replace_lanes(check, lanes, verified(fine))
     return stride, check
 
@@ -57,7 +64,8 @@ def verify_steps(
 # Where heelstrike is tangential to the last digit its rates have no value.
 @np.errstate(invalid="ignore", divide="ignore")
 def gait_ratio(stride: AnyStride) -> np.ndarray:
-    """Return the gait ratio (swing rate - stance rate)/|stance rate| just before heelstrike.
+    """Return the gait ratio (swing rate - stance rate)/|stance rate| just before
+    heelstrike.
 
     Of gaits of several steps it is that of the step with the largest stance angle.
 
@@ -73,5 +81,8 @@ def gait_ratio(stride: AnyStride) -> np.ndarray:
     """
     each = stride.singles
     stance, swing = each.impact
-    ratio, angle = (values.reshape(stride.steps, -1) for values in ((swing - stance) / np.abs(stance), each.y[0]))
+    ratio, angle = (
+        values.reshape(stride.steps, -1)
+        for values in ((swing - stance) / np.abs(stance), each.y[0])
+    )
     return np.take_along_axis(ratio, angle.argmax(axis=0)[None], axis=0)[0]

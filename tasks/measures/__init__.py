@@ -1,1 +1,3 @@
-"""Measures of a gait: impact `losses`, `kinematics` over a step, and `violations` of the model's assumptions."""
+"""Measures of a gait: impact `losses`, `kinematics` over a step, and `violations` of
+the model's assumptions.
+"""

@@ -12,12 +12,20 @@ import numpy as np
 from gaitsweep.tasks import status
 from gaitsweep.tasks.accuracy import MANTISSA, computed, significant_bits
 from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.fixed_points.multipliers import multiplier_bounds, multiplier_changes, multipliers
+from gaitsweep.tasks.fixed_points.multipliers import (
+    multiplier_bounds,
+    multiplier_changes,
+    multipliers,
+)
 from gaitsweep.tasks.fixed_points.polish import Polished
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.kinematics import step_length, travel
-from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
+from gaitsweep.tasks.measures.losses import (
+    heelstrike_losses,
+    kneestrike_loss,
+    velocity_ratio,
+)
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
@@ -54,9 +62,14 @@ class Wanted:
 
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Wanted:
-        """Return what a request wants, with what is archived in any case; `params` as `tasks.solve_points` has them."""
+        """Return what a request wants, with what is archived in any case; `params` as
+        `tasks.solve_points` has them.
+        """
         names, accuracy = params["want"], params.get("accuracy", 0.0)
-        labels, limits = set(params.get("gaits") or GAITS), params.get("violation_limits")
+        labels, limits = (
+            set(params.get("gaits") or GAITS),
+            params.get("violation_limits"),
+        )
         return cls(computed(names, accuracy), labels, limits, accuracy)
 
 
@@ -77,17 +90,28 @@ def nothing_solved(names: Sequence[str], n: int, kneed: bool) -> Arrays:
     """
     out: Arrays = {}
     for name in names:
-        shape = (n, len(GAITS), _MULTIPLIERS[kneed]) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
+        shape = (
+            (n, len(GAITS), _MULTIPLIERS[kneed])
+            if "multiplier" in VARIABLES[name].dims
+            else (n, len(GAITS))
+        )
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
-    out["reason"][:] = [status.NO_LONG, status.NO_SHORT, status.NO_FURTHER, status.NO_FURTHER]
+    out["reason"][:] = [
+        status.NO_LONG,
+        status.NO_SHORT,
+        status.NO_FURTHER,
+        status.NO_FURTHER,
+    ]
     return out
 
 
 @dataclass(frozen=True)
 class Part:
-    """Gaits of one piece of a branch: their points, what labels them, and what was solved.
+    """Gaits of one piece of a branch: their points, what labels them, and what was
+    solved.
 
-    `angle` and `ratio` are those by which labels are given; `angle` is NaN where a gait has none.
+    `angle` and `ratio` are those by which labels are given; `angle` is NaN where a gait
+    has none.
     """
 
     index: np.ndarray
@@ -104,7 +128,8 @@ class Part:
 
 
 def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
-    """Store gaits by label; where there are more gaits than labels, the reason of the last label's says so.
+    """Store gaits by label; where there are more gaits than labels, the reason of the
+    last label's says so.
 
     Parameters
     ----------
@@ -124,14 +149,21 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
     angle, ratio = np.full((2, len(parts), n), np.nan)
     for k, part in enumerate(parts):
         angle[k, part.index], ratio[k, part.index] = part.angle, part.ratio
-    is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
+    is_wanted = np.array(
+        [gait in wanted for gait in GAITS] + [False]
+    )  # there may be more gaits than labels
     place_of_part = places(angle, ratio)
     for part, place in zip(parts, place_of_part, strict=True):
         slot = np.minimum(place[part.index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
         row, slot = part.index[keep], slot[keep]
         where: tuple[Any, Any] = (row, slot)
-        if len(row) and row[-1] - row[0] == len(row) - 1 and (slot == slot[0]).all() and (np.diff(row) == 1).all():
+        if (
+            len(row)
+            and row[-1] - row[0] == len(row) - 1
+            and (slot == slot[0]).all()
+            and (np.diff(row) == 1).all()
+        ):
             where = slice(row[0], row[-1] + 1), slot[0]  # several times as fast
         for name, values in out.items():
             if name not in part.solved:
@@ -140,36 +172,56 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
             values[where] = solved if len(keep) == len(solved) else solved[keep]
 
     last = len(GAITS) - 1
-    has_more = (place_of_part > last).any(axis=0) & (out["status"][:, last] == status.CONVERGED)
+    has_more = (place_of_part > last).any(axis=0) & (
+        out["status"][:, last] == status.CONVERGED
+    )
     out["reason"][has_more, last] = status.UNLABELLED
 
 
 def to_accuracy(out: Arrays, accuracy: float) -> None:
-    """Round gaits to the digits that an accuracy leaves them, and mark those whose error bound exceeds it.
+    """Round gaits to the digits that an accuracy leaves them, and mark those whose
+    error bound exceeds it.
 
     Parameters
     ----------
     out : dict of ndarray, shape (n, len(GAITS)[, multipliers])
         Changed in place; bounds count the rounding.
     accuracy : float
-        Largest error bound wanted; 0 for as good as doubles give, which changes nothing.
+        Largest error bound wanted; 0 for as good as doubles give, which changes
+        nothing.
     """
     if not accuracy:
         return
     # Labels that no gait has need no rounding.
-    used = slice(1 + int(np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(initial=0)))
+    used = slice(
+        1
+        + int(
+            np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(
+                initial=0
+            )
+        )
+    )
     out = {name: values[:, used] for name, values in out.items()}
     bits = significant_bits(accuracy)
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
     bound = out["error_bound"] + unit
     coarse = (out["status"] == status.CONVERGED) & (bound > accuracy)
-    out["status"][coarse], out["reason"][coarse] = status.LESS_ACCURATE, status.TOO_COARSE
+    out["status"][coarse], out["reason"][coarse] = (
+        status.LESS_ACCURATE,
+        status.TOO_COARSE,
+    )
     for name, values in out.items():
         if name == "error_bound":
-            values[:] = np.where(coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy))
+            values[:] = np.where(
+                coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy)
+            )
         elif name == "multiplier_error_bound":
             names = ("multiplier_real", "multiplier_imag", "spectral_radius")
-            sizes = [np.abs(out[k]).reshape(*values.shape, -1).max(axis=-1) for k in names if k in out]
+            sizes = [
+                np.abs(out[k]).reshape(*values.shape, -1).max(axis=-1)
+                for k in names
+                if k in out
+            ]
             largest = sum(sizes, np.zeros(values.shape))
             values[:] = _round_up(values + 2 * unit * largest)
         elif values.dtype == float:
@@ -208,7 +260,11 @@ def round_bits(values: np.ndarray, bits: int) -> np.ndarray:
 
 
 def describe(
-    problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str], limits: Mapping[str, float] | None = None
+    problem: Problem,
+    at: Polished,
+    slope: np.ndarray,
+    want: Sequence[str],
+    limits: Mapping[str, float] | None = None,
 ) -> Arrays:
     """Measure the wanted variables of gaits.
 
@@ -238,18 +294,28 @@ def describe(
             [status.NEWTON_LOST, status.SETTLED, status.UNVERIFIED],
             status.NOT_A_STEP,
         ),
-        "residual": np.abs(stride.residual / residual_sizes(stride.y, problem.phases)).max(axis=0),
+        "residual": np.abs(
+            stride.residual / residual_sizes(stride.y, problem.phases)
+        ).max(axis=0),
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
-    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(measured, problem.steps)
-    solved |= travel(walker, slope, solved["step_length"], solved["period"], problem.steps)
+    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(
+        measured, problem.steps
+    )
+    solved |= travel(
+        walker, slope, solved["step_length"], solved["period"], problem.steps
+    )
     if "energy_imbalance" in want:
-        solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, problem.steps)
+        solved["energy_imbalance"] = energy_imbalance(
+            walker, slope, solved, problem.steps
+        )
     if any(VARIABLES[name].group == "multipliers" for name in want):
-        solved |= measured_multipliers(stride.jacobian, at.change, at.error, walker.knees)
+        solved |= measured_multipliers(
+            stride.jacobian, at.change, at.error, walker.knees
+        )
     solved = {name: np.array(value) for name, value in solved.items()}
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
@@ -261,21 +327,42 @@ def _steps(problem: Problem, walker: Walker, at: Polished, slope: np.ndarray) ->
     """The single steps of gaits: the first steps of all, then the second ones."""
     s, n, single = problem.steps, len(slope), problem.of_steps(1)
     y, (scale, slopes) = side_by_side(at.y, s), np.tile([at.scale, slope], s)
-    state = problem.step.start(y, single.parameters(slopes, scale))[: problem.step.start_size]
+    state = problem.step.start(y, single.parameters(slopes, scale))[
+        : problem.step.start_size
+    ]
     state[:, :n] = at.state
     after, ends = np.roll(np.arange(s * n), -n), at.times.reshape(s, -1, n)[:, -1]
     times = side_by_side(at.times, s) - np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
-    return Steps(single, walker, at.stride.singles, y * scale, state * scale, times, scale, slopes, after)
+    return Steps(
+        single,
+        walker,
+        at.stride.singles,
+        y * scale,
+        state * scale,
+        times,
+        scale,
+        slopes,
+        after,
+    )
 
 
 def _of_all_steps(measured: Arrays, steps: int) -> Arrays:
-    """What gaits have of the variables of their steps, as the registry's `over_steps` says, shape (n,)."""
+    """What gaits have of the variables of their steps, as the registry's `over_steps`
+    says, shape (n,).
+    """
     measured = {name: values.reshape(steps, -1) for name, values in measured.items()}
-    if "unlocking_torque_time" in measured:  # of the step with the worst torque, after those before it
+    if (
+        "unlocking_torque_time" in measured
+    ):  # of the step with the worst torque, after those before it
         begins = np.cumsum(measured["period"], axis=0) - measured["period"]
         worst = measured["unlocking_torque"].argmax(axis=0)[None]
-        measured["unlocking_torque_time"] = np.take_along_axis(begins + measured["unlocking_torque_time"], worst, 0)
-    return {name: _OVER_STEPS[VARIABLES[name].over_steps](values) for name, values in measured.items()}
+        measured["unlocking_torque_time"] = np.take_along_axis(
+            begins + measured["unlocking_torque_time"], worst, 0
+        )
+    return {
+        name: _OVER_STEPS[VARIABLES[name].over_steps](values)
+        for name, values in measured.items()
+    }
 
 
 #: What a gait has of its steps' values, shape (s, n).
@@ -302,7 +389,11 @@ def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
     -------
     dict of ndarray, shape (n,)
     """
-    return {name: np.full(n, np.nan) for name in names if VARIABLES[name].is_of_knees and not walker.knees}
+    return {
+        name: np.full(n, np.nan)
+        for name in names
+        if VARIABLES[name].is_of_knees and not walker.knees
+    }
 
 
 @dataclass(frozen=True)
@@ -335,7 +426,9 @@ class Steps:
     slope: np.ndarray
     after: np.ndarray
 
-    def measure(self, want: Sequence[str], limits: Mapping[str, float] | None = None) -> Arrays:
+    def measure(
+        self, want: Sequence[str], limits: Mapping[str, float] | None = None
+    ) -> Arrays:
         """Variables of the single steps.
 
         Parameters
@@ -367,18 +460,30 @@ class Steps:
         }
         if walker.knees:
             measured["kneestrike_time"] = self.times[0] * time_unit
-        if set(want) & {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"}:
+        if set(want) & {
+            "loss_normal",
+            "loss_tangential",
+            "loss_kneestrike",
+            "energy_imbalance",
+        }:
             unit = walker.total_mass * walker.g * walker.leg
             normal, tangential = heelstrike_losses(walker, end, stride.impact * scale)
-            measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
+            measured["loss_normal"], measured["loss_tangential"] = (
+                normal * unit,
+                tangential * unit,
+            )
             if walker.knees:
-                measured["loss_kneestrike"] = kneestrike_loss(walker, stride.knee * scale) * unit
+                measured["loss_kneestrike"] = (
+                    kneestrike_loss(walker, stride.knee * scale) * unit
+                )
         if any(VARIABLES[name].group == "violations" for name in want):
             measured |= self._violations(limits)
         for name in want:
             if function := VARIABLES[name].measure:
                 measured[name] = np.array(
-                    np.broadcast_to(np.asarray(function(self, measured), float), self.slope.shape)
+                    np.broadcast_to(
+                        np.asarray(function(self, measured), float), self.slope.shape
+                    )
                 )
         return measured
 
@@ -388,24 +493,33 @@ class Steps:
         Returns
         -------
         list of ndarray, shape (samples + 1, 2 angles, n) [rad, sqrt(g/leg)]
-            Of each phase: angles of the links, then their rates, at times at equal distances.
+            Of each phase: angles of the links, then their rates, at times at equal
+            distances.
         """
         return [part * self.scale for part in self._fine.one.motion]
 
     @cached_property
     def _fine(self) -> Stride | Strides:
-        # Extremes need closer samples than the verification of a step: it is integrated again with those.
+        # Extremes need closer samples than the verification of a step: it is integrated
+        # again with those.
         parameters = self.problem.parameters(self.slope, self.scale)
-        return self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
+        return self.problem.map(
+            self.y / self.scale, self.times, parameters, samples=violations.SAMPLES
+        )
 
     def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
         # A step begins with the heelstrike that ends the one before it.
         before = (self._fine.one.impact * self.scale)[:, np.argsort(self.after)]
-        return violations.measure(self.walker, self.motion(), before, self.times, self.slope, limits)
+        return violations.measure(
+            self.walker, self.motion(), before, self.times, self.slope, limits
+        )
 
 
-def energy_imbalance(walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int) -> np.ndarray:
-    """What the energy lost in a gait's steps exceeds the drop of potential energy by, over that drop.
+def energy_imbalance(
+    walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int
+) -> np.ndarray:
+    """What the energy lost in a gait's steps exceeds the drop of potential energy by,
+    over that drop.
 
     Parameters
     ----------
@@ -419,13 +533,21 @@ def energy_imbalance(walker: Walker, slope: np.ndarray, measured: Mapping[str, n
     -------
     ndarray, shape (n,)
     """
-    names = ("loss_normal", "loss_tangential", *(("loss_kneestrike",) if walker.knees else ()))
+    names = (
+        "loss_normal",
+        "loss_tangential",
+        *(("loss_kneestrike",) if walker.knees else ()),
+    )
     losses = sum(measured[name] for name in names)
-    drop = walker.total_mass * walker.g * steps * measured["step_length"] * np.sin(slope)
+    drop = (
+        walker.total_mass * walker.g * steps * measured["step_length"] * np.sin(slope)
+    )
     return np.asarray((losses - drop) / drop)
 
 
-def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error: np.ndarray, kneed: bool) -> Arrays:
+def measured_multipliers(
+    jacobian: np.ndarray, change: np.ndarray | float, error: np.ndarray, kneed: bool
+) -> Arrays:
     """Variables of the group `multipliers`.
 
     Parameters
@@ -433,7 +555,8 @@ def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error
     jacobian : ndarray, shape (d, d, n)
         Derivative of all steps.
     change, error : ndarray, shape (d, n)
-        What is to be added to the coefficients of its characteristic polynomial, and bounds of their errors.
+        What is to be added to the coefficients of its characteristic polynomial, and
+        bounds of their errors.
     kneed : bool
 
     Returns
@@ -441,7 +564,9 @@ def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error
     dict of ndarray, shape (n[, multipliers])
     """
     values = multipliers(jacobian, _MULTIPLIERS[kneed])
-    values[:, : len(jacobian)] += multiplier_changes(values[:, : len(jacobian)], np.broadcast_to(change, error.shape))
+    values[:, : len(jacobian)] += multiplier_changes(
+        values[:, : len(jacobian)], np.broadcast_to(change, error.shape)
+    )
     return {
         "multiplier_real": values.real.copy(),
         "multiplier_imag": values.imag.copy(),

@@ -7,8 +7,11 @@ import numpy as np
 from gaitsweep.tasks.walkers.walker import Walker
 
 
-def step_length(walker: Walker, angle: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
-    """Distance along the slope between footprints: of a step that repeats, 2 (l sin angle + R angle).
+def step_length(
+    walker: Walker, angle: np.ndarray, end: np.ndarray | None = None
+) -> np.ndarray:
+    """Distance along the slope between footprints: of a step that repeats, 2 (l sin
+    angle + R angle).
 
     Parameters
     ----------
@@ -32,9 +35,14 @@ TRAVEL = ("step_frequency", "speed", "froude_speed", "cost_of_transport", "power
 
 
 def travel(
-    walker: Walker, slope: np.ndarray, length: np.ndarray, period: np.ndarray, steps: int = 1
+    walker: Walker,
+    slope: np.ndarray,
+    length: np.ndarray,
+    period: np.ndarray,
+    steps: int = 1,
 ) -> dict[str, np.ndarray]:
-    """Compute step frequency, mean speed, Froude speed, cost of transport and power over a gait's steps.
+    """Compute step frequency, mean speed, Froude speed, cost of transport and power
+    over a gait's steps.
 
     Parameters
     ----------
@@ -46,8 +54,8 @@ def travel(
     Returns
     -------
     dict of ndarray, shape (n,)
-        `step_frequency`, `speed`, `froude_speed` (over sqrt(g leg)), `cost_of_transport` and `power`, in the walker's
-        units.
+        `step_frequency`, `speed`, `froude_speed` (over sqrt(g leg)),
+        `cost_of_transport` and `power`, in the walker's units.
 
     Notes
     -----
@@ -56,6 +64,9 @@ def travel(
     speed = steps * length / period
     cost = np.broadcast_to(np.sin(slope), speed.shape)
     weight = walker.total_mass * walker.g
-    froude_speed, where_walking = speed / np.sqrt(walker.g * walker.leg), np.where(np.isfinite(speed), cost, np.nan)
+    froude_speed, where_walking = (
+        speed / np.sqrt(walker.g * walker.leg),
+        np.where(np.isfinite(speed), cost, np.nan),
+    )
     values = steps / period, speed, froude_speed, where_walking, weight * speed * cost
     return dict(zip(TRAVEL, values, strict=True))

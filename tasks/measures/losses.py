@@ -1,18 +1,27 @@
-"""Energy that a step loses in its impacts, from the impacts themselves (section 6 of the paper).
+"""Energy that a step loses in its impacts, from the impacts themselves (section 6 of
+the paper).
 
-A difference of energies would cancel: energies are of order angle^2, while a loss may be of order angle^4.
+A difference of energies would cancel: energies are of order angle^2, while a loss may
+be of order angle^4.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gaitsweep.tasks.mechanics.apparent_mass import ApparentMass, dot, of_free_link, of_hinged_link
+from gaitsweep.tasks.mechanics.apparent_mass import (
+    ApparentMass,
+    dot,
+    of_free_link,
+    of_hinged_link,
+)
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.walkers.walker import Walker
 
 
-def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) -> np.ndarray:
+def velocity_ratio(
+    walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray
+) -> np.ndarray:
     """Ratio x'/y' of the swing foot's velocities just before heelstrike.
 
     Parameters
@@ -32,18 +41,26 @@ def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) ->
     Paper, equation 12 with the sign of its first line corrected. Over that size, x' = (R + l cos angle) u and
     y' = -l sin angle (2 - u).
     """
-    with np.errstate(divide="ignore", invalid="ignore"):  # the legs may stand, or the foot move along the ground
-        return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (rate_ratio - 2))
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # the legs may stand, or the foot move along the ground
+        return (
+            (walker.R + walker.l * np.cos(angle))
+            * rate_ratio
+            / (walker.l * np.sin(angle) * (rate_ratio - 2))
+        )
 
 
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
-    """Compute the contact mass matrix at the new foothold, in units of the walker's mass.
+    """Compute the contact mass matrix at the new foothold, in units of the walker's
+    mass.
 
     Parameters
     ----------
     walker : Walker
     angle : ndarray, shape (n,) [rad]
-        Stance angle just after heelstrike; the other leg stands at the opposite angle, its knee free if it has one.
+        Stance angle just after heelstrike; the other leg stands at the opposite angle,
+        its knee free if it has one.
 
     Returns
     -------
@@ -60,7 +77,9 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     return _contact_mass(walker, angle).matrix
 
 
-@np.errstate(divide="ignore", invalid="ignore")  # of invalid walkers, which an array may hold, it is NaN
+@np.errstate(
+    divide="ignore", invalid="ignore"
+)  # of invalid walkers, which an array may hold, it is NaN
 def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
     """Contact mass of a walker whose legs have mass, over the walker's."""
     leg, mass = walker.leg, walker.total_mass
@@ -84,13 +103,18 @@ def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
 
 
 def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 2) from the contact to the hip, the only direction in which a massless leg pushes."""
+    """Unit vectors (n, 2) from the contact to the hip, the only direction in which a
+    massless leg pushes.
+    """
     x, y = -chain.l * np.sin(angle), chain.R + chain.l * np.cos(angle)
     return np.stack([x, y], axis=-1) / np.hypot(x, y)[..., None]
 
 
-def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the energy lost at heelstrike, split on the two eigenvectors of the contact mass matrix.
+def heelstrike_losses(
+    walker: Walker, angle: np.ndarray, rates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the energy lost at heelstrike, split on the two eigenvectors of the
+    contact mass matrix.
 
     Parameters
     ----------
@@ -102,7 +126,8 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     Returns
     -------
     normal, tangential : ndarray, shape (n,)
-        In units of weight times leg: 1/2 mu_i (e_i . v)^2, `normal` for the eigenvector nearer the ground normal.
+        In units of weight times leg: 1/2 mu_i (e_i . v)^2, `normal` for the eigenvector
+        nearer the ground normal.
 
     Notes
     -----
@@ -110,15 +135,22 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     """
     chain = Chain(walker)
     velocity = np.stack(
-        [-(chain.R + chain.l * np.cos(angle)) * (rates[0] - rates[1]), chain.l * np.sin(angle) * (rates[0] + rates[1])],
+        [
+            -(chain.R + chain.l * np.cos(angle)) * (rates[0] - rates[1]),
+            chain.l * np.sin(angle) * (rates[0] + rates[1]),
+        ],
         axis=-1,
     )
     if chain.massless:
-        return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
+        return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(
+            len(angle)
+        )
 
     M = _contact_mass(walker, angle)
     velocity = velocity[:, 0] + 1j * velocity[:, 1]
-    normal, tangential = (0.5 * M.along(e) * dot(e, velocity) ** 2 for e in (1j * M.axis, M.axis))
+    normal, tangential = (
+        0.5 * M.along(e) * dot(e, velocity) ** 2 for e in (1j * M.axis, M.axis)
+    )
     return normal, tangential
 
 
@@ -140,6 +172,8 @@ def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:
     -----
     1/2 (closing rate)^2 / (n M^-1 n^T) with n = (0, 1, -1) the direction of motion that the lock removes.
     """
-    lock = np.broadcast_to(np.array([0.0, 0.0, 1.0, -1.0])[:, None], (4, state.shape[1]))
+    lock = np.broadcast_to(
+        np.array([0.0, 0.0, 1.0, -1.0])[:, None], (4, state.shape[1])
+    )
     ((compliance,),) = Chain(walker).compliance(state[[0, 0, 1, 2]], [lock], True)
     return 0.5 * (state[4] - state[5]) ** 2 / compliance

@@ -1,4 +1,6 @@
-"""Quantities of gaits that are smooth along a branch, and the variables that follow from them."""
+"""Quantities of gaits that are smooth along a branch, and the variables that follow
+from them.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,13 @@ _MULTIPLIERS = tuple(v.name for v in VARIABLES.values() if v.group == "multiplie
 
 @dataclass(frozen=True)
 class Smooth:
-    """The smooth quantities of gaits of a walker, or of one for each gait, from which the variables `want` follow.
+    """The smooth quantities of gaits of a walker, or of one for each gait, from which
+    the variables `want` follow.
 
-    `names` are those that are interpolated: `stance_angle` and `period` by their logarithms, rates over the angle,
-    the time of kneestrike over the period, losses over the energy that a step draws from gravity, and the entries of
-    the step map's derivative by their numbers.
+    `names` are those that are interpolated: `stance_angle` and `period` by their
+    logarithms, rates over the angle, the time of kneestrike over the period, losses
+    over the energy that a step draws from gravity, and the entries of the step map's
+    derivative by their numbers.
     """
 
     walker: Walker | WalkerArray
@@ -53,9 +57,19 @@ class Smooth:
         """
         rates = _RATES if walker.knees else _RATES[:2]
         optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
-        optional = [name for name in optional if walker.knees or not VARIABLES[name].is_of_knees]
-        entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(_MULTIPLIERS) else []
-        return cls(walker, want, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
+        optional = [
+            name for name in optional if walker.knees or not VARIABLES[name].is_of_knees
+        ]
+        entries = (
+            [f"{i}{j}" for i in range(m) for j in range(m)]
+            if set(want) & set(_MULTIPLIERS)
+            else []
+        )
+        return cls(
+            walker,
+            want,
+            ("stance_angle", *rates, "period", _RATIO, *optional, *entries),
+        )
 
     @property
     def entries(self) -> list[str]:
@@ -85,23 +99,35 @@ class Smooth:
                 values[name] = solved[name] * factor / divisor
         values |= {name: jacobian[int(name[0]), int(name[1])] for name in self.entries}
         fastest = (
-            np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self.walker.time_unit / solved["stance_angle"]
+            np.max([np.abs(solved[name]) for name in _RATES], axis=0)
+            * self.walker.time_unit
+            / solved["stance_angle"]
         )
-        sizes = dict.fromkeys(_RATES, fastest) | {_RATIO: np.maximum(1.0, np.abs(values[_RATIO]))}
-        sizes |= dict.fromkeys(self.entries, np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1))))
+        sizes = dict.fromkeys(_RATES, fastest) | {
+            _RATIO: np.maximum(1.0, np.abs(values[_RATIO]))
+        }
+        sizes |= dict.fromkeys(
+            self.entries, np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
+        )
         one = np.ones(len(slope))
-        return np.stack([values[name] for name in self.names]), np.stack([sizes.get(name, one) for name in self.names])
+        return np.stack([values[name] for name in self.names]), np.stack(
+            [sizes.get(name, one) for name in self.names]
+        )
 
     @property
     def needed(self) -> list[int]:
         """Columns from which the variables follow."""
         want = self.want
-        names = {name for name in self.names if name in want or name.isdigit()} | {"stance_angle"}
+        names = {name for name in self.names if name in want or name.isdigit()} | {
+            "stance_angle"
+        }
         if "shank_rate" in want and not self.walker.knees:
             names.add("thigh_rate")
         if "velocity_ratio" in want:
             names.add(_RATIO)
-        if {"kneestrike_time", *TRAVEL} & set(want):  # a kneestrike's time is a share of the period
+        if {"kneestrike_time", *TRAVEL} & set(
+            want
+        ):  # a kneestrike's time is a share of the period
             names.add("period")
         return [k for k, name in enumerate(self.names) if name in names]
 
@@ -122,16 +148,28 @@ class Smooth:
         m = math.isqrt(len(self.entries))
         jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)
         size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
-        return measured_multipliers(jacobian, 0.0, characteristic_errors(jacobian, m * error * size), self.walker.knees)
+        return measured_multipliers(
+            jacobian,
+            0.0,
+            characteristic_errors(jacobian, m * error * size),
+            self.walker.knees,
+        )
 
-    def gaits(self, slope: np.ndarray, columns: Mapping[str, np.ndarray], error: float, numbers: Any) -> Arrays:
+    def gaits(
+        self,
+        slope: np.ndarray,
+        columns: Mapping[str, np.ndarray],
+        error: float,
+        numbers: Any,
+    ) -> Arrays:
         """Variables of gaits that were not integrated.
 
         Parameters
         ----------
         slope : ndarray, shape (n,) [rad]
         columns : mapping
-            By name the quantities that `needed` names, and `multipliers` where they are wanted, shape (n,).
+            By name the quantities that `needed` names, and `multipliers` where they are
+            wanted, shape (n,).
         error : float
             Their error bound.
         numbers : pair of ndarray of int, shape (n,), or of int
@@ -143,15 +181,27 @@ class Smooth:
             In the walker's units.
         """
         n = len(slope)
-        known = {"status": status.CONVERGED, "reason": status.SETTLED, "error_bound": error}
+        known = {
+            "status": status.CONVERGED,
+            "reason": status.SETTLED,
+            "error_bound": error,
+        }
         known |= dict(zip(("branch", "piece"), numbers, strict=True))
         solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
         solved |= {name: columns[name] for name in self.want if name in _MULTIPLIERS}
-        return self._variables(slope, columns) | without_knees(self.want, self.walker, n) | solved
+        return (
+            self._variables(slope, columns)
+            | without_knees(self.want, self.walker, n)
+            | solved
+        )
 
-    def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray]) -> Arrays:
+    def _variables(
+        self, slope: np.ndarray, columns: Mapping[str, np.ndarray]
+    ) -> Arrays:
         """Variables (n,) that follow from quantities, but for multipliers."""
-        known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in _LOGARITHMS if k in columns}
+        known: dict[str, np.ndarray] = {
+            k: np.exp(columns[k]) for k in _LOGARITHMS if k in columns
+        }
         for name, (factor, divisor) in self._factors(slope, known).items():
             if name in columns:
                 known[name] = columns[name] * divisor / factor
@@ -159,15 +209,26 @@ class Smooth:
             known["shank_rate"] = known["thigh_rate"]
         known["step_length"] = step_length(self.walker, known["stance_angle"])
         if _RATIO in known:
-            known["velocity_ratio"] = velocity_ratio(self.walker, known["stance_angle"], known[_RATIO])
+            known["velocity_ratio"] = velocity_ratio(
+                self.walker, known["stance_angle"], known[_RATIO]
+            )
         if "period" in known:
             known |= travel(self.walker, slope, known["step_length"], known["period"])
         return known
 
-    def _factors(self, slope: np.ndarray, known: Mapping[str, np.ndarray]) -> dict[str, tuple[Any, Any]]:
-        """Factor and divisor that make quantities of variables, by these, of gaits whose angle and period are known."""
+    def _factors(
+        self, slope: np.ndarray, known: Mapping[str, np.ndarray]
+    ) -> dict[str, tuple[Any, Any]]:
+        """Factor and divisor that make quantities of variables, by these, of gaits
+        whose angle and period are known.
+        """
         angle = known["stance_angle"]
-        drawn = self.walker.total_mass * self.walker.g * step_length(self.walker, angle) * np.sin(slope)
+        drawn = (
+            self.walker.total_mass
+            * self.walker.g
+            * step_length(self.walker, angle)
+            * np.sin(slope)
+        )
         return {
             **dict.fromkeys(_RATES, (self.walker.time_unit, angle)),
             **dict.fromkeys(_LOSSES, (1.0, drawn)),

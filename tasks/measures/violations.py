@@ -1,6 +1,8 @@
-"""Appendix A of the paper: by how much a verified gait violates the assumptions of the model.
+"""Appendix A of the paper: by how much a verified gait violates the assumptions of the
+model.
 
-Every item is a flag and an amount, computed on the chain of four links whose stance knee is free.
+Every item is a flag and an amount, computed on the chain of four links whose stance
+knee is free.
 """
 
 from __future__ import annotations
@@ -24,31 +26,51 @@ _BLOCK = 128
 _ROUNDING = 1e-12
 #: Peaks of the samples examined besides the highest.
 _FURTHER_PEAKS = 2
-#: Samples on either side of one, through which a polynomial locates extremes: its error is below 1e-13 on common steps.
+#: Samples on either side of one, through which a polynomial locates extremes: its error
+#: is below 1e-13 on common steps.
 _SIDE = 5
 #: Its coefficients, in places over `_SIDE`, by the values there.
 _PLACES = np.arange(-_SIDE, _SIDE + 1.0)
 _POWERS = np.array(
     [
-        polyfromroots(others := np.delete(_PLACES, k)) / np.prod(place - others) * _SIDE ** np.arange(len(_PLACES))
+        polyfromroots(others := np.delete(_PLACES, k))
+        / np.prod(place - others)
+        * _SIDE ** np.arange(len(_PLACES))
         for k, place in enumerate(_PLACES)
     ]
 ).T
 
 
 class _Phase:
-    """Samples of one phase: times, shape (samples + 1, n); angles, rates and accelerations of the links, (4, ...)."""
+    """Samples of one phase: times, shape (samples + 1, n); angles, rates and
+    accelerations of the links, (4, ...).
+    """
 
-    def __init__(self, chain: Chain, samples: np.ndarray, begin: np.ndarray, end: np.ndarray, slope: np.ndarray):
+    def __init__(
+        self,
+        chain: Chain,
+        samples: np.ndarray,
+        begin: np.ndarray,
+        end: np.ndarray,
+        slope: np.ndarray,
+    ):
         half = samples.shape[1] // 2
-        self.q, self.rate = (np.stack([samples[:, first + i] for i in (0, 0, 1, half - 1)]) for first in (0, half))
+        self.q, self.rate = (
+            np.stack([samples[:, first + i] for i in (0, 0, 1, half - 1)])
+            for first in (0, half)
+        )
         self.time = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
         self.free_knee = half == 3
-        self.acceleration = chain.accelerations(self.q, self.rate, slope, self.free_knee)
+        self.acceleration = chain.accelerations(
+            self.q, self.rate, slope, self.free_knee
+        )
 
 
-def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Find the largest value of sampled functions, by a polynomial through the samples around each peak.
+def greatest(
+    x: np.ndarray, among: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the largest value of sampled functions, by a polynomial through the samples
+    around each peak.
 
     Parameters
     ----------
@@ -62,7 +84,11 @@ def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray
         The position is in intervals from the first sample.
     """
     lane, border = np.arange(x.shape[1]), np.full((1, x.shape[1]), -np.inf)
-    samples = np.where(np.isnan(x), -np.inf, x) if among is None else np.where(among, x, -np.inf)
+    samples = (
+        np.where(np.isnan(x), -np.inf, x)
+        if among is None
+        else np.where(among, x, -np.inf)
+    )
     around = np.concatenate([border, samples, border])
     is_peak = (samples >= around[:-2]) & (samples >= around[2:]) & (samples > -np.inf)
     best = np.argmax(samples, axis=0)
@@ -73,19 +99,31 @@ def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray
         best = np.argmax(np.where(is_peak, samples, -np.inf), axis=0)
         other, at = _peak(x, best)
         is_higher = is_peak[best, lane] & (other > value)
-        value, position = np.where(is_higher, other, value), np.where(is_higher, at, position)
+        value, position = (
+            np.where(is_higher, other, value),
+            np.where(is_higher, at, position),
+        )
     return value, position
 
 
 def _through(x: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Coefficients of the polynomials through sampled functions around their samples `middle`, shape (n,)."""
+    """Coefficients of the polynomials through sampled functions around their samples
+    `middle`, shape (n,).
+    """
     lane = np.arange(x.shape[1])
     values = [x[middle + k, lane] for k in range(-_SIDE, _SIDE + 1)]
-    return np.stack([total(c * value for c, value in zip(row.tolist(), values, strict=True)) for row in _POWERS])
+    return np.stack(
+        [
+            total(c * value for c, value in zip(row.tolist(), values, strict=True))
+            for row in _POWERS
+        ]
+    )
 
 
 def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest value and its position within an interval of the sample `best`, shape (n,), of sampled functions."""
+    """Largest value and its position within an interval of the sample `best`, shape
+    (n,), of sampled functions.
+    """
     top = len(x) - 1
     middle = np.clip(best, _SIDE, top - _SIDE)
     low, at, high = ((np.clip(best + k, 0, top) - middle) / _SIDE for k in (-1, 0, 1))
@@ -94,39 +132,52 @@ def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         powers = _through(x, middle)
         for _ in range(6):
             slope, curvature = _polynomial(powers, t, 1), _polynomial(powers, t, 2)
-            # Uphill in either case: where the polynomial is convex, its greatest value is at an end.
+            # Uphill in either case: where the polynomial is convex, its greatest value
+            # is at an end.
             step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
             t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
         refined = _polynomial(powers, t)
-        # At an end the value is that of a sample; only inside can the polynomial exceed the samples.
+        # At an end the value is that of a sample; only inside can the polynomial exceed
+        # the samples.
         is_larger = (refined > value) & (t > low) & (t < high)
-    return np.where(is_larger, refined, value), middle + _SIDE * np.where(is_larger, t, at)
+    return np.where(is_larger, refined, value), middle + _SIDE * np.where(
+        is_larger, t, at
+    )
 
 
 def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
-    """Greatest depth of a straight swing leg's foot as it passes the stance leg, shape (n,) [leg].
+    """Greatest depth of a straight swing leg's foot as it passes the stance leg, shape
+    (n,) [leg].
 
     Notes
     -----
     With a and b the leg angles, the foot is below the ground between the zeros of a - b and a + b. On long steps at
-    small slopes these lie within one interval of the samples, and the depth is so small that only its two factors
-    have digits.
+    small slopes these lie within one interval of the samples, and the depth is so small
+    that only its two factors have digits.
     """
     apart, lane = phase.q[0] - phase.q[2], np.arange(phase.q.shape[2])
     i = np.argmax(apart[1:] <= 0, axis=0)
     middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
     minus, plus = _through(apart, middle), _through(phase.q[0] + phase.q[2], middle)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        passes = (i - middle + apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])) / _SIDE
+        passes = (
+            i - middle + apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])
+        ) / _SIDE
         for _ in range(5):
             passes = passes - _polynomial(minus, passes) / _polynomial(minus, passes, 1)
-        # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros, to first order.
+        # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros,
+        # to first order.
         t = passes - 0.5 * _polynomial(plus, passes) / _polynomial(plus, passes, 1)
         for _ in range(5):
             u, v = [[_polynomial(c, t, k) for k in range(3)] for c in (plus, minus)]
             slope = u[1] * v[0] + u[0] * v[1]
             t = t - slope / (u[2] * v[0] + 2 * u[1] * v[1] + u[0] * v[2])
-        depth = 2 * chain.l * np.sin(_polynomial(plus, t) / 2) * np.sin(_polynomial(minus, t) / 2)
+        depth = (
+            2
+            * chain.l
+            * np.sin(_polynomial(plus, t) / 2)
+            * np.sin(_polynomial(minus, t) / 2)
+        )
         return np.where((_SIDE * np.abs(t - passes) < 1) & (depth > 0), depth, 0.0)
 
 
@@ -138,7 +189,11 @@ def _polynomial(powers: np.ndarray, t: np.ndarray, order: int = 0) -> np.ndarray
 def _ratio(force: np.ndarray) -> np.ndarray:
     """Ratio |tangential|/normal of a force; infinite under contact tension."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(force.imag > 0, np.abs(force.real) / force.imag, np.where(np.isnan(force.imag), np.nan, np.inf))
+        return np.where(
+            force.imag > 0,
+            np.abs(force.real) / force.imag,
+            np.where(np.isnan(force.imag), np.nan, np.inf),
+        )
 
 
 def _released(chain: Chain, first: _Phase) -> Arrays:
@@ -147,7 +202,9 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     rise = chain.rise(q)
     velocity = total(rise * rate)
     is_still = np.abs(velocity) <= _ROUNDING * total(np.abs(rise * rate))
-    down = np.where(is_still, chain.lift(q, rate, first.acceleration[:, 0]), velocity) < 0
+    down = (
+        np.where(is_still, chain.lift(q, rate, first.acceleration[:, 0]), velocity) < 0
+    )
     depth = -chain.height(first.q)
     depth[0] = 0.0
     under = np.logical_and.accumulate(depth >= 0, axis=0)
@@ -155,7 +212,9 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     impulse = np.zeros_like(velocity)
     if not chain.massless:
         impulse = np.where(
-            ~is_still & (velocity < 0), -velocity / chain.compliance(q, [rise], first.free_knee)[0][0], 0.0
+            ~is_still & (velocity < 0),
+            -velocity / chain.compliance(q, [rise], first.free_knee)[0][0],
+            0.0,
         )
     amounts = {"penetration_depth": sinks, "trailing_impulse": impulse}
     if chain.kneed:
@@ -165,30 +224,42 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     return amounts
 
 
-def _heelstrike(chain: Chain, first: _Phase, impact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ground impulse (complex) and angular impulse of the new stance knee's lock on its thigh at heelstrike.
+def _heelstrike(
+    chain: Chain, first: _Phase, impact: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ground impulse (complex) and angular impulse of the new stance knee's lock on its
+    thigh at heelstrike.
 
     Notes
     -----
     Before heelstrike, the walker moves as the new stance leg's chain with the old rates, translating with the velocity
-    of the point that is about to touch the ground (paper, eq. 12 with the sign of its first line corrected).
+    of the point that is about to touch the ground (paper, eq. 12 with the sign of its
+    first line corrected).
     """
     q, after = first.q[:, 0], first.rate[:, 0]
     before = np.stack([impact[1], impact[1], impact[0], impact[0]])
-    translation = -(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1]) + 1j * chain.l * np.sin(q[0]) * (
-        impact[0] + impact[1]
-    )
+    translation = -(chain.R + chain.l * np.cos(q[0])) * (
+        impact[0] - impact[1]
+    ) + 1j * chain.l * np.sin(q[0]) * (impact[0] + impact[1])
     ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
     lever = 1j * chain.S[THIGH] * np.exp(1j * q[THIGH])
-    lock = total(M[THIGH][j] * (after[j] - before[j]) for j in range(4)) - (lever.conj() * translation).real
+    lock = (
+        total(M[THIGH][j] * (after[j] - before[j]) for j in range(4))
+        - (lever.conj() * translation).real
+    )
     return ground, lock
 
 
 def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
     """Items 1 to 3 between the impacts."""
     n = len(slope)
-    least, friction, scuff, clearance = np.full(n, np.inf), np.zeros(n), np.zeros(n), np.full(n, np.nan)
+    least, friction, scuff, clearance = (
+        np.full(n, np.inf),
+        np.zeros(n),
+        np.zeros(n),
+        np.full(n, np.nan),
+    )
     torque, when = np.full(n, -np.inf), np.zeros(n)
     for phase in phases:
         motion = phase.q, phase.rate, phase.acceleration
@@ -200,7 +271,8 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
         largest = np.maximum(greatest(demand)[0], greatest(-demand)[0])
         friction = np.maximum(friction, np.where(pulls, np.inf, largest))
         depth = -chain.height(phase.q)
-        # Both feet touch the ground when the step begins and when it ends: the rest is rounding.
+        # Both feet touch the ground when the step begins and when it ends: the rest is
+        # rounding.
         depth[0] = 0.0 if phase is phases[0] else depth[0]
         depth[-1] = 0.0 if phase is phases[-1] else depth[-1]
         scuff = np.maximum(scuff, greatest(depth)[0])
@@ -214,8 +286,14 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
         is_worse = worst > torque
         begin, end = phase.time[0], phase.time[-1]
         torque = np.where(is_worse, worst, torque)
-        when = np.where(is_worse, begin + position / (len(phase.time) - 1) * (end - begin), when)
-    knee = {"unlocking_torque": torque, "unlocking_torque_time": when} if chain.kneed else {}
+        when = np.where(
+            is_worse, begin + position / (len(phase.time) - 1) * (end - begin), when
+        )
+    knee = (
+        {"unlocking_torque": torque, "unlocking_torque_time": when}
+        if chain.kneed
+        else {}
+    )
     return {
         "scuff_depth": scuff,
         "foot_clearance": np.fmin(clearance, _at_kneestrike(chain, phases)),
@@ -226,7 +304,9 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
 
 
 def _least_inside(depth: np.ndarray) -> np.ndarray:
-    """Least height of a foot where it is lowest within a phase, by its sampled depth; NaN where it is so nowhere."""
+    """Least height of a foot where it is lowest within a phase, by its sampled depth;
+    NaN where it is so nowhere.
+    """
     is_low = np.zeros(depth.shape, bool)
     is_low[1:-1] = (depth[1:-1] >= depth[:-2]) & (depth[1:-1] > depth[2:])
     return np.where(is_low.any(axis=0), -greatest(depth, is_low)[0], np.nan)
@@ -236,33 +316,46 @@ def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
     """Height of the foot at kneestrike if it falls before and rises after it, else NaN."""
     if not chain.kneed:
         return np.full(phases[0].q.shape[-1], np.nan)
-    before, after = (total(chain.rise(p.q[:, k]) * p.rate[:, k]) for p, k in zip(phases, (-1, 0), strict=True))
+    before, after = (
+        total(chain.rise(p.q[:, k]) * p.rate[:, k])
+        for p, k in zip(phases, (-1, 0), strict=True)
+    )
     return np.where((before < 0) & (after > 0), chain.height(phases[1].q[:, 0]), np.nan)
 
 
 def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> Arrays:
     """Items 2 and 3 at the impacts."""
     ground, lock = _heelstrike(chain, phases[0], impact)
-    amounts = {"friction_demand_heelstrike": _ratio(ground), "least_normal_impulse": ground.imag}
+    amounts = {
+        "friction_demand_heelstrike": _ratio(ground),
+        "least_normal_impulse": ground.imag,
+    }
     if chain.kneed:
         q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
         amounts |= {
             "friction_demand_kneestrike": _ratio(ground),
-            "least_normal_impulse": np.minimum(amounts["least_normal_impulse"], ground.imag),
+            "least_normal_impulse": np.minimum(
+                amounts["least_normal_impulse"], ground.imag
+            ),
             "unlocking_impulse_heelstrike": -lock,
-            "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
+            "unlocking_impulse_kneestrike": -total(
+                M[THIGH][j] * jump[j] for j in range(4)
+            ),
         }
     return amounts
 
 
-def flags(amounts: Mapping[str, np.ndarray], limits: Mapping[str, float] | None = None) -> np.ndarray:
+def flags(
+    amounts: Mapping[str, np.ndarray], limits: Mapping[str, float] | None = None
+) -> np.ndarray:
     """Bits of the assumptions that gaits violate by more than their limits.
 
     Parameters
     ----------
     amounts : mapping
-        Variables of the group, shape (n,), over the walker's leg, its mass and g; NaN is no violation.
+        Variables of the group, shape (n,), over the walker's leg, its mass and g; NaN
+        is no violation.
     limits : mapping, optional
         Limits other than the registry's, by the names of violations.
 
@@ -294,9 +387,11 @@ def measure(
     ----------
     walker : Walker
     motion : list of ndarray, shape (samples + 1, angles, n)
-        Angles and rates of each phase at equal times: stance leg, swing thigh[, swing shank]  [rad, sqrt(g/leg)].
+        Angles and rates of each phase at equal times: stance leg, swing thigh[, swing
+        shank]  [rad, sqrt(g/leg)].
     impact : ndarray, shape (2, n)
-        Rates of the old stance and swing leg just before the heelstrike with which the step begins [sqrt(g/leg)].
+        Rates of the old stance and swing leg just before the heelstrike with which the
+        step begins [sqrt(g/leg)].
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
         Ends of the phases.
     slope : ndarray, shape (n,) [rad]
@@ -306,14 +401,17 @@ def measure(
     Returns
     -------
     dict
-        The variables of the registry's group `violations`, shape (n,), but for those of knees that the walker has not.
+        The variables of the registry's group `violations`, shape (n,), but for those of
+        knees that the walker has not.
 
     Notes
     -----
     Paper, appendix A. Amounts are positive where the assumption is violated. Torque and impulses of the stance knee
-    keep their sign: its stop can provide negative ones. Contact tension may arise from the force during the motion or
-    from an impulse; the friction demand is then infinite. The trailing impulse is that of the linear complementarity
-    problem in which the released foot may be pushed but not pulled, without friction, while the new contact holds.
+    keep their sign: its stop can provide negative ones. Contact tension may arise from
+    the force during the motion or from an impulse; the friction demand is then
+    infinite. The trailing impulse is that of the linear complementarity problem in
+    which the released foot may be pushed but not pulled, without friction, while the
+    new contact holds.
     """
     chain = Chain(walker)
     n = len(slope)
@@ -323,13 +421,21 @@ def measure(
         with np.errstate(invalid="ignore"):
             begins = np.vstack([np.zeros((1, n)), times[:-1]])
             each = zip(motion, begins, times, strict=True)
-            phases = [_Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes]) for m, b, e in each]
-            amounts = _moving(chain, phases, slope[lanes]) | _impacts(chain, phases, impact[:, lanes])
+            phases = [
+                _Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes])
+                for m, b, e in each
+            ]
+            amounts = _moving(chain, phases, slope[lanes]) | _impacts(
+                chain, phases, impact[:, lanes]
+            )
             amounts |= _released(chain, phases[0])
             parts.append(amounts | {"violations": flags(amounts, limits)})
     unit = _units(walker)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return {name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind] for name, x in joined.items()}
+    return {
+        name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind]
+        for name, x in joined.items()
+    }
 
 
 def _units(walker: Walker) -> dict[str, float]:

@@ -1,8 +1,10 @@
-"""heyoka's compile cache: its folder, whose it is, and whether its machine code is as it was written.
+"""heyoka's compile cache: its folder, whose it is, and whether its machine code is as
+it was written.
 
-heyoka executes what it finds there and has no checksums of it. A folder or file that another user may change is not
-used. Damage crashes a process or changes numbers: beside the cache, a file keeps the checksum of every entry as it was
-first seen; a cache with another entry than that, or one that cannot be read, is removed and fills again.
+heyoka executes what it finds there and has no checksums of it. A folder or file that
+another user may change is not used. Damage crashes a process or changes numbers: beside
+the cache, a file keeps the checksum of every entry as it was first seen; a cache with
+another entry than that, or one that cannot be read, is removed and fills again.
 """
 
 from __future__ import annotations
@@ -26,14 +28,17 @@ _TIMEOUT = 30.0  # wait for other writing processes [s]
 _PATIENCE = 120.0  # longest wait for code that another process compiles [s]
 _CACHE, _SUMS, _LOCKS = "cache.db", "checksums.db", "locks"
 _ENTRIES = "SELECT hash, env_fingerprint, comp_flag, bitcode, obj FROM cache"
-#: SQLite errors that mean damage; others, such as a folder that cannot be written, are not the cache's fault.
+#: SQLite errors that mean damage; others, such as a folder that cannot be written, are
+#: not the cache's fault.
 _DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
-#: The open file whose bytes stand for what is compiled, a lock on each; none where no cache is used.
+#: The open file whose bytes stand for what is compiled, a lock on each; none where no
+#: cache is used.
 _locks: list[int] = []
 
 
 def use() -> None:
-    """Keep compiled code in this user's folder; where that cannot be used, every process compiles its own.
+    """Keep compiled code in this user's folder; where that cannot be used, every
+    process compiles its own.
 
     Notes
     -----
@@ -49,11 +54,16 @@ def use() -> None:
         return
     try:
         with contextlib.suppress(OSError):
-            _locks[:] = [os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)]
-        # A cache that another process is just making has no tables yet, which would count as damage.
+            _locks[:] = [
+                os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            ]
+        # A cache that another process is just making has no tables yet, which would
+        # count as damage.
         with turn(""):
             if not _is_intact(folder):
-                if not all((folder / name).exists() for name in (_CACHE, _SUMS)):  # another program's
+                if not all(
+                    (folder / name).exists() for name in (_CACHE, _SUMS)
+                ):  # another program's
                     return
                 _remove(folder)
             hy.llvm_state.set_diskcache_path(str(folder))
@@ -66,7 +76,8 @@ def use() -> None:
 
 @contextlib.contextmanager
 def turn(name: str, meanwhile: Callable[[], object] = lambda: None) -> Iterator[None]:
-    """Compile what has this name while no other process that shares the cache does, or where none can be asked.
+    """Compile what has this name while no other process that shares the cache does, or
+    where none can be asked.
 
     Parameters
     ----------
@@ -93,7 +104,8 @@ def turn(name: str, meanwhile: Callable[[], object] = lambda: None) -> Iterator[
 
 @functools.cache
 def usable_folder() -> Path | None:
-    """Folder of the compile cache, made if there is none; None if it cannot be made or others may change it.
+    """Folder of the compile cache, made if there is none; None if it cannot be made or
+    others may change it.
 
     The latter is said once in a process.
     """
@@ -113,9 +125,16 @@ def usable_folder() -> Path | None:
 
 
 def cache_folder() -> Path:
-    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk it is slower than compiling."""
-    named, base = os.environ.get("GAITSWEEP_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
-    folder = Path(named or Path(base if os.path.isabs(base) else "~/.cache", "gaitsweep"))
+    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk
+    it is slower than compiling.
+    """
+    named, base = (
+        os.environ.get("GAITSWEEP_CACHE"),
+        os.environ.get("XDG_CACHE_HOME", ""),
+    )
+    folder = Path(
+        named or Path(base if os.path.isabs(base) else "~/.cache", "gaitsweep")
+    )
     try:
         return folder.expanduser()
     except RuntimeError:  # there is no home, and `~` would be a folder of that name
@@ -123,7 +142,9 @@ def cache_folder() -> Path:
 
 
 def _shared(folder: Path) -> Iterator[Path]:
-    """What another user may change of a cache: its files, its folder, and the folders above it."""
+    """What another user may change of a cache: its files, its folder, and the folders
+    above it.
+    """
     for file in _files(folder):
         with contextlib.suppress(FileNotFoundError):
             status = file.lstat()
@@ -138,7 +159,8 @@ def _shared(folder: Path) -> Iterator[Path]:
 
 
 def is_shared(status: os.stat_result, allowed: int = 0) -> bool:
-    """Whether other users may change a file or folder: it is neither the user's nor root's, or its mode lets them.
+    """Whether other users may change a file or folder: it is neither the user's nor
+    root's, or its mode lets them.
 
     Parameters
     ----------
@@ -156,7 +178,9 @@ def is_shared(status: os.stat_result, allowed: int = 0) -> bool:
             group, user = grp.getgrgid(status.st_gid), pwd.getpwuid(os.geteuid())
             if group.gr_name == user.pw_name and not {*group.gr_mem} - {user.pw_name}:
                 mode &= ~stat.S_IWGRP
-    return status.st_uid not in (0, os.geteuid()) or bool(mode & (stat.S_IWGRP | stat.S_IWOTH))
+    return status.st_uid not in (0, os.geteuid()) or bool(
+        mode & (stat.S_IWGRP | stat.S_IWOTH)
+    )
 
 
 def _is_intact(folder: Path) -> bool:
@@ -164,19 +188,32 @@ def _is_intact(folder: Path) -> bool:
     entries: dict[str, int] = {}
     try:
         if (folder / _CACHE).exists():
-            with contextlib.closing(sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)) as cache:
+            with contextlib.closing(
+                sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)
+            ) as cache:
                 if cache.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
                     return False
                 entries = {
-                    f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(code)
-                    for number, environment, flags, bitcode, code in cache.execute(_ENTRIES)
+                    f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(
+                        code
+                    )
+                    for number, environment, flags, bitcode, code in cache.execute(
+                        _ENTRIES
+                    )
                 }
-        with contextlib.closing(sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)) as db:
-            db.execute("CREATE TABLE IF NOT EXISTS sums (entry TEXT PRIMARY KEY, sum INTEGER)")
+        with contextlib.closing(
+            sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)
+        ) as db:
+            db.execute(
+                "CREATE TABLE IF NOT EXISTS sums (entry TEXT PRIMARY KEY, sum INTEGER)"
+            )
             known = dict(db.execute("SELECT entry, sum FROM sums"))
             new = entries.keys() - known.keys()
             if new:
-                db.executemany("INSERT OR IGNORE INTO sums VALUES (?, ?)", ((entry, entries[entry]) for entry in new))
+                db.executemany(
+                    "INSERT OR IGNORE INTO sums VALUES (?, ?)",
+                    ((entry, entries[entry]) for entry in new),
+                )
                 db.commit()
         return all(known.get(entry, code) == code for entry, code in entries.items())
     except TypeError:

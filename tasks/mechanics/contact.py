@@ -1,11 +1,14 @@
-"""Contact and knee forces of a walker whose stance knee is open: an open chain of four links over a rolling foot.
+"""Contact and knee forces of a walker whose stance knee is open: an open chain of four
+links over a rolling foot.
 
-Stance shank, stance thigh, swing thigh and swing shank have the angles q; every point is
+Stance shank, stance thigh, swing thigh and swing shank have the angles q; every point
+is
 
     x + iy = -R q_0 + iR + sum_j A_j exp(i q_j)
 
-with constant arms A_j. The torque that holds the stance knee is the residual of the thigh's own equation of motion when
-both stance links move as one. Plain arrays, elementwise operations only: this measures motions that are already known.
+with constant arms A_j. The torque that holds the stance knee is the residual of the
+thigh's own equation of motion when both stance links move as one. Plain arrays,
+elementwise operations only: this measures motions that are already known.
 """
 
 from __future__ import annotations
@@ -22,16 +25,21 @@ THIGH = 1
 class Chain:
     """A walker whose stance knee is open, in units of its leg, its mass and g.
 
-    Arrays have the link first where they have one, then any shape, here (4, ...): stance shank, stance thigh, swing
-    thigh, swing shank. A complex number x + iy is a vector along the slope and the ground's normal. Of an array of
-    walkers the constants are arrays too, shape (n,), as are the motions.
+    Arrays have the link first where they have one, then any shape, here (4, ...):
+    stance shank, stance thigh, swing thigh, swing shank. A complex number x + iy is a
+    vector along the slope and the ground's normal. Of an array of walkers the constants
+    are arrays too, shape (n,), as are the motions.
     """
 
     def __init__(self, walker: Walker):
         leg, mass = walker.leg, walker.total_mass
         self.kneed, self.massless = walker.knees, walker.massless_leg
         self.R, self.l = walker.R / leg, walker.l / leg
-        knee, thigh, shank = walker.knee / leg, walker.thigh_centre / leg, walker.shank_centre / leg
+        knee, thigh, shank = (
+            walker.knee / leg,
+            walker.thigh_centre / leg,
+            walker.shank_centre / leg,
+        )
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         #: From foot centre to foot centre, link by link.
@@ -47,10 +55,16 @@ class Chain:
         I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
         shape = np.shape(leg + mass + I_t + I_s + 0 * (knee + thigh + shank))
         arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
-        masses = np.array([np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)])
-        #: First moments and products of the arms; a massless leg's own rows are those of a shank of unit mass.
+        masses = np.array(
+            [np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)]
+        )
+        #: First moments and products of the arms; a massless leg's own rows are those
+        #: of a shank of unit mass.
         self.S = total(masses[:, None] * arms)
-        self.K = total(arm.conj()[:, None] * mass * arm for arm, mass in zip(arms, masses, strict=True))
+        self.K = total(
+            arm.conj()[:, None] * mass * arm
+            for arm, mass in zip(arms, masses, strict=True)
+        )
         for i, inertia in enumerate((I_s, I_t, I_t, I_s)):
             self.K[i, i] += inertia
         self.S_rows = self.S.copy()
@@ -75,14 +89,19 @@ class Chain:
         list of list of ndarray, shape (...)
         """
         e = np.exp(1j * q)
-        M = [[(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)] for i in range(4)]
+        M = [
+            [(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)]
+            for i in range(4)
+        ]
         for j in range(4):
             M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
             M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
         M[0][0] = M[0][0] + self.R**2
         return M
 
-    def force(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
+    def force(
+        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray
+    ) -> list[np.ndarray]:
         """Right-hand side f of M q'' = f.
 
         Parameters
@@ -99,14 +118,19 @@ class Chain:
         gravity = np.sin(slope) - 1j * np.cos(slope)
         f = [
             ((1j * self.S_rows[i] * e[i]).conj() * gravity).real
-            + total(rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag for j in range(4))
+            + total(
+                rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag
+                for j in range(4)
+            )
             for i in range(4)
         ]
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
         return f
 
-    def accelerations(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool) -> np.ndarray:
+    def accelerations(
+        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool
+    ) -> np.ndarray:
         """Angular accelerations of the four links with the stance knee locked.
 
         Parameters
@@ -121,7 +145,9 @@ class Chain:
         ndarray, shape (4, ...) [rad g/leg]
         """
         f, groups = self.force(q, rate, slope), self.groups(free_knee)
-        x = _solve(_group(self.matrix(q), groups), [total(f[i] for i in g) for g in groups])
+        x = _solve(
+            _group(self.matrix(q), groups), [total(f[i] for i in g) for g in groups]
+        )
         return np.stack([x[k] for k, g in enumerate(groups) for _ in g])
 
     def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -150,9 +176,20 @@ class Chain:
         ndarray of complex, shape (4, ...)
         """
         e = np.exp(1j * q)
-        return np.stack([1j * self.S[0] * e[0] - self.R, *(1j * self.S[j] * e[j] for j in (1, 2, 3))])
+        return np.stack(
+            [
+                1j * self.S[0] * e[0] - self.R,
+                *(1j * self.S[j] * e[j] for j in (1, 2, 3)),
+            ]
+        )
 
-    def ground_force(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    def ground_force(
+        self,
+        q: np.ndarray,
+        rate: np.ndarray,
+        acceleration: np.ndarray,
+        slope: np.ndarray,
+    ) -> np.ndarray:
         """Force of the ground on the stance foot, complex, over weight.
 
         Parameters
@@ -165,11 +202,20 @@ class Chain:
         ndarray of complex, shape (...)
         """
         e = np.exp(1j * q)
-        inertial = total((1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4))
+        inertial = total(
+            (1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4)
+        )
         return inertial - self.R * acceleration[0] - np.sin(slope) + 1j * np.cos(slope)
 
-    def holding(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Torque of the stance knee's lock on the thigh; negative where no stop could give it.
+    def holding(
+        self,
+        q: np.ndarray,
+        rate: np.ndarray,
+        acceleration: np.ndarray,
+        slope: np.ndarray,
+    ) -> np.ndarray:
+        """Torque of the stance knee's lock on the thigh; negative where no stop could
+        give it.
 
         Parameters
         ----------
@@ -183,8 +229,11 @@ class Chain:
         M, f = self.matrix(q), self.force(q, rate, slope)
         return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
 
-    def compliance(self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool) -> list[list[np.ndarray]]:
-        """Rates along some rows for a unit impulse along each, stance knee locked: r M^-1 r^T.
+    def compliance(
+        self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool
+    ) -> list[list[np.ndarray]]:
+        """Rates along some rows for a unit impulse along each, stance knee locked: r
+        M^-1 r^T.
 
         Parameters
         ----------
@@ -200,12 +249,19 @@ class Chain:
             The symmetric matrix over the rows.
         """
         groups = self.groups(free_knee)
-        M, impulses = _group(self.matrix(q), groups), [[total(r[i] for i in g) for g in groups] for r in rows]
+        M, impulses = (
+            _group(self.matrix(q), groups),
+            [[total(r[i] for i in g) for g in groups] for r in rows],
+        )
         responses = [_solve(M, r) for r in impulses]
-        return [[total(a * b for a, b in zip(r, x, strict=True)) for x in responses] for r in impulses]
+        return [
+            [total(a * b for a, b in zip(r, x, strict=True)) for x in responses]
+            for r in impulses
+        ]
 
     def height(self, q: np.ndarray) -> np.ndarray:
-        """Height of the swing foot's lowest point over leg, without cancellation for short steps.
+        """Height of the swing foot's lowest point over leg, without cancellation for
+        short steps.
 
         Parameters
         ----------
@@ -233,7 +289,9 @@ class Chain:
         e = np.exp(1j * q)
         return np.stack([(arm * e[j]).real for j, arm in enumerate(self.to_foot)])
 
-    def lift(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    def lift(
+        self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+    ) -> np.ndarray:
         """Second derivative of the swing foot's height by time, over g.
 
         Parameters
@@ -245,17 +303,23 @@ class Chain:
         ndarray, shape (...)
         """
         e = np.exp(1j * q)
-        turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate(self.to_foot))
+        turning = total(
+            rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate(self.to_foot)
+        )
         return total(self.rise(q) * acceleration) - turning
 
 
-def _group(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:
+def _group(
+    M: list[list[np.ndarray]], groups: list[list[int]]
+) -> list[list[np.ndarray]]:
     """Matrix of groups of links that move as one."""
     return [[total(M[i][j] for i in g for j in h) for h in groups] for g in groups]
 
 
 def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
-    """Solve A x = b elementwise. The stance row is eliminated last: its coupling to a massless leg is zero."""
+    """Solve A x = b elementwise. The stance row is eliminated last: its coupling to a
+    massless leg is zero.
+    """
     A, b, n = [list(row) for row in A], list(b), len(b)
     for k in reversed(range(1, n)):
         for i in range(k):

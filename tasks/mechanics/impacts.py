@@ -1,8 +1,9 @@
-"""Kneestrike and heelstrike: plastic impacts, as linear maps of the rates (section 2.1 of the paper).
+"""Kneestrike and heelstrike: plastic impacts, as linear maps of the rates (section 2.1
+of the paper).
 
-Momentum is conserved in every motion that the constraints after the impact allow: with V the bodies' velocities,
-M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the swing leg are divided by `eps` as in the equations of
-motion.
+Momentum is conserved in every motion that the constraints after the impact allow: with
+V the bodies' velocities, M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the
+swing leg are divided by `eps` as in the equations of motion.
 """
 
 from __future__ import annotations
@@ -14,7 +15,12 @@ from gaitsweep.tasks.mechanics.vector import Vector
 
 
 def heelstrike(
-    p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_knee: bool, old_angle: Sym | None = None
+    p: Symbols,
+    angle: Sym,
+    stance_rate: Sym,
+    swing_rate: Sym,
+    free_knee: bool,
+    old_angle: Sym | None = None,
 ) -> list[Sym]:
     """Rates just after heelstrike from the rates just before.
 
@@ -29,7 +35,8 @@ def heelstrike(
     free_knee : bool
         True where the new swing knee is free.
     old_angle : expression, optional
-        Scaled angle of the old stance leg; on even ground both feet touch, so it is minus the new one's.
+        Scaled angle of the old stance leg; on even ground both feet touch, so it is
+        minus the new one's.
 
     Returns
     -------
@@ -39,7 +46,8 @@ def heelstrike(
     Notes
     -----
     Section 2.1 of the paper, with feet of any radius: the impulse acts at the new contact only, so angular momentum of
-    the whole walker about it and of the old stance leg about the hip are conserved. That leg becomes the swing leg.
+    the whole walker about it and of the old stance leg about the hip are conserved.
+    That leg becomes the swing leg.
     """
     new = p.scale * angle
     old = -p.scale * angle if old_angle is None else p.scale * old_angle
@@ -58,12 +66,23 @@ def heelstrike(
     # The product hip_new . hip_old, without cancellation for legs at a wide angle.
     hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
     if old_angle is not None:
-        hips = p.R**2.0 + p.R * p.l * (trig_new[1] + trig_old[1]) + p.l**2.0 * hy.cos(new - old)
+        hips = (
+            p.R**2.0
+            + p.R * p.l * (trig_new[1] + trig_old[1])
+            + p.l**2.0 * hy.cos(new - old)
+        )
     momentum = [
-        (hips + p.eps * (sweep(S, trig_new).dot(hip_old) + hip_new.dot(sweep(S, trig_old)))) * stance_rate
+        (
+            hips
+            + p.eps
+            * (sweep(S, trig_new).dot(hip_old) + hip_new.dot(sweep(S, trig_old)))
+        )
+        * stance_rate
         + p.eps * (hip_new.dot(sweep(S, trig_new)) + J) * swing_rate
     ]
-    swing = [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)] if free_knee else [(S, J)]
+    swing = (
+        [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)] if free_knee else [(S, J)]
+    )
     for S_j, inertia in swing:
         momentum.append((sweep(S_j, trig_old).dot(hip_old) + inertia) * stance_rate)
     return Solver(M)(momentum)

@@ -1,4 +1,6 @@
-"""Compiled flows: a structure's equations of motion, integrated over given times in SIMD lanes."""
+"""Compiled flows: a structure's equations of motion, integrated over given times in
+SIMD lanes.
+"""
 
 from __future__ import annotations
 
@@ -14,21 +16,31 @@ from gaitsweep.tasks.mechanics import compile_cache
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.lumped import Structure
 
-#: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
+#: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to
+#: 40.
 _MAX_STEPS = 120
-#: The vectorised sine reduces the arguments of a whole register differently if one of them is larger [rad].
+#: The vectorised sine reduces the arguments of a whole register differently if one of
+#: them is larger [rad].
 _LARGE_ANGLE = 10.0
 
 
 def _register() -> int:
-    """Numbers in a SIMD register: heyoka recommends half of AVX-512's, with which a lane takes half as long again."""
+    """Numbers in a SIMD register: heyoka recommends half of AVX-512's, with which a
+    lane takes half as long again.
+    """
     found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-    return 8 if any("512" in name or name == "X86_V4" for name in found) else int(hy.recommended_simd_size())
+    return (
+        8
+        if any("512" in name or name == "X86_V4" for name in found)
+        else int(hy.recommended_simd_size())
+    )
 
 
-#: Numbers in a SIMD register; a processor with wide registers can do as one with narrower ones.
+#: Numbers in a SIMD register; a processor with wide registers can do as one with
+#: narrower ones.
 LANES = int(os.environ.get("GAITSWEEP_LANES") or _register())
-#: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
+#: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of
+#: rounding.
 _FINE = 1.75e-15
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.
 _COARSE = 1e-7
@@ -36,7 +48,9 @@ _COARSE = 1e-7
 
 @functools.cache
 def prepare_compiler() -> None:
-    """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first."""
+    """Set heyoka's compile cache and threads for this process; every factory of
+    compiled code calls it first.
+    """
     compile_cache.use()
     hy.set_nthreads(1)
 
@@ -66,20 +80,26 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
-    Work is counted in `evaluations` (lanes integrated), `idle` (lanes that fill up a group) and `seconds`. Every lane
-    runs the same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lane
-    that is lost or turns over is integrated again lane by lane to keep that true.
+    Work is counted in `evaluations` (lanes integrated), `idle` (lanes that fill up a
+    group) and `seconds`. Every lane runs the same code with Taylor steps of its own, so
+    its bits do not depend on its neighbours; a group with a lane that is lost or turns
+    over is integrated again lane by lane to keep that true.
     """
 
-    def __init__(self, structure: Structure, directions: int, with_slope: bool, coarse: bool):
+    def __init__(
+        self, structure: Structure, directions: int, with_slope: bool, coarse: bool
+    ):
         motion = system(structure, structure.kneed, directions, with_slope)
         self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
-        # Without a foot mass the links do not couple: with so few terms a group of two narrow registers is faster.
+        # Without a foot mass the links do not couple: with so few terms a group of two
+        # narrow registers is faster.
         self.lanes = max(LANES, 8) if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self.seconds = 0.0
         self._ta = hy.taylor_adaptive_batch(
-            motion.equations, state=np.zeros((self.size, self.lanes)), tol=_COARSE if coarse else _FINE
+            motion.equations,
+            state=np.zeros((self.size, self.lanes)),
+            tol=_COARSE if coarse else _FINE,
         )
         self._parameters = motion.parameters(batch_size=LANES)
         # Views of the integrator's own memory.
@@ -87,7 +107,11 @@ class Flow:
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
 
     def __call__(
-        self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, samples: int = 0
+        self,
+        state: np.ndarray,
+        parameters: np.ndarray,
+        duration: np.ndarray,
+        samples: int = 0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Integrate every lane over its own duration.
 
@@ -109,18 +133,27 @@ class Flow:
             Angles and rates; of no samples where none are asked for.
         """
         n, scale, began = state.shape[1], parameters[1], time.process_time()
-        state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
+        state, duration = (
+            whole_groups(state, self.lanes),
+            whole_groups(duration, self.lanes),
+        )
         parameters = self._parameters(whole_groups(parameters, self.lanes))
         width = len(duration)
         final, reached = np.empty((self.size, width)), np.full(width, np.nan)
-        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else np.empty((0, 1))
+        fractions = (
+            np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else np.empty((0, 1))
+        )
         motion = np.empty((len(fractions), self.angles, width))
 
         def integrate(lanes: slice | list[int], to: slice) -> None:
             """Integrate a group of lanes and store the first of them as lanes `to`."""
             kept = slice(to.stop - to.start)
-            # heyoka keeps no place for the last parameters where no term needs them: a balanced leg feels no gravity.
-            self._state[:], self._pars[:] = state[:, lanes], parameters[: len(self._pars), lanes]
+            # heyoka keeps no place for the last parameters where no term needs them: a
+            # balanced leg feels no gravity.
+            self._state[:], self._pars[:] = (
+                state[:, lanes],
+                parameters[: len(self._pars), lanes],
+            )
             try:
                 samples_of_group = self._advance(duration[lanes], fractions)
             except ValueError:
@@ -132,8 +165,12 @@ class Flow:
         for k in range(0, width, self.lanes):
             integrate(slice(k, k + self.lanes), slice(k, k + self.lanes))
         lost = _differ(reached, duration)
-        lost[:n] |= np.abs(final[: self.angles // 2, :n] * scale).max(axis=0) > _LARGE_ANGLE
-        for k in (np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes).tolist():
+        lost[:n] |= (
+            np.abs(final[: self.angles // 2, :n] * scale).max(axis=0) > _LARGE_ANGLE
+        )
+        for k in (
+            np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes
+        ).tolist():
             for lane in range(k, k + self.lanes):
                 reached[lane] = np.nan
                 integrate([lane] * self.lanes, slice(lane, lane + 1))
@@ -145,7 +182,9 @@ class Flow:
         return final[:, :n], motion[:, :, :n]
 
     def _advance(self, duration: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-        """Integrate a group by heyoka over its whole duration, or to fractions of it; the states there."""
+        """Integrate a group by heyoka over its whole duration, or to fractions of it;
+        the states there.
+        """
         ta: Any = self._ta
         ta.set_time(0.0)
         if not len(fractions):
@@ -155,21 +194,28 @@ class Flow:
 
 
 def _differ(reached: np.ndarray, duration: np.ndarray) -> np.ndarray:
-    """Whether motions ended at another time than asked; heyoka's clock may be off by its last digit only."""
+    """Whether motions ended at another time than asked; heyoka's clock may be off by
+    its last digit only.
+    """
     return np.asarray(~(np.abs(reached - duration) <= 1e-15 * np.abs(duration)))
 
 
-#: Every flow compiled by this process, by its structure and options; their counters hold the work done.
+#: Every flow compiled by this process, by its structure and options; their counters
+#: hold the work done.
 FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
-def flow(structure: Structure, directions: int, with_slope: bool, coarse: bool = False) -> Flow:
-    """Return the compiled flow of a structure, one a process; the compiled code is kept on disk between processes.
+def flow(
+    structure: Structure, directions: int, with_slope: bool, coarse: bool = False
+) -> Flow:
+    """Return the compiled flow of a structure, one a process; the compiled code is kept
+    on disk between processes.
 
     Parameters
     ----------
     structure : Structure
-        That of straight legs, or of knees while the swing knee is free; once locked they move as straight legs.
+        That of straight legs, or of knees while the swing knee is free; once locked
+        they move as straight legs.
     directions : int
         Number of variations carried along.
     with_slope : bool
@@ -182,23 +228,38 @@ def flow(structure: Structure, directions: int, with_slope: bool, coarse: bool =
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.
         other = (structure, directions + 1, True)
-        with compile_cache.turn(repr(key), (lambda: None) if with_slope or coarse else (lambda: flow(*other))):
+        with compile_cache.turn(
+            repr(key),
+            (lambda: None) if with_slope or coarse else (lambda: flow(*other)),
+        ):
             FLOWS[key] = Flow(*key)
     return FLOWS[key]
 
 
 class CompiledFunction:
-    """A compiled function of lanes, and the processor time `seconds` that this process has spent in all of them."""
+    """A compiled function of lanes, and the processor time `seconds` that this process
+    has spent in all of them.
+    """
 
     seconds = 0.0
 
     def __init__(self, outputs: list[Any], variables: list[Any]):
-        self._function = hy.cfunc(outputs, vars=variables, compact_mode=False, batch_size=LANES)
+        self._function = hy.cfunc(
+            outputs, vars=variables, compact_mode=False, batch_size=LANES
+        )
 
-    def __call__(self, inputs: np.ndarray, outputs: np.ndarray | None = None) -> np.ndarray:
-        """Values of the function, shape (outputs, n), at inputs of shape (variables, n)."""
+    def __call__(
+        self, inputs: np.ndarray, outputs: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Values of the function, shape (outputs, n), at inputs of shape (variables,
+        n).
+        """
         began = time.process_time()
-        values: np.ndarray = self._function(inputs) if outputs is None else self._function(inputs, outputs=outputs)
+        values: np.ndarray = (
+            self._function(inputs)
+            if outputs is None
+            else self._function(inputs, outputs=outputs)
+        )
         CompiledFunction.seconds += time.process_time() - began
         return values
 

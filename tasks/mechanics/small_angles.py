@@ -1,8 +1,10 @@
-"""Steps to first order in the angles, in closed form: what a search for gaits begins with.
+"""Steps to first order in the angles, in closed form: what a search for gaits begins
+with.
 
-Near q = (stance, swing thigh[, swing shank]) = 0 the equations of motion (tasks.mechanics.equations) are
-M q'' = G q - c, with constant M and G, and c linear in the slope. States are followed as linear functions of
-(stance angle, old stance rate, old swing rate, 1, slope), so that all angles and slopes share one propagation.
+Near q = (stance, swing thigh[, swing shank]) = 0 the equations of motion
+(tasks.mechanics.equations) are M q'' = G q - c, with constant M and G, and c linear in
+the slope. States are followed as linear functions of (stance angle, old stance rate,
+old swing rate, 1, slope), so that all angles and slopes share one propagation.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 #: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
 _PERIODS = np.linspace(1.0, 6.0, 51)
-#: Shortest and longest time taken for a swing of the leg [sqrt(leg/g)]: a leg that is balanced about the hip has none.
+#: Shortest and longest time taken for a swing of the leg [sqrt(leg/g)]: a leg that is
+#: balanced about the hip has none.
 _SWINGS = (0.02, 7.0)
-#: Times at which the flexion of the knee is looked at, over a swing of the leg, and the largest for its return.
+#: Times at which the flexion of the knee is looked at, over a swing of the leg, and the
+#: largest for its return.
 _KNEE_TIMES, _KNEE_UP_TO = 200, 1.6
 #: Time of kneestrike over the period, where it is not known, and at most.
 _KNEE_GUESS, _KNEE_LATEST = 0.65, 0.93
@@ -33,14 +37,18 @@ class SmallAngles:
     Attributes
     ----------
     swing : float [sqrt(leg/g)]
-        Time in which the straight leg, hung at the hip, swings from one side to the other.
+        Time in which the straight leg, hung at the hip, swings from one side to the
+        other.
     """
 
     def __init__(self, walker: Walker):
         constants = lump(walker)
         self.point_foot, self.has_knees = walker.point_foot, walker.knees
         self.eps, R = constants["eps"], constants["R"]
-        stance, *swing = (complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"]) for x in _arms(walker))
+        stance, *swing = (
+            complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"])
+            for x in _arms(walker)
+        )
         inertia = [constants["C_bb"]]
         between = 0.0
         if walker.knees:
@@ -48,7 +56,15 @@ class SmallAngles:
             between = constants["H_re"]
 
         rolling = constants["C_aa"] + 2 * R * stance.imag
-        self.locked = _Linear(rolling, R, self.eps, stance, [sum(swing)], [sum(inertia) + 2 * between], 0.0)
+        self.locked = _Linear(
+            rolling,
+            R,
+            self.eps,
+            stance,
+            [sum(swing)],
+            [sum(inertia) + 2 * between],
+            0.0,
+        )
         self.free = _Linear(rolling, R, self.eps, stance, swing, inertia, between)
 
         S, J = self.locked.G[1], self.locked.M[1, 1]
@@ -62,8 +78,11 @@ class SmallAngles:
         momentum[1:, 0] = self.free.G[1:] + [C + between for C in inertia]
         self.heelstrike = np.linalg.solve(self.free.M, momentum)
 
-    def exchange_rates(self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Rates just after heelstrike with which straight legs exchange places in a given time.
+    def exchange_rates(
+        self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
+    ) -> np.ndarray:
+        """Rates just after heelstrike with which straight legs exchange places in a
+        given time.
 
         Parameters
         ----------
@@ -72,17 +91,21 @@ class SmallAngles:
         Returns
         -------
         ndarray, shape (2, n) [rad/sqrt(leg/g)]
-            Of the stance and of the swing leg. A leg whose mass is all at the foot starts with the rate that
-            heelstrike gives it; then only the stance leg reaches the other's place.
+            Of the stance and of the swing leg. A leg whose mass is all at the foot
+            starts with the rate that heelstrike gives it; then only the stance leg
+            reaches the other's place.
         """
         by_rates, lack = self._exchange(angle, period, slope)
         if self.point_foot:
             along = _rates_along(angle)
             return along * lack[0] / total(by_rates[0] * along)
-        return np.linalg.solve(by_rates.transpose(2, 0, 1), lack.T[:, :, None])[:, :, 0].T
+        return np.linalg.solve(by_rates.transpose(2, 0, 1), lack.T[:, :, None])[
+            :, :, 0
+        ].T
 
     def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Periods in which both legs exchange places, where their masses are at the feet.
+        """Periods in which both legs exchange places, where their masses are at the
+        feet.
 
         Parameters
         ----------
@@ -91,29 +114,44 @@ class SmallAngles:
         Returns
         -------
         ndarray, shape (2, n) [sqrt(leg/g)]
-            The two shortest, by linear interpolation between periods 0.1 apart; NaN where there are fewer.
+            The two shortest, by linear interpolation between periods 0.1 apart; NaN
+            where there are fewer.
         """
         motion = self.locked.after(_PERIODS)[:, :2].transpose(1, 2, 0)
         # What both legs lack, and what a rate of the stance leg adds, (2, periods, n).
-        reached = total(motion[:, j, :, None] * known for j, known in enumerate(_known(angle, slope)))
+        reached = total(
+            motion[:, j, :, None] * known
+            for j, known in enumerate(_known(angle, slope))
+        )
         lack = -np.array([angle, -angle])[:, None] - reached
-        by_rate = total(motion[:, 2 + j, :, None] * rate for j, rate in enumerate(_rates_along(angle)))
+        by_rate = total(
+            motion[:, 2 + j, :, None] * rate
+            for j, rate in enumerate(_rates_along(angle))
+        )
         off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
 
         crosses = np.diff(np.sign(off), axis=0) != 0
         with np.errstate(invalid="ignore", divide="ignore"):
-            roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[:, None] / np.diff(off, axis=0)
+            roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[
+                :, None
+            ] / np.diff(off, axis=0)
         return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
 
     def kneed_exchange(
-        self, angle: np.ndarray, period: np.ndarray, ratio: np.ndarray, slope: np.ndarray
+        self,
+        angle: np.ndarray,
+        period: np.ndarray,
+        ratio: np.ndarray,
+        slope: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Stance rate and time of kneestrike with which the stance leg reaches the other's place in a given time.
+        """Stance rate and time of kneestrike with which the stance leg reaches the
+        other's place in a given time.
 
         Parameters
         ----------
         angle, period, ratio, slope : ndarray, shape (n,) [rad], [sqrt(leg/g)], 1 and [rad]
-            `ratio` is the swing leg's rate just before heelstrike over the stance leg's.
+            `ratio` is the swing leg's rate just before heelstrike over the stance
+            leg's.
 
         Returns
         -------
@@ -124,13 +162,16 @@ class SmallAngles:
         Notes
         -----
         When the knee returns depends little on the rates. First it is taken to do so after `_KNEE_GUESS` of the period,
-        which gives the rates without gravity's moment about the stance foot, and these the time.
+        which gives the rates without gravity's moment about the stance foot, and these
+        the time.
         """
         rate, kneestrike = np.empty(len(angle)), np.empty(len(angle))
         pairs, place = np.unique([period, ratio], axis=1, return_inverse=True)
         for i, (T, own_ratio) in enumerate(pairs.T):
             by_angle, by_rate, by_swing, *_ = self._kneed_end(_KNEE_GUESS * T, T)[0]
-            time = self._knee_return(-(by_angle + 1) / (by_rate + by_swing * own_ratio), own_ratio)
+            time = self._knee_return(
+                -(by_angle + 1) / (by_rate + by_swing * own_ratio), own_ratio
+            )
             time = min(time, _KNEE_LATEST * T) if np.isfinite(time) else _KNEE_GUESS * T
 
             lanes = place.ravel() == i
@@ -140,15 +181,21 @@ class SmallAngles:
             kneestrike[lanes] = time
         return rate, kneestrike
 
-    def _exchange(self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What rates after heelstrike add to the last angles of a step, (2, 2, n), and what these lack, (2, n)."""
+    def _exchange(
+        self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What rates after heelstrike add to the last angles of a step, (2, 2, n), and
+        what these lack, (2, n).
+        """
         periods, place = np.unique(period, return_inverse=True)
         motion = self.locked.after(periods)[place, :2].transpose(1, 2, 0)
         lack = -np.array([angle, -angle]) - matvec(motion, _known(angle, slope))
         return motion[:, 2:4], lack
 
     def _start(self) -> np.ndarray:
-        """State with a free knee just after heelstrike by (angle, old stance rate, old swing rate, 1, slope)."""
+        """State with a free knee just after heelstrike by (angle, old stance rate, old
+        swing rate, 1, slope).
+        """
         n = len(self.free.M)
         start = np.zeros((2 * n, 5))
         start[:n, 0] = [1.0, *[-1.0] * (n - 1)]
@@ -156,7 +203,9 @@ class SmallAngles:
         return start
 
     def _knee_return(self, rate: float, ratio: float) -> float:
-        """Time at which the knee is straight again after it has flexed, for rates over the angle; NaN if it is not."""
+        """Time at which the knee is straight again after it has flexed, for rates over
+        the angle; NaN if it is not.
+        """
         step = _KNEE_UP_TO * self.swing / _KNEE_TIMES
         state = self._start() @ [1.0, rate, ratio * rate, 0.0, 0.0]
         advance, before = self.free.after(np.array([step]))[0, :, :-2], 0.0
@@ -169,12 +218,16 @@ class SmallAngles:
         return np.nan
 
     def _kneed_end(self, kneestrike: float, period: float) -> np.ndarray:
-        """Angles at the end of a kneed step by (angle, old stance rate, old swing rate, 1, slope), shape (2, 5)."""
+        """Angles at the end of a kneed step by (angle, old stance rate, old swing rate,
+        1, slope), shape (2, 5).
+        """
         struck = self.free.moved(self._start(), kneestrike)
         # The impulse is a torque in the knee.
         momentum = self.free.M @ struck[3:]
         rates = np.linalg.solve(self.locked.M, [momentum[0], momentum[1] + momentum[2]])
-        return self.locked.moved(np.vstack([struck[:2], rates]), period - kneestrike)[:2]
+        return self.locked.moved(np.vstack([struck[:2], rates]), period - kneestrike)[
+            :2
+        ]
 
 
 def _arms(walker: Walker) -> str:
@@ -205,13 +258,20 @@ class _Linear:
         self.c[0, 1] -= R
 
     def after(self, times: np.ndarray) -> np.ndarray:
-        """States (angles, rates) after k times by those at the start, then by (1, slope), shape (k, 2 n, 2 n + 2)."""
-        # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and force.
-        squares, modes = np.linalg.eig(np.linalg.solve(self.M, np.diag(self.G)).astype(complex))
+        """States (angles, rates) after k times by those at the start, then by (1,
+        slope), shape (k, 2 n, 2 n + 2).
+        """
+        # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
+        # force.
+        squares, modes = np.linalg.eig(
+            np.linalg.solve(self.M, np.diag(self.G)).astype(complex)
+        )
         growth = np.sqrt(squares)[:, None]
         is_free = growth == 0
         by_angle = np.cosh(growth * times)
-        by_rate = np.where(is_free, times, np.sinh(growth * times) / np.where(is_free, 1, growth))
+        by_rate = np.where(
+            is_free, times, np.sinh(growth * times) / np.where(is_free, 1, growth)
+        )
         fallen = np.sinh(growth * times / 2) / np.where(is_free, 1, growth)
         by_force = -2 * np.where(is_free, times / 2, fallen) ** 2
 
@@ -222,8 +282,14 @@ class _Linear:
             return np.einsum("ik,kn,kj->nij", modes, of_mode, source).real
 
         angles = [links(by_angle, back), links(by_rate, back), links(by_force, force)]
-        rates = [links(squares[:, None] * by_rate, back), links(by_angle, back), links(-by_rate, force)]
-        return np.concatenate([np.concatenate(angles, axis=2), np.concatenate(rates, axis=2)], axis=1)
+        rates = [
+            links(squares[:, None] * by_rate, back),
+            links(by_angle, back),
+            links(-by_rate, force),
+        ]
+        return np.concatenate(
+            [np.concatenate(angles, axis=2), np.concatenate(rates, axis=2)], axis=1
+        )
 
     def moved(self, states: np.ndarray, time: float) -> np.ndarray:
         """States by (angle, two rates, 1, slope), shape (2 n, 5), after some time."""
@@ -234,11 +300,15 @@ class _Linear:
 
 
 def _known(angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """State of straight legs just after heelstrike but for its rates, then (1, slope), shape (6, n)."""
+    """State of straight legs just after heelstrike but for its rates, then (1, slope),
+    shape (6, n).
+    """
     none = np.zeros_like(angle)
     return np.stack([angle, -angle, none, none, none + 1, slope])
 
 
 def _rates_along(angle: np.ndarray) -> np.ndarray:
-    """Rates just after heelstrike over the stance leg's, where the masses are at the feet, shape (2, n)."""
+    """Rates just after heelstrike over the stance leg's, where the masses are at the
+    feet, shape (2, n).
+    """
     return np.array([np.ones_like(angle), np.cos(2 * angle)])

@@ -1,7 +1,8 @@
 """Sums over the leading axes of arrays of lanes, always added in the same order.
 
-The order in which numpy's own reductions and products of matrices add depends on the number of lanes and on where they
-lie in memory, and with it the last bits of each; so does a power with an array of exponents.
+The order in which numpy's own reductions and products of matrices add depends on the
+number of lanes and on where they lie in memory, and with it the last bits of each; so
+does a power with an array of exponents.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ def polynomial(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    return functools.reduce(lambda value, coefficient: value * x + coefficient, coefficients)
+    return functools.reduce(
+        lambda value, coefficient: value * x + coefficient, coefficients
+    )
 
 
 def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Vectors of legs in the plane, whose parts are of any type of number: doubles, wider ones, arrays or symbols."""
+"""Vectors of legs in the plane, whose parts are of any type of number: doubles, wider
+ones, arrays or symbols.
+"""
 
 from __future__ import annotations
 

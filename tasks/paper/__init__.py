@@ -1,6 +1,8 @@
-"""The ledger of the paper's claims: each is one small function, entered under its id by the decorator `claim`.
+"""The ledger of the paper's claims: each is one small function, entered under its id by
+the decorator `claim`.
 
-Importing this package fills `CLAIMS`; a new claim is one such function in any module imported here.
+Importing this package fills `CLAIMS`; a new claim is one such function in any module
+imported here.
 """
 
 from gaitsweep.tasks.paper import (  # noqa: F401 (each module enters its claims)

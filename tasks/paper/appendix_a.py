@@ -1,4 +1,6 @@
-"""Appendix A of the paper: the assumptions of the model, and by how much the simulated gaits violate them."""
+"""Appendix A of the paper: the assumptions of the model, and by how much the simulated
+gaits violate them.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,17 @@ def _measure(paper: Paper, walker: str, slopes: tuple[float, ...]) -> Arrays:
 
 def _of_figure_3(paper: Paper) -> dict[str, float]:
     """Violations of the gait of figure 3."""
-    return {k: float(v[0, LONG]) for k, v in _measure(paper, "physical", (0.036,)).items() if v.ndim == 2}
+    return {
+        k: float(v[0, LONG])
+        for k, v in _measure(paper, "physical", (0.036,)).items()
+        if v.ndim == 2
+    }
 
 
 def _flags(gaits: Arrays, name: str) -> np.ndarray:
-    """Whether each existing gait violates an assumption at all, by however little, shape (n,)."""
+    """Whether each existing gait violates an assumption at all, by however little,
+    shape (n,).
+    """
     exists, violation = np.isfinite(gaits["stance_angle"]), VIOLATIONS[name]
     amounts = np.array([gaits[amount][exists] for amount in violation.amounts])
     return np.asarray((amounts < 0 if violation.is_least else amounts > 0).any(axis=0))
@@ -38,18 +46,30 @@ def _flags(gaits: Arrays, name: str) -> np.ndarray:
 @claim("A1")
 def scuffing(paper: Paper) -> Found:
     """Count the gaits whose swing foot scuffs."""
-    straight = np.concatenate([_flags(_measure(paper, w, _SLOPES), "scuff") for w in _STRAIGHT])
-    kneed = np.concatenate([_flags(_measure(paper, w, _SLOPES), "scuff") for w in ("C", "physical")])
+    straight = np.concatenate(
+        [_flags(_measure(paper, w, _SLOPES), "scuff") for w in _STRAIGHT]
+    )
+    kneed = np.concatenate(
+        [_flags(_measure(paper, w, _SLOPES), "scuff") for w in ("C", "physical")]
+    )
     depth = _of_figure_3(paper)["scuff_depth"]
-    counts = {"straight": (straight.sum(), len(straight)), "kneed": (kneed.sum(), len(kneed))}
-    return found(verdict(straight.all() and not kneed.all()), depth, depth=1e3 * depth, **counts)
+    counts = {
+        "straight": (straight.sum(), len(straight)),
+        "kneed": (kneed.sum(), len(kneed)),
+    }
+    return found(
+        verdict(straight.all() and not kneed.all()), depth, depth=1e3 * depth, **counts
+    )
 
 
 @claim("A2")
 def unlocking(paper: Paper) -> Found:
     """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
     amounts = _of_figure_3(paper)
-    impulse, torque = amounts["unlocking_impulse_kneestrike"], amounts["unlocking_torque"]
+    impulse, torque = (
+        amounts["unlocking_impulse_kneestrike"],
+        amounts["unlocking_torque"],
+    )
     return found(verdict(impulse > 0 and torque < 0, impulse > 0), impulse, **amounts)
 
 
@@ -67,13 +87,18 @@ def tension(paper: Paper) -> Found:
 def hyperextension(paper: Paper) -> Found:
     """Locate the slopes at which the released knee begins to hyperextend."""
     release = paper.line("physical").special_of("release_hyperextension")[0]
-    tuned = {f"{label} step below slope": interval(paper, f"C release, {label}").value for label in BOTH}
+    tuned = {
+        f"{label} step below slope": interval(paper, f"C release, {label}").value
+        for label in BOTH
+    }
     deep = _measure(paper, "C", (1e-4,))["hyperextension"][0, [LONG, SHORT]]
     return found(REPRODUCED, release["slope"], release=release, tuned=tuned, deep=deep)
 
 
 def _count(paper: Paper, name: str) -> dict[str, Any]:
-    """Number of gaits that violate an assumption, number of all gaits, and both by walker in words."""
+    """Number of gaits that violate an assumption, number of all gaits, and both by
+    walker in words.
+    """
     flags = {w: _flags(_measure(paper, w, _SLOPES), name) for w in _WALKERS}
     by_walker = {w: f"{f.sum()} of {len(f)}" for w, f in flags.items()}
     every = np.concatenate([*flags.values()])
@@ -84,13 +109,17 @@ def _count(paper: Paper, name: str) -> dict[str, Any]:
 def penetration(paper: Paper) -> Found:
     """Count the gaits whose released foot penetrates the ground."""
     counts = _count(paper, "release_penetrates")
-    steep = 1e3 * np.nanmax(_measure(paper, "physical-straight", (0.3,))["penetration_depth"])
+    steep = 1e3 * np.nanmax(
+        _measure(paper, "physical-straight", (0.3,))["penetration_depth"]
+    )
     return found(verdict(counts["count"] > 0), counts["count"], steep=steep, **counts)
 
 
 @claim("A6")
 def trailing_foot(paper: Paper) -> Found:
-    """Count the gaits in which simultaneous contact of both feet would push the trailing foot."""
+    """Count the gaits in which simultaneous contact of both feet would push the
+    trailing foot.
+    """
     counts = _count(paper, "trailing_foot_pulls")
     steep = np.nanmax(_measure(paper, "physical-straight", (0.3,))["trailing_impulse"])
     holds = verdict(counts["count"] == 0, counts["count"] < counts["total"] / 10)

@@ -1,4 +1,6 @@
-"""Claims whose number is proved: certificates that back it, and what they say in a sentence."""
+"""Claims whose number is proved: certificates that back it, and what they say in a
+sentence.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.tasks.paper.claim import BACKED, CONSISTENT, PROVED, REPRODUCED, ClaimResult
+from gaitsweep.tasks.paper.claim import (
+    BACKED,
+    CONSISTENT,
+    PROVED,
+    REPRODUCED,
+    ClaimResult,
+)
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "reference" / "proofs"
 #: Relative error of a slope computed in doubles.
@@ -18,7 +26,8 @@ ROUNDING = 1e-12
 
 
 def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResult:
-    """A finding with what its certificates say, `proved` where it is reproduced and they hold its number.
+    """A finding with what its certificates say, `proved` where it is reproduced and
+    they hold its number.
 
     Parameters
     ----------
@@ -36,7 +45,11 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     -----
     A finding that is consistent within rounding stays so: certificates hold the computed number, not the printed one.
     """
-    kept = [path for certificate in BACKED.get(name, ()) if (path := folder / f"{certificate}.json").is_file()]
+    kept = [
+        path
+        for certificate in BACKED.get(name, ())
+        if (path := folder / f"{certificate}.json").is_file()
+    ]
     if (
         not kept
         or len(kept) < len(BACKED[name])
@@ -48,9 +61,13 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     middle, radius = map(Fraction, certificates[0]["slope"])
     if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
         return finding
-    statements = "; ".join(part for certificate in certificates for part in _statements(certificate))
+    statements = "; ".join(
+        part for certificate in certificates for part in _statements(certificate)
+    )
     verdict = PROVED if finding.verdict == REPRODUCED else finding.verdict
-    return replace(finding, verdict=verdict, computed=f"{finding.computed}; proved: {statements}")
+    return replace(
+        finding, verdict=verdict, computed=f"{finding.computed}; proved: {statements}"
+    )
 
 
 def _statements(certificate: Mapping[str, Any]) -> Iterator[str]:
@@ -59,5 +76,9 @@ def _statements(certificate: Mapping[str, Any]) -> Iterator[str]:
         yield f"a stable {certificate['gait']} step at every slope from {low} to {high}"
     else:
         middle, radius = certificate["slope"]
-        what = "a multiplier passes -1" if certificate["kind"] == "flip" else "the branch turns back"
+        what = (
+            "a multiplier passes -1"
+            if certificate["kind"] == "flip"
+            else "the branch turns back"
+        )
         yield f"{what} at {middle} +- {radius} ({certificate['name']})"

@@ -1,4 +1,6 @@
-"""The data of claims: the gaits of a line, solved once a process, and tables of studies."""
+"""The data of claims: the gaits of a line, solved once a process, and tables of
+studies.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ _Rest = ParamSpec("_Rest")
 _Result = TypeVar("_Result")
 
 
-def memoize(function: Callable[Concatenate[_Self, _Rest], _Result]) -> Callable[Concatenate[_Self, _Rest], _Result]:
+def memoize(
+    function: Callable[Concatenate[_Self, _Rest], _Result],
+) -> Callable[Concatenate[_Self, _Rest], _Result]:
     """Remember in its first argument, a paper or a line, what a function gives."""
 
     def remembered(self: _Self, *rest: _Rest.args, **named: _Rest.kwargs) -> _Result:
@@ -58,7 +62,9 @@ def memoize(function: Callable[Concatenate[_Self, _Rest], _Result]) -> Callable[
 class Line:
     """The gaits of one walker over slope."""
 
-    def __init__(self, walker: str, settings: Mapping[str, float], known: Arrays | None = None):
+    def __init__(
+        self, walker: str, settings: Mapping[str, float], known: Arrays | None = None
+    ):
         self.params = {"line": {"walker": walker, "set": dict(settings)}}
         self.walker: Walker = resolve(walker, settings)
         self.problem = Problem(self.walker)
@@ -66,7 +72,9 @@ class Line:
         self.branches: list[Branch] = atlases.from_arrays(self.arrays)
         self.memory: dict[Any, Any] = {}
 
-    def at(self, slope: np.ndarray | list[float] | float, want: tuple[str, ...] = _USUAL) -> Arrays:
+    def at(
+        self, slope: np.ndarray | list[float] | float, want: tuple[str, ...] = _USUAL
+    ) -> Arrays:
         """Variables of every gait at given slopes.
 
         Parameters
@@ -78,10 +86,17 @@ class Line:
         Returns
         -------
         dict
-            `slope`, and arrays of shape (n, gaits[, multipliers]) in the walker's units.
+            `slope`, and arrays of shape (n, gaits[, multipliers]) in the walker's
+            units.
         """
         slope = np.atleast_1d(np.asarray(slope, float))
-        return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
+        return {
+            "slope": slope,
+            **points(
+                {**self.params, "slope": slope, "want": want, "gaits": GAITS},
+                [self.arrays],
+            ),
+        }
 
     @memoize
     def grid(self, low: float = GRID[0], high: float = GRID[1], n: int = 97) -> Arrays:
@@ -99,8 +114,11 @@ class Line:
         """
         return self.at(np.geomspace(low, high, n))
 
-    def crossing(self, function: Callable[[Arrays], np.ndarray], want: tuple[str, ...]) -> float:
-        """Slope at which a function of gaits first changes its sign [rad]; NaN where it does not.
+    def crossing(
+        self, function: Callable[[Arrays], np.ndarray], want: tuple[str, ...]
+    ) -> float:
+        """Slope at which a function of gaits first changes its sign [rad]; NaN where it
+        does not.
 
         Parameters
         ----------
@@ -115,11 +133,23 @@ class Line:
         if not len(changes):
             return float("nan")
         low, high = (float(np.log(s)) for s in slope[changes[0] : changes[0] + 2])
-        root = bracketed_root(lambda q: float(function(self.at([float(np.exp(q))], want))[0]), low, high, 1e-11)
+        root = bracketed_root(
+            lambda q: float(function(self.at([float(np.exp(q))], want))[0]),
+            low,
+            high,
+            1e-11,
+        )
         return float(np.exp(root))
 
-    def exponent(self, gait: int, slope: float, ordinate: str = "stance_angle", abscissa: str = "slope") -> float:
-        """Local exponent d ln ordinate/d ln abscissa, by a difference over slopes 5 % to either side.
+    def exponent(
+        self,
+        gait: int,
+        slope: float,
+        ordinate: str = "stance_angle",
+        abscissa: str = "slope",
+    ) -> float:
+        """Local exponent d ln ordinate/d ln abscissa, by a difference over slopes 5 %
+        to either side.
 
         Raises
         ------
@@ -128,9 +158,13 @@ class Line:
         """
         pair = self.at(slope * np.array([0.95, 1.05]))
         if any(np.diff(pair[name][:, gait])[0] for name in ("branch", "piece")):
-            raise ValueError(f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves")
+            raise ValueError(
+                f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves"
+            )
         x = pair["slope"] if abscissa == "slope" else pair[abscissa][:, gait]
-        return float(np.diff(np.log(pair[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
+        return float(
+            np.diff(np.log(pair[ordinate][:, gait]))[0] / np.diff(np.log(x))[0]
+        )
 
     def is_short(self, Z: np.ndarray) -> bool:
         """Whether a row of a branch is a short step.
@@ -143,7 +177,9 @@ class Line:
         return not gait_ratio(stride)[0] < LONG_BELOW
 
     def exponents(self, slope: float, *of: str) -> dict[str, float]:
-        """Local exponents of both gaits, by their labels; `of` names ordinate and abscissa."""
+        """Local exponents of both gaits, by their labels; `of` names ordinate and
+        abscissa.
+        """
         return {label: self.exponent(gait, slope, *of) for label, gait in BOTH.items()}
 
     @property
@@ -155,12 +191,16 @@ class Line:
     def special(self) -> list[dict[str, Any]]:
         """Special points of every branch, each with the number of its `branch`."""
         return [
-            {"branch": k, **point} for k, b in enumerate(self.branches) for point in special_points(self.problem, b)
+            {"branch": k, **point}
+            for k, b in enumerate(self.branches)
+            for point in special_points(self.problem, b)
         ]
 
     def special_of(self, kind: str) -> list[dict[str, Any]]:
         """Special points of a kind, by slope."""
-        return sorted((p for p in self.special if p["kind"] == kind), key=lambda p: p["slope"])
+        return sorted(
+            (p for p in self.special if p["kind"] == kind), key=lambda p: p["slope"]
+        )
 
     def stable(self) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         """Find the parts of branches whose gaits are stable.
@@ -179,12 +219,20 @@ class Line:
         for k in range(len(self.branches)):
             radius = self.curves[k]["spectral_radius"]
             points = [p for p in self.special if p["branch"] == k]
-            bounds = [p for p in points if p["kind"] in _EXCHANGES or p in (points[0], points[-1])]
+            bounds = [
+                p
+                for p in points
+                if p["kind"] in _EXCHANGES or p in (points[0], points[-1])
+            ]
             for a, b in itertools.pairwise(bounds):
-                between = radius[int(np.floor(a["place"])) + 1 : int(np.ceil(b["place"]))] < 1
+                between = (
+                    radius[int(np.floor(a["place"])) + 1 : int(np.ceil(b["place"]))] < 1
+                )
                 if between.any():
                     if not between.all():
-                        raise ValueError(f"gaits between slopes {a['slope']:g} and {b['slope']:g} differ in stability")
+                        raise ValueError(
+                            f"gaits between slopes {a['slope']:g} and {b['slope']:g} differ in stability"
+                        )
                     parts.append((a, b) if a["slope"] < b["slope"] else (b, a))
         return sorted(parts, key=lambda part: part[0]["slope"])
 
@@ -192,14 +240,18 @@ class Line:
     def curves(self) -> list[Arrays]:
         """Gaits at the nodes of every branch, in its own order.
 
-        Arrays of shape (nodes,): slope, stance_angle, period and speed in the walker's units; knee_share, the
-        kneestrike's time over the period; closing, the rate at which the foot meets the ground over the angle; short;
-        spectral_radius.
+        Arrays of shape (nodes,): slope, stance_angle, period and speed in the walker's
+        units; knee_share, the kneestrike's time over the period; closing, the rate at
+        which the foot meets the ground over the angle; short; spectral_radius.
         """
         return [self._nodes(branch) for branch in self.branches]
 
     def _nodes(self, branch: Branch) -> Arrays:
-        walker, m, nodes = self.walker, branch.m, correct(self.problem, branch.Z, branch.direction)
+        walker, m, nodes = (
+            self.walker,
+            branch.m,
+            correct(self.problem, branch.Z, branch.direction),
+        )
         times = branch.Z[m:-1]
         period, angle = times[-1] * walker.time_unit, np.exp(branch.Z[0])
         return {
@@ -209,7 +261,9 @@ class Line:
             "knee_share": times[0] / times[-1],
             "closing": nodes.at.stride.closing[-1] / nodes.at.stride.y[0],
             "short": ~(gait_ratio(nodes.at.stride) < LONG_BELOW),
-            "spectral_radius": np.abs(multipliers(nodes.at.stride.jacobian, m)).max(axis=1),
+            "spectral_radius": np.abs(multipliers(nodes.at.stride.jacobian, m)).max(
+                axis=1
+            ),
             "speed": step_length(walker, angle) / period,
         }
 
@@ -219,7 +273,8 @@ _Key = tuple[str, tuple[tuple[str, float], ...]]
 
 
 class Paper:
-    """What claims are checked with: the gaits of lines and the tables of a study, each computed once.
+    """What claims are checked with: the gaits of lines and the tables of a study, each
+    computed once.
 
     Parameters
     ----------
@@ -243,15 +298,27 @@ class Paper:
         """Line of a catalogue walker with some keys set."""
         return Line(walker, settings, self._atlases.get(_key(walker, settings)))
 
-    def exponents(self, walkers: Iterable[str], gait: int, slope: float) -> dict[str, float]:
+    def exponents(
+        self, walkers: Iterable[str], gait: int, slope: float
+    ) -> dict[str, float]:
         """Local exponents of the stance angle in slope, by walker."""
         return {walker: self.line(walker).exponent(gait, slope) for walker in walkers}
 
-    def exponents_of_both(self, walkers: Iterable[str], slope: float, *of: str) -> dict[str, float]:
-        """Local exponents of both gaits, by walker and gait; `of` names ordinate and abscissa."""
-        return {f"{w} {label}": p for w in walkers for label, p in self.line(w).exponents(slope, *of).items()}
+    def exponents_of_both(
+        self, walkers: Iterable[str], slope: float, *of: str
+    ) -> dict[str, float]:
+        """Local exponents of both gaits, by walker and gait; `of` names ordinate and
+        abscissa.
+        """
+        return {
+            f"{w} {label}": p
+            for w in walkers
+            for label, p in self.line(w).exponents(slope, *of).items()
+        }
 
-    def table(self, group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
+    def table(
+        self, group: str, walker: str, make: Callable[[], Arrays], **settings: float
+    ) -> Arrays:
         """Look up one table of a line.
 
         Parameters
@@ -271,7 +338,11 @@ class Paper:
         key = _key(walker, settings)
 
         def columns(known: Arrays) -> Arrays:
-            return {name.removeprefix(f"{group}/"): x for name, x in known.items() if name.startswith(f"{group}/")}
+            return {
+                name.removeprefix(f"{group}/"): x
+                for name, x in known.items()
+                if name.startswith(f"{group}/")
+            }
 
         if given := columns(self.tables.get(key, {})):
             return given
@@ -290,12 +361,14 @@ _last: dict[tuple[Any, ...], Paper] = {}
 
 
 def paper_of(lines: Sequence[Mapping[str, Any]], inputs: Sequence[Arrays]) -> Paper:
-    """What claims about a study's lines are checked with; what was computed from the same atlases is there already.
+    """What claims about a study's lines are checked with; what was computed from the
+    same atlases is there already.
 
     Parameters
     ----------
     lines : sequence of mapping
-        Lines of the study; claims are about walkers of the catalogue, which alone go by a name.
+        Lines of the study; claims are about walkers of the catalogue, which alone go by
+        a name.
     inputs : sequence of dict
         Each line's atlas, and its tables.
 
@@ -308,22 +381,36 @@ def paper_of(lines: Sequence[Mapping[str, Any]], inputs: Sequence[Arrays]) -> Pa
         for line, data in zip(lines, inputs, strict=False)
         if isinstance(line["walker"], str)
     }
-    atlases = {key: {name: x for name, x in data.items() if _is_of_atlas(name)} for key, data in known.items()}
-    given = tuple((key, name, x.tobytes()) for key, atlas in atlases.items() for name, x in sorted(atlas.items()))
+    atlases = {
+        key: {name: x for name, x in data.items() if _is_of_atlas(name)}
+        for key, data in known.items()
+    }
+    given = tuple(
+        (key, name, x.tobytes())
+        for key, atlas in atlases.items()
+        for name, x in sorted(atlas.items())
+    )
     if given not in _last:
         _last.clear()
         _last[given] = Paper({key: atlas for key, atlas in atlases.items() if atlas})
     paper = _last[given]
-    paper.tables = {key: {name: x for name, x in data.items() if "/" in name} for key, data in known.items()}
+    paper.tables = {
+        key: {name: x for name, x in data.items() if "/" in name}
+        for key, data in known.items()
+    }
     return paper
 
 
 def _is_of_atlas(name: str) -> bool:
-    return name not in VARIABLES and name not in ("slope", "reasons") and "/" not in name
+    return (
+        name not in VARIABLES and name not in ("slope", "reasons") and "/" not in name
+    )
 
 
 def coarse_lines(each: Sequence[tuple[str, Mapping[str, float]]]) -> list[Line]:
-    """Lines of walkers with some keys set, whose atlases locate folds and ends as fine ones do, but are coarse."""
+    """Lines of walkers with some keys set, whose atlases locate folds and ends as fine
+    ones do, but are coarse.
+    """
     named = [{"walker": walker, "set": settings} for walker, settings in each]
     surveyed = lines({"lines": named, "slope": np.empty(0), "want": ()}, [])
     return [Line(*own, known) for own, (known, _) in zip(each, surveyed, strict=True)]

@@ -10,7 +10,8 @@ from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
 
-#: Foot mass ratios at which the transition is located, down to where the 3/2 power is exact.
+#: Foot mass ratios at which the transition is located, down to where the 3/2 power is
+#: exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
 
 
@@ -19,12 +20,16 @@ def two_dimensional(paper: Paper) -> Found:
     """Evaluate the third multiplier of E and F."""
     worst = max(_third_multiplier(paper, w) for w in ("E", "F"))
     gaits = paper.line("E").at([0.01])
-    zero = not any(gaits[f"multiplier_{part}"][0, :2, 2].any() for part in ("real", "imag"))
+    zero = not any(
+        gaits[f"multiplier_{part}"][0, :2, 2].any() for part in ("real", "imag")
+    )
     return found(verdict(zero and worst < 1e-12), worst)
 
 
 def _third_multiplier(paper: Paper, walker: str) -> float:
-    """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
+    """Smallest multiplier of both gaits at slope 0.01 on the section of a general
+    straight-legged walker.
+    """
     problem = section_problem(paper.line(walker).walker)
     gaits = paper.line(walker).at([0.01])
     unit = problem.walker.time_unit
@@ -38,7 +43,9 @@ def _third_multiplier(paper: Paper, walker: str) -> float:
         ]
     )
     stride, _ = problem.some(np.zeros(2, int)).stride(w, np.full(2, np.log(0.01)))
-    return float(np.abs(np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))).min(axis=1).max())
+    return float(
+        np.abs(np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))).min(axis=1).max()
+    )
 
 
 @claim("E2")
@@ -46,17 +53,30 @@ def long_cube_root(paper: Paper) -> Found:
     """Compute the local exponents of the long step."""
     small, large = (paper.exponents("EF", LONG, slope) for slope in (1e-8, 0.05))
     off, above = (max(abs(p - 1 / 3) for p in each.values()) for each in (small, large))
-    return found(verdict(off < 1e-4 and above < 0.05), small["E"], small=small, large=large)
+    return found(
+        verdict(off < 1e-4 and above < 0.05), small["E"], small=small, large=large
+    )
 
 
 @claim("E3")
 def short_two_laws(paper: Paper) -> Found:
     """Compute the local exponents of the short step on both sides of the transition."""
-    small, middle, large = (paper.exponents("EF", SHORT, slope) for slope in (1e-8, 0.01, 0.1))
+    small, middle, large = (
+        paper.exponents("EF", SHORT, slope) for slope in (1e-8, 0.01, 0.1)
+    )
     light = paper.line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = max(abs(p - 1) for p in small.values()) < 1e-4
-    cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
-    return found(verdict(linear and cube), large["E"], small=small, middle=middle, large=large, light=light)
+    cube = (
+        max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
+    )
+    return found(
+        verdict(linear and cube),
+        large["E"],
+        small=small,
+        middle=middle,
+        large=large,
+        light=light,
+    )
 
 
 @memoize
@@ -65,14 +85,21 @@ def _transitions(paper: Paper) -> dict[str, np.ndarray]:
     slope = np.geomspace(1e-11, 0.2, 220)
     each = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
     solved = lines({"lines": each, "slope": slope, "want": ("stance_angle",)}, [])
-    return transition({"lines": each}, [{"slope": slope, **points} for _, points in solved])
+    return transition(
+        {"lines": each}, [{"slope": slope, **points} for _, points in solved]
+    )
 
 
 @claim("E4")
 def transition_power(paper: Paper) -> Found:
-    """Compute the ratio of transition slopes and their local exponent in the foot mass ratio."""
+    """Compute the ratio of transition slopes and their local exponent in the foot mass
+    ratio.
+    """
     table = _transitions(paper)
-    exact, fitted = (table[f"fits/transition_ratio/{name}"][0] for name in ("exact_asymptotes", "fitted_lines"))
+    exact, fitted = (
+        table[f"fits/transition_ratio/{name}"][0]
+        for name in ("exact_asymptotes", "fitted_lines")
+    )
     powers = table["fits/transition/local_exponent"][:-1]
     holds = verdict(False, abs(powers[-1] - 1.5) < 0.01)
     return found(holds, fitted, exact=exact, ratios=RATIOS, powers=powers)
@@ -81,14 +108,24 @@ def transition_power(paper: Paper) -> Found:
 @claim("E5")
 def similar_curves(paper: Paper) -> Found:
     """Compare the steps of E and F at equal slopes."""
-    e, f = (paper.line(w).at([1e-6, 0.01, 0.05, 0.1, 0.2])["stance_angle"] for w in ("E", "F"))
+    e, f = (
+        paper.line(w).at([1e-6, 0.01, 0.05, 0.1, 0.2])["stance_angle"]
+        for w in ("E", "F")
+    )
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
     apart = abs(short[3] - 1)
-    return found(verdict(apart < 0.02, apart < 0.1), short[3], short=short, long=100 * np.abs(long - 1).max())
+    return found(
+        verdict(apart < 0.02, apart < 0.1),
+        short[3],
+        short=short,
+        long=100 * np.abs(long - 1).max(),
+    )
 
 
 def speed_crossing(paper: Paper, walker: str) -> float:
-    """Slope at which a walker's short step becomes the faster one [rad]; NaN where the order never changes."""
+    """Slope at which a walker's short step becomes the faster one [rad]; NaN where the
+    order never changes.
+    """
 
     def log_ratio(gaits: Arrays) -> np.ndarray:
         return np.asarray(np.log(gaits["speed"][:, SHORT] / gaits["speed"][:, LONG]))
@@ -101,7 +138,9 @@ def faster(paper: Paper) -> Found:
     """Locate the slopes at which both gaits are equally fast."""
     crossing = {w: speed_crossing(paper, w) for w in ("A", "B", "C", "E", "F")}
     speeds = [paper.line(w).grid()["speed"] for w in crossing]
-    in_order = all(v[0, LONG] > v[0, SHORT] and v[-1, SHORT] > v[-1, LONG] for v in speeds)
+    in_order = all(
+        v[0, LONG] > v[0, SHORT] and v[-1, SHORT] > v[-1, LONG] for v in speeds
+    )
     crosses = all(np.isfinite(v) for v in crossing.values())
     return found(verdict(in_order and crosses), crossing["E"], crossing=crossing)
 
@@ -109,9 +148,15 @@ def faster(paper: Paper) -> Found:
 @claim("E7")
 def tangential(paper: Paper) -> Found:
     """Evaluate the ratio of the swing foot's velocities just before heelstrike."""
-    ratio = {w: np.abs(paper.line(w).at([1e-6, 1e-4, 1e-2, 0.1])["velocity_ratio"]) for w in ("E", "F")}
+    ratio = {
+        w: np.abs(paper.line(w).at([1e-6, 1e-4, 1e-2, 0.1])["velocity_ratio"])
+        for w in ("E", "F")
+    }
     is_clear = all(
-        (r[:, LONG] < 0.1).all() and (r[:, SHORT] > 3).all() and (r[:2, SHORT] > 100).all() for r in ratio.values()
+        (r[:, LONG] < 0.1).all()
+        and (r[:, SHORT] > 3).all()
+        and (r[:2, SHORT] > 100).all()
+        for r in ratio.values()
     )
     long, short = ratio["E"][:, LONG], ratio["E"][:, SHORT]
     return found(verdict(is_clear), short[1], long=long, short=short)

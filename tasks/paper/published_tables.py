@@ -16,9 +16,11 @@ from gaitsweep.tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from gaitsweep.tasks.walkers.statics import statics
 from gaitsweep.tasks.walkers.walker import NUMBERS
 
-#: Slopes at which figure 10's laws are read besides vanishing ones: small (above C's last transition), larger.
+#: Slopes at which figure 10's laws are read besides vanishing ones: small (above C's
+#: last transition), larger.
 SMALL, LARGE = 3e-3, 0.05
-#: Powers of slope in the stance angle and of speed in the power, by what figure 10 prints.
+#: Powers of slope in the stance angle and of speed in the power, by what figure 10
+#: prints.
 _LAWS = {"P ∝ v⁴, θ* ∝ γ¹ᐟ³": (1 / 3, 4), "P ∝ v², θ* ∝ γ": (1, 2)}
 #: Largest deviation of an exponent of the stance angle in a cell that is reproduced.
 TOLERANCE = 0.01
@@ -28,9 +30,11 @@ ROWS = ("D", "E", "F", "A", "B", "C")
 
 
 def figure9(paper: Paper) -> list[dict[str, Any]]:
-    """Rows of the tuned walkers' parameters, as used and as printed, in each walker's units.
+    """Rows of the tuned walkers' parameters, as used and as printed, in each walker's
+    units.
 
-    Each has walker, description, knees, every walker key, and the residuals of the static conditions.
+    Each has walker, description, knees, every walker key, and the residuals of the
+    static conditions.
     """
     rows = []
     for name in ("A", "A-printed", "B", "C", "C-printed", "D", "E", "F"):
@@ -51,7 +55,9 @@ def figure9(paper: Paper) -> list[dict[str, Any]]:
 
 @memoize
 def figure10(paper: Paper) -> list[dict[str, Any]]:
-    """Rows of figure 10 by walker: exponents of angle in slope and of power in speed, the faster gait, and chaos."""
+    """Rows of figure 10 by walker: exponents of angle in slope and of power in speed,
+    the faster gait, and chaos.
+    """
     rows = []
     for name in ROWS:
         gaits = paper.line(name)
@@ -61,7 +67,11 @@ def figure10(paper: Paper) -> list[dict[str, Any]]:
             "zero_slope_capable": int((gaits.at([1e-10])["status"][0, :2] == 0).all()),
         }
         for gait, g in (("short", SHORT), ("long", LONG)):
-            for when, slope in (("vanishing", VANISHING), ("small", SMALL), ("larger", LARGE)):
+            for when, slope in (
+                ("vanishing", VANISHING),
+                ("small", SMALL),
+                ("larger", LARGE),
+            ):
                 row[f"{gait}_angle_{when}"] = gaits.exponent(g, slope)
                 row[f"{gait}_power_{when}"] = gaits.exponent(g, slope, "power", "speed")
         for when, slope in (("vanishing", VANISHING), ("larger", LARGE)):
@@ -76,8 +86,9 @@ def figure10(paper: Paper) -> list[dict[str, Any]]:
 def rounding(paper: Paper) -> list[dict[str, Any]]:
     """Rows of every landmark by every printed parameter.
 
-    Each has landmark, walker, kind, slope, stance_angle, slope_low, slope_high and printed [rad]; parameter, its
-    sensitivity, angle_sensitivity and half_unit, its contribution to the interval [rad], and matters_most.
+    Each has landmark, walker, kind, slope, stance_angle, slope_low, slope_high and
+    printed [rad]; parameter, its sensitivity, angle_sensitivity and half_unit, its
+    contribution to the interval [rad], and matters_most.
     """
     rows = []
     for name, mark in LANDMARKS.items():
@@ -103,42 +114,80 @@ def rounding(paper: Paper) -> list[dict[str, Any]]:
 
 @memoize
 def _cells(paper: Paper) -> list[dict[str, Any]]:
-    """Every cell of figure 10, in the order of its rows: columns of its table, and how far both entries differ.
+    """Every cell of figure 10, in the order of its rows: columns of its table, and how
+    far both entries differ.
 
-    `deviation` is in the exponent of the stance angle, or a tenth of that of the power; NaN without an entry.
+    `deviation` is in the exponent of the stance angle, or a tenth of that of the power;
+    NaN without an entry.
     """
-    cells, rows, words = [], {row["walker"]: row for row in figure10(paper)}, ("no", "yes")
+    cells, rows, words = (
+        [],
+        {row["walker"]: row for row in figure10(paper)},
+        ("no", "yes"),
+    )
     for name, column, when, printed in PUBLISHED["figure10"]:
         row, said = rows[name], NOT_CHECKABLE
         if printed in _LAWS:
-            gait, (of_slope, of_speed) = column.removesuffix("-step scaling"), _LAWS[printed]
+            gait, (of_slope, of_speed) = (
+                column.removesuffix("-step scaling"),
+                _LAWS[printed],
+            )
             angle, power = row[f"{gait}_angle_{when}"], row[f"{gait}_power_{when}"]
             computed = f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}"
             deviation = max(abs(angle - of_slope), abs(power - of_speed) / 10)
         else:
             is_yes = {"zero-slope capable": "zero_slope_capable", "chaos": "chaotic"}
-            computed = words[row[is_yes[column]]] if column in is_yes else row[f"faster_{when}"]
-            deviation = np.nan if printed == "not checked" else float(computed != printed)
+            computed = (
+                words[row[is_yes[column]]]
+                if column in is_yes
+                else row[f"faster_{when}"]
+            )
+            deviation = (
+                np.nan if printed == "not checked" else float(computed != printed)
+            )
         if not np.isnan(deviation):
             said = verdict(deviation < TOLERANCE, deviation < 10 * TOLERANCE)
-        cell = {"walker": name, "column": column, "slopes": when, "printed": printed, "computed": computed}
+        cell = {
+            "walker": name,
+            "column": column,
+            "slopes": when,
+            "printed": printed,
+            "computed": computed,
+        }
         cells.append({**cell, "verdict": said, "deviation": deviation})
     return cells
 
 
 def figure10_cells(paper: Paper) -> list[dict[str, Any]]:
-    """Rows of the cells of figure 10: walker, column, slopes, printed, computed, verdict."""
-    return [{name: value for name, value in cell.items() if name != "deviation"} for cell in _cells(paper)]
+    """Rows of the cells of figure 10: walker, column, slopes, printed, computed,
+    verdict.
+    """
+    return [
+        {name: value for name, value in cell.items() if name != "deviation"}
+        for cell in _cells(paper)
+    ]
 
 
 @claim("Z6")
 def whole_table(paper: Paper) -> Found:
     """Compare every cell of figure 10 with the computed exponents."""
     cells = [cell for cell in _cells(paper) if not np.isnan(cell["deviation"])]
-    strict, loose = (sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10))
+    strict, loose = (
+        sum(cell["deviation"] < k * TOLERANCE for cell in cells) for k in (1, 10)
+    )
     worst = max(cells, key=lambda cell: cell["deviation"])
     rows = {row["walker"]: row for row in figure10(paper)}
     # A semicolon ends a part of a claim's answer.
-    unchecked = "; ".join(f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B"))
+    unchecked = "; ".join(
+        f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B")
+    )
     holds, total = verdict(strict == len(cells), loose == len(cells)), len(cells)
-    return found(holds, strict, strict=strict, total=total, loose=loose, worst=worst, unchecked=unchecked)
+    return found(
+        holds,
+        strict,
+        strict=strict,
+        total=total,
+        loose=loose,
+        worst=worst,
+        unchecked=unchecked,
+    )

@@ -1,7 +1,9 @@
-"""How far the rounding of a walker's printed parameters can move a landmark: its interval (sections 4 and 5).
+"""How far the rounding of a walker's printed parameters can move a landmark: its
+interval (sections 4 and 5).
 
-A landmark is a zero of the defining equations of a special point (`tasks.continuation.defining`), G(Z, p) = 0, with Z
-the gait and ln slope and p the printed parameters. Implicit differentiation gives dZ/dp = -G_Z^-1 G_p. The interval is
+A landmark is a zero of the defining equations of a special point
+(`tasks.continuation.defining`), G(Z, p) = 0, with Z the gait and ln slope and p the
+printed parameters. Implicit differentiation gives dZ/dp = -G_Z^-1 G_p. The interval is
 the printed walker's value plus or minus the sum of |sensitivity| x half unit.
 """
 
@@ -21,16 +23,18 @@ from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
 from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
-#: Step of the central differences by parameters, relative to their size and the gait's angle: what counts is an offset
-#: of a mass relative to the angle.
+#: Step of the central differences by parameters, relative to their size and the gait's
+#: angle: what counts is an offset of a mass relative to the angle.
 STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's label, and which of several.
+    """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's
+    label, and which of several.
 
-    `printed` is the slope as the paper prints it [rad]; `point` is its number in the paper's figure 6.
+    `printed` is the slope as the paper prints it [rad]; `point` is its number in the
+    paper's figure 6.
     """
 
     name: str
@@ -43,21 +47,33 @@ class Landmark:
 
 
 #: What the paper prints in figures.
-PUBLISHED = tomllib.loads(Path(__file__).with_name("published.toml").read_text(encoding="utf-8"))
+PUBLISHED = tomllib.loads(
+    Path(__file__).with_name("published.toml").read_text(encoding="utf-8")
+)
 #: Half a unit of every rounded key, in the key's unit, by walker.
 HALF_UNITS: dict[str, dict[str, float]] = {
-    walker: rounded["half_units"] for rounded in PUBLISHED["rounded"] for walker in rounded["walkers"]
+    walker: rounded["half_units"]
+    for rounded in PUBLISHED["rounded"]
+    for walker in rounded["walkers"]
 }
 #: Landmarks compared with numbers of the paper, and those of figure 6.
 LANDMARKS = {
-    name: Landmark(name, **{**mark, "printed": PRINTED[mark["printed"]] if "printed" in mark else NOT_PRINTED})
+    name: Landmark(
+        name,
+        **{
+            **mark,
+            "printed": PRINTED[mark["printed"]] if "printed" in mark else NOT_PRINTED,
+        },
+    )
     for name, mark in PUBLISHED["landmarks"].items()
 }
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A landmark's slope and stance angle [rad], its interval of slopes, and its sensitivity to each parameter."""
+    """A landmark's slope and stance angle [rad], its interval of slopes, and its
+    sensitivity to each parameter.
+    """
 
     value: float
     angle: float
@@ -112,14 +128,18 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
             passed = crossings(gaits.problem, branch, nodes, [mark.kind])
             rows += [point.Z[:, 0] for _, _, point in passed]
     if mark.label:
-        rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
+        rows = [
+            Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")
+        ]
     rows.sort(key=lambda Z: float(Z[-1]))
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
     return rows[mark.which]
 
 
-def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], step: float = STEP) -> np.ndarray:
+def sensitivities(
+    mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], step: float = STEP
+) -> np.ndarray:
     """Compute the sensitivities dZ/dp of a landmark.
 
     Parameters
@@ -139,15 +159,26 @@ def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], 
         Per unit of each key.
     """
     steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
-    moved = [changed(mark.walker, base, k, h) for each in (steps, -steps) for k, h in zip(keys, each, strict=True)]
+    moved = [
+        changed(mark.walker, base, k, h)
+        for each in (steps, -steps)
+        for k, h in zip(keys, each, strict=True)
+    ]
     lanes = Lanes([base, *moved])
     _, derivative = joint_derivative(lanes, mark.kind, Z, steps)
-    return np.asarray(-np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :]))
+    return np.asarray(
+        -np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :])
+    )
 
 
 def _size(walker: Walker, key: str) -> float:
     """Scale of a key's steps."""
-    sizes = {"mass": walker.total_mass, "length": walker.leg, "acceleration": walker.g, "angle": 1.0}
+    sizes = {
+        "mass": walker.total_mass,
+        "length": walker.leg,
+        "acceleration": walker.g,
+        "angle": 1.0,
+    }
     return sizes[KEYS[key]]
 
 

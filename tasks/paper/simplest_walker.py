@@ -7,23 +7,35 @@ import math
 import numpy as np
 
 from gaitsweep.tasks.continuation.tracking import MAX_SLOPE
-from gaitsweep.tasks.paper.claim import NOT_REPRODUCED, PRINTED, Found, claim, found, verdict
+from gaitsweep.tasks.paper.claim import (
+    NOT_REPRODUCED,
+    PRINTED,
+    Found,
+    claim,
+    found,
+    verdict,
+)
 from gaitsweep.tasks.paper.lines import BOTH, LONG, SHORT, Paper
 from gaitsweep.tasks.trace_motion import trace
 
-#: Periods as the slope vanishes, long and short step: the root of tan(t/2) = -3 tanh(t/2), and pi [sqrt(l/g)].
+#: Periods as the slope vanishes, long and short step: the root of tan(t/2) = -3
+#: tanh(t/2), and pi [sqrt(l/g)].
 PERIODS = (3.8120917950, math.pi)
 
 
 def _power_factor(period: float) -> float:
-    """Limit of P/v^4 of walker D as the slope vanishes, with m = g = l = 1: period^3/(8 tanh^2(period/2))."""
+    """Limit of P/v^4 of walker D as the slope vanishes, with m = g = l = 1: period^3/(8
+    tanh^2(period/2)).
+    """
     return period**3 / (8 * math.tanh(period / 2) ** 2)
 
 
 @claim("D1")
 def two_gaits(paper: Paper) -> Found:
     """Solve both gaits over a grid of slopes."""
-    both = np.isfinite(paper.line("D").grid()["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
+    both = np.isfinite(paper.line("D").grid()["stance_angle"][:, [LONG, SHORT]]).all(
+        axis=1
+    )
     upper = min(MAX_SLOPE, paper.line("D").reaches[1].min())
     return found(verdict(both.all() and upper > 0.2), upper, slopes=both.size)
 
@@ -33,7 +45,11 @@ def long_stable(paper: Paper) -> Found:
     """Locate the flip of the long step and evaluate its multipliers below."""
     flip = paper.line("D").special_of("flip")[0]["slope"]
     largest = paper.line("D").grid(high=flip, n=61)["spectral_radius"][:-1, LONG].max()
-    return found(PRINTED["D2"].compare(flip) if largest < 1 else NOT_REPRODUCED, flip, largest=largest)
+    return found(
+        PRINTED["D2"].compare(flip) if largest < 1 else NOT_REPRODUCED,
+        flip,
+        largest=largest,
+    )
 
 
 @claim("D3")
@@ -45,10 +61,18 @@ def short_unstable(paper: Paper) -> Found:
 
 @claim("D4")
 def heelstrike_direction(paper: Paper) -> Found:
-    """Evaluate the swing foot's direction at heelstrike and the asymmetry of the motion under time reversal."""
+    """Evaluate the swing foot's direction at heelstrike and the asymmetry of the motion
+    under time reversal.
+    """
     slopes = [1e-3, 1e-5, 1e-7]
-    ratios = {w: np.abs(paper.line(w).at(slopes)["velocity_ratio"]) for w in ("D", "A", "B", "E", "F")}
-    power = {w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1]) for w, r in ratios.items()}
+    ratios = {
+        w: np.abs(paper.line(w).at(slopes)["velocity_ratio"])
+        for w in ("D", "A", "B", "E", "F")
+    }
+    power = {
+        w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1])
+        for w, r in ratios.items()
+    }
     of_long, of_short = zip(*(_asymmetry(paper, s) for s in slopes), strict=True)
     falls = all(p[LONG] > 0.3 for p in power.values())
     rises = all(abs(power[w][SHORT] + 1) < 0.02 for w in "ABEF")
@@ -63,13 +87,22 @@ def heelstrike_direction(paper: Paper) -> Found:
 
 
 def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
-    """Largest distance of both gaits of D from their time reversal (t, angles) -> (T - t, -angles), over the angle."""
+    """Largest distance of both gaits of D from their time reversal (t, angles) -> (T -
+    t, -angles), over the angle.
+    """
     d = paper.line("D")
-    motion = trace({**d.params, "slope": np.array([slope]), "gaits": ("long", "short")}, [d.arrays])
+    motion = trace(
+        {**d.params, "slope": np.array([slope]), "gaits": ("long", "short")}, [d.arrays]
+    )
 
     def distance(gait: str) -> float:
-        angles = [motion[f"trace/{k}"][motion["trace/gait"] == gait] for k in ("theta_st", "theta_th")]
-        return max(float(np.abs(a + a[::-1]).max()) for a in angles) / float(angles[0][0])
+        angles = [
+            motion[f"trace/{k}"][motion["trace/gait"] == gait]
+            for k in ("theta_st", "theta_th")
+        ]
+        return max(float(np.abs(a + a[::-1]).max()) for a in angles) / float(
+            angles[0][0]
+        )
 
     return distance("long"), distance("short")
 
@@ -78,10 +111,16 @@ def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
 def cube_roots(paper: Paper) -> Found:
     """Compute exponents and periods at vanishing slopes."""
     d = paper.line("D")
-    angle, speed, periods = d.exponents(1e-8), d.exponents(1e-8, "speed"), d.at([1e-9])["period"][0]
+    angle, speed, periods = (
+        d.exponents(1e-8),
+        d.exponents(1e-8, "speed"),
+        d.at([1e-9])["period"][0],
+    )
     period = {label: periods[gait] for label, gait in BOTH.items()}
     deviation = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
-    drift = max(abs(one - limit) for one, limit in zip(period.values(), PERIODS, strict=True))
+    drift = max(
+        abs(one - limit) for one, limit in zip(period.values(), PERIODS, strict=True)
+    )
     holds = verdict(deviation < 1e-4 and drift < 1e-4)
     return found(holds, angle["long"], angle=angle, speed=speed, period=period)
 
@@ -92,11 +131,17 @@ def fourth_power(paper: Paper) -> Found:
     d = paper.line("D")
     exponents = d.exponents(1e-8, "power", "speed")
     gaits, weight = d.at([1e-9]), d.walker.total_mass * d.walker.g
-    factors = [gaits["power"][0, g] / gaits["speed"][0, g] ** 4 / weight for g in (LONG, SHORT)]
+    factors = [
+        gaits["power"][0, g] / gaits["speed"][0, g] ** 4 / weight for g in (LONG, SHORT)
+    ]
     limits = [_power_factor(p) for p in PERIODS]
     deviation = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
-    holds = verdict(max(abs(p - 4) for p in exponents.values()) < 1e-3 and deviation < 1e-4)
-    return found(holds, exponents["long"], exponents=exponents, factors=factors, limits=limits)
+    holds = verdict(
+        max(abs(p - 4) for p in exponents.values()) < 1e-3 and deviation < 1e-4
+    )
+    return found(
+        holds, exponents["long"], exponents=exponents, factors=factors, limits=limits
+    )
 
 
 @claim("D7")
@@ -110,8 +155,12 @@ def short_faster(paper: Paper) -> Found:
 @claim("D10")
 def swing_at_heelstrike(paper: Paper) -> Found:
     """Evaluate the rate of the swing leg just before heelstrike."""
-    # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive is forward.
-    rate, at = (gaits["heelstrike_rate_ratio"] - 1 for gaits in (paper.line("D").grid(), paper.line("D").at([0.009])))
+    # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive
+    # is forward.
+    rate, at = (
+        gaits["heelstrike_rate_ratio"] - 1
+        for gaits in (paper.line("D").grid(), paper.line("D").at([0.009]))
+    )
     long, short = rate[:, LONG], rate[:, SHORT]
     holds = verdict((long <= 0).all() and (short > 0).all())
     ranges = {"long": (long.min(), long.max()), "short": (short.min(), short.max())}

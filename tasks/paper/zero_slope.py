@@ -1,4 +1,6 @@
-"""Walkers that can walk on vanishing slopes (sections 5.3 and 8 of the paper, figure 11)."""
+"""Walkers that can walk on vanishing slopes (sections 5.3 and 8 of the paper, figure
+11).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def arbitrarily_small(paper: Paper) -> Found:
 def only_simplest(paper: Paper) -> Found:
     """Compute the exponents of both gaits at a vanishing slope."""
     long, short = (paper.exponents(WALKERS, gait, VANISHING) for gait in (LONG, SHORT))
-    both = [w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01]
+    both = [
+        w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01
+    ]
     return found(verdict(both == ["D"]), short["D"], long=long, short=short)
 
 
@@ -42,25 +46,49 @@ def two_laws(paper: Paper) -> Found:
     small = all(abs(long[w] - 1 / 3) < 0.01 and abs(short[w] - 1) < 0.01 for w in "ABE")
     middle, large = (paper.exponents("ABE", SHORT, slope) for slope in (0.01, 0.1))
     above = paper.exponents("ABE", LONG, 0.01)
-    at_middle, at_large = (max(abs(p - 1 / 3) for p in each.values()) for each in (middle, large))
+    at_middle, at_large = (
+        max(abs(p - 1 / 3) for p in each.values()) for each in (middle, large)
+    )
     holds = verdict(small and at_middle < 0.05, small and at_large < 0.1)
-    return found(holds, middle["E"], long=long, short=short, middle=middle, large=large, above=above)
+    return found(
+        holds,
+        middle["E"],
+        long=long,
+        short=short,
+        middle=middle,
+        large=large,
+        above=above,
+    )
 
 
 @claim("Z4")
 def turns_linear(paper: Paper) -> Found:
-    """Locate the slope at which the local exponent of C's long step is midway between both laws."""
+    """Locate the slope at which the local exponent of C's long step is midway between
+    both laws.
+    """
     mark = interval(paper, "C exponent 2/3")
     at = {f"{s:g}": paper.line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
-    return found(PRINTED["Z4"].compare(*mark.bounds), *mark.bounds, half=_half_knee_loss(paper), at=at)
+    return found(
+        PRINTED["Z4"].compare(*mark.bounds),
+        *mark.bounds,
+        half=_half_knee_loss(paper),
+        at=at,
+    )
 
 
 def _half_knee_loss(paper: Paper) -> float:
-    """Slope at which kneestrike accounts for half of the energy that C's long step loses [rad]."""
+    """Slope at which kneestrike accounts for half of the energy that C's long step
+    loses [rad].
+    """
     losses = ("loss_normal", "loss_tangential", "loss_kneestrike")
 
     def excess(gaits: Arrays) -> np.ndarray:
-        return 2 * gaits["loss_kneestrike"][:, LONG] / sum(gaits[k][:, LONG] for k in losses) - 1
+        return (
+            2
+            * gaits["loss_kneestrike"][:, LONG]
+            / sum(gaits[k][:, LONG] for k in losses)
+            - 1
+        )
 
     return paper.line("C").crossing(excess, losses)
 
@@ -75,15 +103,27 @@ def mass_limit(paper: Paper) -> float:
         If Newton's method loses that step.
     """
     gaits, q = paper.line("E"), np.array([np.log(VANISHING)])
-    long = next(Z for b in gaits.branches for _, Z, _ in b.guesses(q) if not gaits.is_short(Z[:, 0]))
+    long = next(
+        Z
+        for b in gaits.branches
+        for _, Z, _ in b.guesses(q)
+        if not gaits.is_short(Z[:, 0])
+    )
     w = long[:-1]
 
     def solve(ratio: float, guess: np.ndarray) -> tuple[np.ndarray, float]:
         problem = Problem(resolve("E", {"foot_mass_ratio": ratio}))
         solution, converged = newton(problem, guess, q)
         if not converged.all():
-            raise ArithmeticError(f"Newton's method does not converge at a foot mass ratio of {ratio:g}")
-        return solution, float(np.abs(multipliers(problem.stride(solution, q)[0].jacobian, problem.m)).max() - 1)
+            raise ArithmeticError(
+                f"Newton's method does not converge at a foot mass ratio of {ratio:g}"
+            )
+        return solution, float(
+            np.abs(
+                multipliers(problem.stride(solution, q)[0].jacobian, problem.m)
+            ).max()
+            - 1
+        )
 
     # At vanishing slopes Newton's basin is narrow: small steps from E's own foot mass.
     for ratio in np.arange(0.0995, 0.0948, -5e-4):
@@ -92,23 +132,36 @@ def mass_limit(paper: Paper) -> float:
 
 
 def _stability_limit(paper: Paper, walker: str) -> float:
-    """Slope below which a walker's long step is stable, down to 1e-8; 0 where it is not stable there [rad]."""
+    """Slope below which a walker's long step is stable, down to 1e-8; 0 where it is not
+    stable there [rad].
+    """
 
     def excess(gaits: Arrays) -> np.ndarray:
         return np.asarray(gaits["spectral_radius"][:, LONG] - 1)
 
     gaits = paper.line(walker)
-    return gaits.crossing(excess, ("spectral_radius",)) if excess(gaits.grid())[0] < 0 else 0.0
+    return (
+        gaits.crossing(excess, ("spectral_radius",))
+        if excess(gaits.grid())[0] < 0
+        else 0.0
+    )
 
 
 @claim("Z5")
 def stable_below(paper: Paper) -> Found:
-    """Locate the slope at which each long step loses stability, and the foot mass that allows it any."""
+    """Locate the slope at which each long step loses stability, and the foot mass that
+    allows it any.
+    """
     limit = {name: _stability_limit(paper, name) for name in (*WALKERS, "F")}
     unstable = [name for name, slope in limit.items() if not slope > 0]
-    least = {name: paper.line(name).grid()["spectral_radius"][:, LONG].min() for name in unstable}
+    least = {
+        name: paper.line(name).grid()["spectral_radius"][:, LONG].min()
+        for name in unstable
+    }
     ranges = [
-        f"{name} to {slope:.6g}" if slope > 0 else f"{name} nowhere (spectral radius at least {least[name]:.4f})"
+        f"{name} to {slope:.6g}"
+        if slope > 0
+        else f"{name} nowhere (spectral radius at least {least[name]:.4f})"
         for name, slope in limit.items()
     ]
     return found(verdict(not unstable), mass_limit(paper), ranges=ranges)

@@ -1,6 +1,8 @@
-"""A walker's keys as exact numbers or balls, and the constants of the equations of motion that follow from them.
+"""A walker's keys as exact numbers or balls, and the constants of the equations of
+motion that follow from them.
 
-A vector is a pair (x, y) in the frame of the extended leg: x forward, y up along the hip-foot-centre line.
+A vector is a pair (x, y) in the frame of the extended leg: x forward, y up along the
+hip-foot-centre line.
 """
 
 from __future__ import annotations
@@ -11,7 +13,8 @@ from typing import Any, TypeAlias
 
 from flint import arb, fmpq
 
-#: A key's value: a rational number, exact, or a ball that contains what a formula gives.
+#: A key's value: a rational number, exact, or a ball that contains what a formula
+#: gives.
 Number: TypeAlias = fmpq | arb
 
 
@@ -54,16 +57,19 @@ class Body:
     R, l, g, mass : arb
         Foot radius, hip to foot centre, gravity, mass of the whole walker.
     stance_first : Vector
-        First moment about the stance foot's centre of everything the stance leg carries.
+        First moment about the stance foot's centre of everything the stance leg
+        carries.
     stance_second : arb
         The same, of second order, foot centre's own motion included.
     thigh, shank, leg : (Vector, arb)
-        First moment and inertia about the hip (shank: about the knee) of the swing links; of the whole leg with
-        the knee locked. What hangs at the knee counts with the thigh.
+        First moment and inertia about the hip (shank: about the knee) of the swing
+        links; of the whole leg with the knee locked. What hangs at the knee counts with
+        the thigh.
     coupling : Vector
         conj(knee) times the shank's first moment.
     heavy : bool
-        False in the limit of a vanishing foot mass: the swing leg, scaled by its mass, does not act on the stance leg.
+        False in the limit of a vanishing foot mass: the swing leg, scaled by its mass,
+        does not act on the stance leg.
     kneed, point_foot : bool
     """
 
@@ -119,7 +125,8 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
     sin_S = zero if _is_zero(keys["eps_T"]) else k["l_t"] * sin_T / d
     cos_S = (1 - sin_S * sin_S).sqrt()
     l = k["l_t"] * cos_T + d * cos_S
-    # The thigh leans back by eps_T, so the knee is behind the line; the shank leans forward by eps_S.
+    # The thigh leans back by eps_T, so the knee is behind the line; the shank leans
+    # forward by eps_S.
     knee = Vector(zero, -k["l_t"]).turned(cos_T, -sin_T)
     thigh_centre = Vector(-k["w_t"], -k["c_t"]).turned(cos_T, -sin_T)
     shank_centre = Vector(-k["w_s"], -k["c_s"]).turned(cos_S, sin_S)
@@ -129,7 +136,9 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
     m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
     thigh = thigh_centre * m_t + knee * m_s
     shank = shank_centre * m_s
-    thigh_inertia = m_t * (thigh_centre.dot(thigh_centre) + k["r_t"] ** 2) + m_s * knee.dot(knee)
+    thigh_inertia = m_t * (
+        thigh_centre.dot(thigh_centre) + k["r_t"] ** 2
+    ) + m_s * knee.dot(knee)
     shank_inertia = m_s * (shank_centre.dot(shank_centre) + k["r_s"] ** 2)
     coupling = Vector(knee.dot(shank), knee.cross(shank))
     leg, leg_inertia = thigh + shank, thigh_inertia + shank_inertia + 2 * coupling.x
@@ -159,11 +168,19 @@ def _is_zero(value: Number) -> bool:
 
 def _hangs_at_hip(keys: Mapping[str, Number]) -> bool:
     """True where the thigh has no mass or is a point at the hip."""
-    return _is_zero(keys["m_t"]) or all(_is_zero(keys[k]) for k in ("c_t", "w_t", "r_t"))
+    return _is_zero(keys["m_t"]) or all(
+        _is_zero(keys[k]) for k in ("c_t", "w_t", "r_t")
+    )
 
 
 def _is_point_foot(keys: Mapping[str, Number], kneed: bool) -> bool:
-    """True where the leg's mass is one point at a foot of no radius; decided on exact numbers alone."""
+    """True where the leg's mass is one point at a foot of no radius; decided on exact
+    numbers alone.
+    """
     exact = isinstance(keys["c_s"], fmpq) and isinstance(keys["l_s"], fmpq)
-    foot = exact and keys["c_s"] == keys["l_s"] and all(_is_zero(keys[k]) for k in ("w_s", "r_s", "R", "eps_T"))
+    foot = (
+        exact
+        and keys["c_s"] == keys["l_s"]
+        and all(_is_zero(keys[k]) for k in ("w_s", "r_s", "R", "eps_T"))
+    )
     return _hangs_at_hip(keys) and foot and not kneed

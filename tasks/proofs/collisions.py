@@ -1,7 +1,9 @@
-"""Kneestrike and heelstrike as matrices that turn rates before into rates after, with derivatives by the angles.
+"""Kneestrike and heelstrike as matrices that turn rates before into rates after, with
+derivatives by the angles.
 
-An impact keeps the momentum of every motion the constraints after it allow: M q'_after = Q q'_before, where rows of
-M and Q belong to the motions after and are sums over mass elements m V_row . V_column.
+An impact keeps the momentum of every motion the constraints after it allow: M q'_after
+= Q q'_before, where rows of M and Q belong to the motions after and are sums over mass
+elements m V_row . V_column.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from gaitsweep.tasks.proofs.body import Body, Vector
 
 
 def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
-    """Rates after heelstrike from those before, and the derivative by the stance angle before.
+    """Rates after heelstrike from those before, and the derivative by the stance angle
+    before.
 
     Parameters
     ----------
@@ -25,7 +28,8 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
     Returns
     -------
     arb_mat, arb_mat
-        Shape (2 or 3, 2): rates of new stance leg, thigh (and shank) from those of old stance and swing leg.
+        Shape (2 or 3, 2): rates of new stance leg, thigh (and shank) from those of old
+        stance and swing leg.
     """
     with _two_terms():
         old, new = _sin_cos(arb_series([angle, 1])), _sin_cos(arb_series([-angle, -1]))
@@ -33,7 +37,8 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
         rows = _mass(body, new, [old] * len(swing), swing)
         hip_before, hip_after = _hip(body, old), _hip(body, new)
         leg, inertia = body.leg
-        # New stance leg: it carries the whole walker about the new contact, and swung before.
+        # New stance leg: it carries the whole walker about the new contact, and swung
+        # before.
         turning, falling = leg.turned(*new).normal(), leg.turned(*old).normal()
         both = body.mass * hip_after.dot(hip_before)
         if body.heavy:
@@ -50,7 +55,8 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
 
 
 def kneestrike(body: Body, stance: arb, swing: arb) -> tuple[arb_mat, arb_mat, arb_mat]:
-    """Rates after kneestrike from those before, and the derivatives by stance and swing angle.
+    """Rates after kneestrike from those before, and the derivatives by stance and swing
+    angle.
 
     Parameters
     ----------
@@ -61,14 +67,21 @@ def kneestrike(body: Body, stance: arb, swing: arb) -> tuple[arb_mat, arb_mat, a
     Returns
     -------
     arb_mat, arb_mat, arb_mat
-        Shape (2, 3): rates of stance leg and swing leg from those of stance leg, thigh and shank.
+        Shape (2, 3): rates of stance leg and swing leg from those of stance leg, thigh
+        and shank.
     """
     maps = []
     for moved in (0, 1):
         with _two_terms():
-            at = _sin_cos(arb_series([stance, 1 - moved])), _sin_cos(arb_series([swing, moved]))
+            at = (
+                _sin_cos(arb_series([stance, 1 - moved])),
+                _sin_cos(arb_series([swing, moved])),
+            )
             three = _mass(body, at[0], [at[1]] * 2, [body.thigh, body.shank])
-            before = [three[0], [a + b for a, b in zip(three[1], three[2], strict=True)]]
+            before = [
+                three[0],
+                [a + b for a, b in zip(three[1], three[2], strict=True)],
+            ]
             maps.append(_solved(_mass(body, at[0], [at[1]], [body.leg]), before))
     return maps[0][0], maps[0][1], maps[1][1]
 
@@ -94,27 +107,54 @@ def _hip(body: Body, stance: tuple[arb_series, arb_series]) -> Vector:
     return Vector(-body.l * cos - body.R, -body.l * sin)
 
 
-def _mass(body: Body, stance: tuple, angles: Sequence[tuple], swing: Sequence[tuple[Vector, arb]]) -> list[list]:
-    """Mass matrix of the stance leg and one or two swing links; for a light leg its rows are divided by its mass."""
+def _mass(
+    body: Body,
+    stance: tuple,
+    angles: Sequence[tuple],
+    swing: Sequence[tuple[Vector, arb]],
+) -> list[list]:
+    """Mass matrix of the stance leg and one or two swing links; for a light leg its
+    rows are divided by its mass.
+    """
     hip = _hip(body, stance)
-    arms = [first.turned(*at).normal() for (first, _), at in zip(swing, angles, strict=True)]
+    arms = [
+        first.turned(*at).normal() for (first, _), at in zip(swing, angles, strict=True)
+    ]
     cross = [hip.dot(arm) for arm in arms]
     zero = 0 * cross[0]
     stance_first = body.stance_first.turned(*stance)
-    rows = [[body.stance_second + 2 * body.R * stance_first.y, *(cross if body.heavy else [zero] * len(cross))]]
+    rows = [
+        [
+            body.stance_second + 2 * body.R * stance_first.y,
+            *(cross if body.heavy else [zero] * len(cross)),
+        ]
+    ]
     for i, (_, inertia) in enumerate(swing):
-        rows.append([cross[i], *[zero + inertia if i == j else _coupling(body, angles) for j in range(len(swing))]])
+        rows.append(
+            [
+                cross[i],
+                *[
+                    zero + inertia if i == j else _coupling(body, angles)
+                    for j in range(len(swing))
+                ],
+            ]
+        )
     return rows
 
 
 def _coupling(body: Body, angles: Sequence[tuple]) -> arb_series:
     (cos_a, sin_a), (cos_b, sin_b) = angles
-    return body.coupling.x * (cos_b * cos_a + sin_b * sin_a) - body.coupling.y * (sin_b * cos_a - cos_b * sin_a)
+    return body.coupling.x * (cos_b * cos_a + sin_b * sin_a) - body.coupling.y * (
+        sin_b * cos_a - cos_b * sin_a
+    )
 
 
 def _solved(after: list[list], before: list[list]) -> tuple[arb_mat, arb_mat]:
     """M^-1 Q and its derivative, from matrices of series of two terms."""
-    (M, dM), (Q, dQ) = ([arb_mat([[x[k] for x in row] for row in rows]) for k in (0, 1)] for rows in (after, before))
+    (M, dM), (Q, dQ) = (
+        [arb_mat([[x[k] for x in row] for row in rows]) for k in (0, 1)]
+        for rows in (after, before)
+    )
     inverse = M.inv()
     rates = inverse * Q
     return rates, inverse * (dQ - dM * rates)

@@ -1,4 +1,6 @@
-"""Flips and folds as intervals that hold one, shown by a function of opposite signs at the ends of a tube."""
+"""Flips and folds as intervals that hold one, shown by a function of opposite signs at
+the ends of a tube.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,19 @@ from flint import arb, ctx
 
 from gaitsweep.tasks.proofs.enclosure import NotProvedError
 from gaitsweep.tasks.proofs.stability import flip_function
-from gaitsweep.tasks.proofs.tubes import BY_ANGLE, BY_SLOPE, REMAINDER, Family, Tube, point, tangent_of, tube
+from gaitsweep.tasks.proofs.tubes import (
+    BY_ANGLE,
+    BY_SLOPE,
+    REMAINDER,
+    Family,
+    Tube,
+    point,
+    tangent_of,
+    tube,
+)
 
-#: Radius of the box of an interval's end over the interval's; steps of the secant method.
+#: Radius of the box of an interval's end over the interval's; steps of the secant
+#: method.
 SHARPER, MAX_SECANTS = 1e-6, 30
 
 
@@ -30,14 +42,17 @@ class Interval:
     bits: int
 
 
-#: The coordinate along which a special point of each kind is sought, and the function that changes its sign there.
+#: The coordinate along which a special point of each kind is sought, and the function
+#: that changes its sign there.
 KINDS: dict[str, tuple[int, Callable[[Tube], arb]]] = {
     "flip": (BY_SLOPE, lambda piece: flip_function(piece.step_derivative())),
     "fold": (BY_ANGLE, Tube.turn),
 }
 
 
-def bracketed(family: Family, guess: Sequence[arb], half: float, function: Callable[[Tube], arb]) -> Interval:
+def bracketed(
+    family: Family, guess: Sequence[arb], half: float, function: Callable[[Tube], arb]
+) -> Interval:
     """An interval of slopes that holds a zero of a function along one branch.
 
     Parameters
@@ -62,10 +77,15 @@ def bracketed(family: Family, guess: Sequence[arb], half: float, function: Calla
     size = half * SHARPER
     with ctx.workprec(64 - math.floor(math.log2(size * REMAINDER))):
         centre = _zero(family, guess, function, half, size)
-        ends = [point(family, [x.mid() for x in centre.at(arb(side * half))], size) for side in (-1, 1)]
+        ends = [
+            point(family, [x.mid() for x in centre.at(arb(side * half))], size)
+            for side in (-1, 1)
+        ]
         whole = tube(family, centre, arb(half))
         if not all(whole.holds(end) for end in ends):
-            raise NotProvedError("The gaits at the interval's ends are not those of the tube.")
+            raise NotProvedError(
+                "The gaits at the interval's ends are not those of the tube."
+            )
         values = function(ends[0]), function(ends[1])
         if not (values[0] * values[1] < 0):
             raise NotProvedError("The test function is not shown to change its sign.")
@@ -73,7 +93,13 @@ def bracketed(family: Family, guess: Sequence[arb], half: float, function: Calla
         return Interval(every[-1], every[0], values, whole, ctx.prec)
 
 
-def _zero(family: Family, guess: Sequence[arb], function: Callable[[Tube], arb], half: float, size: float) -> Tube:
+def _zero(
+    family: Family,
+    guess: Sequence[arb],
+    function: Callable[[Tube], arb],
+    half: float,
+    size: float,
+) -> Tube:
     """A point of the branch near a zero of the function, by the secant method."""
     p = family.parameter
     current = point(family, guess, 1e-12)
@@ -87,9 +113,14 @@ def _zero(family: Family, guess: Sequence[arb], function: Callable[[Tube], arb],
         reach, current, value = (-other * reach / (other - value)).mid(), trial, other
         if abs(reach) < half / 100:
             return current
-        reach = max(min(reach, 0.02 * abs(current.middle[p])), -0.02 * abs(current.middle[p]))
+        reach = max(
+            min(reach, 0.02 * abs(current.middle[p])), -0.02 * abs(current.middle[p])
+        )
     raise NotProvedError("No zero of the test function is found near the guess.")
 
 
 def _along(current: Tube, reach: arb) -> list[arb]:
-    return [(c + t * reach).mid() for c, t in zip(current.middle, tangent_of(current), strict=True)]
+    return [
+        (c + t * reach).mid()
+        for c, t in zip(current.middle, tangent_of(current), strict=True)
+    ]

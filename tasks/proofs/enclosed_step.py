@@ -1,7 +1,9 @@
-"""One step in balls: from a box of section states and event times to the defect of a gait and its derivative.
+"""One step in balls: from a box of section states and event times to the defect of a
+gait and its derivative.
 
-The section is the state just after heelstrike. Rates there are an impact's image, so of kneed walkers and of point
-feet the last one follows from the others; it is left out, and with it one multiplier that is zero by construction.
+The section is the state just after heelstrike. Rates there are an impact's image, so of
+kneed walkers and of point feet the last one follows from the others; it is left out,
+and with it one multiplier that is zero by construction.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ class Region:
     Attributes
     ----------
     middle, offsets : list of arb
-        Section state, event times and slope; the middle is exact but for the slope, and offsets hold zero.
+        Section state, event times and slope; the middle is exact but for the slope, and
+        offsets hold zero.
     tangent : list of arb, optional
         Direction of the line, of which `half` is half the length.
     """
@@ -38,7 +41,11 @@ class Region:
     def box(self) -> list[arb]:
         """Every unknown over the whole region."""
         box = [c + w for c, w in zip(self.middle, self.offsets, strict=True)]
-        return box if self.tangent is None else [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
+        return (
+            box
+            if self.tangent is None
+            else [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
+        )
 
     @property
     def span(self) -> arb:
@@ -55,10 +62,11 @@ class Step:
     defect : list of arb
         Guards at their events, then image minus start, of the region's middle.
     derivative : arb_mat
-        Of guards and image (not of the defect) by the unknowns over the whole region: by the slope too, in the last
-        column, where the region is not of one slope.
+        Of guards and image (not of the defect) by the unknowns over the whole region:
+        by the slope too, in the last column, where the region is not of one slope.
     along : list of arb
-        Derivatives of guards and image along the tangent, narrower than the matrix times it; empty without one.
+        Derivatives of guards and image along the tangent, narrower than the matrix
+        times it; empty without one.
     phases : list of Flow
     ends : list of states
         At the events, over the whole region.
@@ -86,7 +94,8 @@ def dimensions(body: Body) -> tuple[int, int]:
 
 
 def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
-    """State just after heelstrike from the section's coordinates, and its derivative by them.
+    """State just after heelstrike from the section's coordinates, and its derivative by
+    them.
 
     Parameters
     ----------
@@ -113,7 +122,9 @@ def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
 
 
 def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
-    """Last rates after heelstrike as a matrix of the leading ones, and its derivative by the new stance angle."""
+    """Last rates after heelstrike as a matrix of the leading ones, and its derivative
+    by the new stance angle.
+    """
     after, by_before = heelstrike(body, -angle)
     (top, low), (d_top, d_low) = _split(after, leading), _split(by_before, leading)
     inverse = top.inv()
@@ -123,7 +134,10 @@ def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
 
 def _split(matrix: arb_mat, leading: int) -> tuple[arb_mat, arb_mat]:
     rows = matrix.tolist()
-    return (arb_mat([row[:leading] for row in rows[:leading]]), arb_mat([row[:leading] for row in rows[leading:]]))
+    return (
+        arb_mat([row[:leading] for row in rows[:leading]]),
+        arb_mat([row[:leading] for row in rows[leading:]]),
+    )
 
 
 def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
@@ -147,7 +161,8 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     Notes
     -----
     The derivatives are columns, one for each unknown and one for the tangent, each carried through the step as a whole:
-    its start's change, the slope's, and the change of the event times, by which the state moves along the flow.
+    its start's change, the slope's, and the change of the event times, by which the
+    state moves along the flow.
     """
     m, events = dimensions(body)
     box, middle, unknowns = region.box, region.middle, m + events
@@ -158,7 +173,8 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     if region.tangent is not None:
         direction[-1] = region.tangent
     by_start, by_time, by_slope = (
-        [row[part] for row in direction] for part in (slice(0, m), slice(m, unknowns), slice(unknowns, None))
+        [row[part] for row in direction]
+        for part in (slice(0, m), slice(m, unknowns), slice(unknowns, None))
     )
     slopes = None if one_slope else arb_mat([[row[0] for row in by_slope]])
     state, by_section = start(body, box[:m])
@@ -169,9 +185,21 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
         earlier = k - 1
         lasts = [x[m + k] - x[m + earlier] if k else x[m] for x in (middle, box)]
         moved = [row[k] - row[earlier] if k else row[k] for row in by_time]
-        phase = flow(body, (middle[-1], box[-1]), centre, state, V, (lasts[0], lasts[1]), accuracy, slopes, spread)
+        phase = flow(
+            body,
+            (middle[-1], box[-1]),
+            centre,
+            state,
+            V,
+            (lasts[0], lasts[1]),
+            accuracy,
+            slopes,
+            spread,
+        )
         phases.append(phase)
-        V = phase.derivative + _column(velocity(body, box[-1], phase.state)) * arb_mat([moved])
+        V = phase.derivative + _column(velocity(body, box[-1], phase.state)) * arb_mat(
+            [moved]
+        )
         centre = phase.middle
         end = narrower(phase.state, centre, V, spread)
         ends.append(end)
@@ -196,14 +224,24 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
         )
     image = _image(body, centre, m)
     along = [] if one_slope else [row.pop() for row in rows]
-    return Step([*defect, *[a - b for a, b in zip(image, middle, strict=False)]], arb_mat(rows), along, phases, ends)
+    return Step(
+        [*defect, *[a - b for a, b in zip(image, middle, strict=False)]],
+        arb_mat(rows),
+        along,
+        phases,
+        ends,
+    )
 
 
-def _locked(body: Body, V: arb_mat, before: State, centre: State) -> tuple[arb_mat, State, State]:
+def _locked(
+    body: Body, V: arb_mat, before: State, centre: State
+) -> tuple[arb_mat, State, State]:
     """Derivatives, states and the middle's state just after kneestrike."""
     law, by_stance, by_swing = kneestrike(body, *before[:2])
     rates, rows = _column(before[3:]), V.tolist()
-    turned = by_stance * rates * arb_mat([rows[0]]) + by_swing * rates * arb_mat([rows[1]])
+    turned = by_stance * rates * arb_mat([rows[0]]) + by_swing * rates * arb_mat(
+        [rows[1]]
+    )
     V = arb_mat([*rows[:2], *(law * arb_mat(rows[3:]) + turned).tolist()])
     own = kneestrike(body, *centre[:2])[0] * _column(centre[3:])
     return V, [*before[:2], *(law * rates).entries()], [*centre[:2], *own.entries()]

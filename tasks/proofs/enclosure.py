@@ -1,8 +1,10 @@
-"""Rigorous flow: Taylor steps in balls, each over a box that is shown to hold the motion, with Lagrange's remainder.
+"""Rigorous flow: Taylor steps in balls, each over a box that is shown to hold the
+motion, with Lagrange's remainder.
 
-On a step of length h from states y0, a box Y with y0 + [0, h] F(Y) inside Y holds every motion from y0 up to time h
-(Picard and Lindelof). So y(t) lies in sum_{k<N} y_k t^k + Y_N t^N, with Y_N the coefficient N over all states of Y. The
-derivatives V' = A(y) V by the start are enclosed in the same way.
+On a step of length h from states y0, a box Y with y0 + [0, h] F(Y) inside Y holds every
+motion from y0 up to time h (Picard and Lindelof). So y(t) lies in sum_{k<N} y_k t^k +
+Y_N t^N, with Y_N the coefficient N over all states of Y. The derivatives V' = A(y) V by
+the start are enclosed in the same way.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from flint import arb, arb_mat
 from gaitsweep.tasks.proofs.body import Body
 from gaitsweep.tasks.proofs.motion import Motion, Series, Variation, evaluate, velocity
 
-#: Attempts at a box before a step is halved, halvings before a phase is given up, and steps of one phase.
+#: Attempts at a box before a step is halved, halvings before a phase is given up, and
+#: steps of one phase.
 MAX_INFLATIONS, MAX_HALVINGS, MAX_STEPS = 12, 20, 400
-#: Longest step over sqrt((l + R)/g): beyond it boxes grow faster than the remainder falls.
+#: Longest step over sqrt((l + R)/g): beyond it boxes grow faster than the remainder
+#: falls.
 MAX_STEP = 0.4
 
 
@@ -31,7 +35,9 @@ State = list[arb]
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How finely a step is enclosed: coefficients of a Taylor step, and the remainder over what it is added to."""
+    """How finely a step is enclosed: coefficients of a Taylor step, and the remainder
+    over what it is added to.
+    """
 
     order: int
     tolerance: float
@@ -51,7 +57,9 @@ class Piece:
 
 @dataclass(frozen=True)
 class Flow:
-    """End of a phase: of the middle's motion, of the whole box's, its derivatives, and its pieces."""
+    """End of a phase: of the middle's motion, of the whole box's, its derivatives, and
+    its pieces.
+    """
 
     middle: State
     state: State
@@ -104,9 +112,13 @@ def flow(
     step = longest
     while len(pieces) < MAX_STEPS:
         left = (end - time).upper()
-        # The last step holds the whole bracket of the event, so it is no shorter than half the others.
+        # The last step holds the whole bracket of the event, so it is no shorter than
+        # half the others.
         h = left if left <= step else arb(min(step, float(left) / 2))
-        thin, wide = Motion(body, own_slope, middle, order - 1), Motion(body, slope, state, order - 1)
+        thin, wide = (
+            Motion(body, own_slope, middle, order - 1),
+            Motion(body, slope, state, order - 1),
+        )
         change = Variation(wide, derivative, by_slope, order - 1)
         h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
         last = h is left
@@ -114,7 +126,9 @@ def flow(
         pieces.append(piece)
         t_c, t = (duration[0] - time, duration[1] - time) if last else (h, h)
         if not (t_c >= 0 and t >= 0):
-            raise NotProvedError("The bracket of an event's time is wider than a Taylor step.")
+            raise NotProvedError(
+                "The bracket of an event's time is wider than a Taylor step."
+            )
         middle = [evaluate(s, t_c) for s in _closed(thin, rest)]
         state = [evaluate(s, t) for s in piece.series]
         derivative = evaluate([*change.terms, rest_derivative], t)
@@ -122,12 +136,18 @@ def flow(
             return Flow(middle, state, derivative, pieces)
         state = narrower(state, middle, derivative, spread)
         time = time + h
-        step = min(longest, float(h) * min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order)))
+        step = min(
+            longest, float(h) * min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order))
+        )
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
 
 
-def _fitting(change: Variation, h: arb, accuracy: Accuracy) -> tuple[arb, tuple[State, arb_mat], float]:
-    """The given step or a shorter one whose remainder is small enough: its length, the remainder and its excess."""
+def _fitting(
+    change: Variation, h: arb, accuracy: Accuracy
+) -> tuple[arb, tuple[State, arb_mat], float]:
+    """The given step or a shorter one whose remainder is small enough: its length, the
+    remainder and its excess.
+    """
     order = accuracy.order
     for _ in range(MAX_HALVINGS):
         remainder = _remainder(change, h, order)
@@ -136,13 +156,22 @@ def _fitting(change: Variation, h: arb, accuracy: Accuracy) -> tuple[arb, tuple[
             excess = _excess(remainder, change, h, order) / accuracy.tolerance
             if excess <= 1:
                 return h, remainder, excess
-            shrink = max(0.3, 0.85 * excess ** (-1 / order)) if math.isfinite(excess) else 0.3
+            shrink = (
+                max(0.3, 0.85 * excess ** (-1 / order))
+                if math.isfinite(excess)
+                else 0.3
+            )
         h = arb(float(h) * shrink)
-    raise NotProvedError("No box encloses the motion over a step: the enclosures have grown too wide.")
+    raise NotProvedError(
+        "No box encloses the motion over a step: the enclosures have grown too wide."
+    )
 
 
-def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]) -> State:
-    """The narrower ball of every coordinate: the one given, or the mean value form around the middle's state.
+def narrower(
+    state: State, middle: State, derivative: arb_mat, spread: list[arb]
+) -> State:
+    """The narrower ball of every coordinate: the one given, or the mean value form
+    around the middle's state.
 
     Parameters
     ----------
@@ -158,7 +187,10 @@ def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]
     list of arb
     """
     away = (derivative * arb_mat([[x] for x in spread])).entries()
-    return [min(x, c + d, key=lambda ball: float(ball.rad())) for x, c, d in zip(state, middle, away, strict=True)]
+    return [
+        min(x, c + d, key=lambda ball: float(ball.rad()))
+        for x, c, d in zip(state, middle, away, strict=True)
+    ]
 
 
 def _closed(motion: Motion, rest: State) -> list[Series]:
@@ -167,19 +199,30 @@ def _closed(motion: Motion, rest: State) -> list[Series]:
 
 
 def _remainder(change: Variation, h: arb, order: int) -> tuple[State, arb_mat] | None:
-    """Coefficient `order` over all states up to time h, and the derivatives'; None if no box is found."""
-    body, slope, by_slope, start = change.motion.body, change.motion.slope, change.by_slope, change.motion.state
+    """Coefficient `order` over all states up to time h, and the derivatives'; None if
+    no box is found.
+    """
+    body, slope, by_slope, start = (
+        change.motion.body,
+        change.motion.slope,
+        change.by_slope,
+        change.motion.state,
+    )
     box = enclose(body, slope, start, h)
     if box is None:
         return None
     try:
         motion = Motion(body, slope, box, 1)
-        all_derivatives = enclose_derivative(Variation(motion, change.terms[0], by_slope), h)
+        all_derivatives = enclose_derivative(
+            Variation(motion, change.terms[0], by_slope), h
+        )
         for _ in range(order - 1):
             motion.grow()
     except ZeroDivisionError:
         return None
-    return [s[order] for s in motion.series], Variation(motion, all_derivatives, by_slope, order).terms[order]
+    return [s[order] for s in motion.series], Variation(
+        motion, all_derivatives, by_slope, order
+    ).terms[order]
 
 
 def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
@@ -201,14 +244,18 @@ def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
     n, span, box = len(start) // 2, arb(0).union(h), start
     for _ in range(MAX_INFLATIONS):
         try:
-            image = [x + span * rate for x, rate in zip(start, velocity(body, slope, box), strict=True)]
+            image = [
+                x + span * rate
+                for x, rate in zip(start, velocity(body, slope, box), strict=True)
+            ]
         except ZeroDivisionError:
             return None
         if all(b.contains(i) for b, i in zip(box, image, strict=True)):
             return image
         scale = [_size(image[k : k + n]) for k in (0, n)]
         box = [
-            _inflated(b.union(i), 0.05, 1e-3 * scale[k // n]) for k, (b, i) in enumerate(zip(box, image, strict=True))
+            _inflated(b.union(i), 0.05, 1e-3 * scale[k // n])
+            for k, (b, i) in enumerate(zip(box, image, strict=True))
         ]
     return None
 
@@ -219,7 +266,8 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
     Parameters
     ----------
     change : Variation
-        At the start, of a motion whose leading coefficients hold its states up to time h.
+        At the start, of a motion whose leading coefficients hold its states up to time
+        h.
     h : arb
 
     Returns
@@ -234,7 +282,9 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
     start, span = change.terms[0], arb(0).union(h)
     size = change.growth(h) * _absolute(change.stacked(start))
     enclosure = arb_mat(
-        start.nrows(), start.ncols(), [arb(0, x.abs_upper()) for x in size.entries()[: len(start.entries())]]
+        start.nrows(),
+        start.ncols(),
+        [arb(0, x.abs_upper()) for x in size.entries()[: len(start.entries())]],
     )
     for _ in range(2):
         trial = Variation(change.motion, enclosure, change.by_slope, 1)
@@ -243,18 +293,26 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
 
 
 def _absolute(matrix: arb_mat) -> arb_mat:
-    return arb_mat(matrix.nrows(), matrix.ncols(), [arb(x.abs_upper()) for x in matrix.entries()])
+    return arb_mat(
+        matrix.nrows(), matrix.ncols(), [arb(x.abs_upper()) for x in matrix.entries()]
+    )
 
 
 def _inflated(x: arb, factor: float, least: float) -> arb:
     return arb(x.mid(), x.rad() * (1 + factor) + least)
 
 
-def _excess(remainder: tuple[State, arb_mat], change: Variation, h: arb, order: int) -> float:
+def _excess(
+    remainder: tuple[State, arb_mat], change: Variation, h: arb, order: int
+) -> float:
     """Largest remainder over the size of what it is added to."""
     (rest, rest_derivative), start = remainder, change.motion.state
     n, power = len(start) // 2, float(h) ** order
-    sizes = [(rest[:n], start[:n]), (rest[n:], start[n:]), (rest_derivative.entries(), change.terms[0].entries())]
+    sizes = [
+        (rest[:n], start[:n]),
+        (rest[n:], start[n:]),
+        (rest_derivative.entries(), change.terms[0].entries()),
+    ]
     return max(_size(a) * power / _size(b) for a, b in sizes)
 
 

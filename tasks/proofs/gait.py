@@ -1,4 +1,6 @@
-"""The proof of one gait: that it exists and is unique in a box, is a step, and is stable or unstable."""
+"""The proof of one gait: that it exists and is unique in a box, is a step, and is
+stable or unstable.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from gaitsweep.tasks.proofs.enclosure import Accuracy, NotProvedError
 from gaitsweep.tasks.proofs.sequence import Events, events
 from gaitsweep.tasks.proofs.stability import is_stable, multipliers, step_derivative
 
-#: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused, unless
-#: its own bound is larger.
+#: Relative radius of the first box, and how far its middle may be corrected before the
+#: approximation is refused, unless its own bound is larger.
 FIRST_RADIUS, MAX_CORRECTION = 1e-12, 1e-6
 #: A step's remainders are this much smaller than the box.
 REMAINDER = 1e-9
@@ -48,7 +50,8 @@ class Proof:
     first_strike : bool
         It is a step: its strikes come first and its legs pass once.
     stable : bool or None
-        Every multiplier lies inside the unit circle, one lies outside, or neither was shown.
+        Every multiplier lies inside the unit circle, one lies outside, or neither was
+        shown.
     multipliers : list of acb
         Each of the section's multipliers, or none where two are not told apart.
     label : str
@@ -79,7 +82,9 @@ class Proof:
 
 @dataclass(frozen=True)
 class Solution:
-    """A box with exactly one solution of a gait's equations, and the step enclosed over the box it was proved in."""
+    """A box with exactly one solution of a gait's equations, and the step enclosed over
+    the box it was proved in.
+    """
 
     body: Body
     box: list[arb]
@@ -100,7 +105,8 @@ def prove(
     ----------
     setting : Setting
     guess : sequence of float
-        Stance angle [rad], stance rate, thigh rate, with knees the time of kneestrike, and the period.
+        Stance angle [rad], stance rate, thigh rate, with knees the time of kneestrike,
+        and the period.
     accuracy : float
         Largest relative radius of the box.
     label : str, optional
@@ -114,13 +120,21 @@ def prove(
         Its box is the smaller one; uniqueness holds in it as well.
     """
     proof = _proof(setting, guess, accuracy, label, reach)
-    if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may decide
+    if proof.unique and (
+        proof.stable is None or not proof.first_strike
+    ):  # a smaller box may decide
         finer = _proof(setting, guess, accuracy * SHARPER, label, reach)
         proof = finer if finer.proved else proof
     return proof
 
 
-def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str | None, reach: float) -> Proof:
+def _proof(
+    setting: Setting,
+    guess: Sequence[float],
+    accuracy: float,
+    label: str | None,
+    reach: float,
+) -> Proof:
     try:
         solution = solve(setting, guess, accuracy, reach)
     except NotProvedError as error:
@@ -139,19 +153,35 @@ def _judged(solution: Solution, label: str | None) -> Proof:
     except ZeroDivisionError:  # a strike grazes, and the step map has no derivative; the order of strikes says so
         pass
     box = named(solution.body, solution.box)
-    known = Proof(False, True, stable=stable, multipliers=values, box=box, radius=_radius(box), bits=solution.bits)
+    known = Proof(
+        False,
+        True,
+        stable=stable,
+        multipliers=values,
+        box=box,
+        radius=_radius(box),
+        bits=solution.bits,
+    )
     try:
         order: Events = events(solution.step, solution.box[m:])
     except NotProvedError as error:
         return replace(known, reason=str(error))
     known = replace(known, first_strike=True, label=order.label, events=order.names)
     if label in ("long", "short") and label != order.label:
-        return replace(known, reason=f"The gait is a {order.label} step, not a {label} one.")
+        return replace(
+            known, reason=f"The gait is a {order.label} step, not a {label} one."
+        )
     return replace(known, proved=True, reason="" if stable is not None else UNDECIDED)
 
 
-def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: float = MAX_CORRECTION) -> Solution:
-    """Shrink a box around an approximation until it is small enough and holds exactly one solution.
+def solve(
+    setting: Setting,
+    guess: Sequence[float],
+    accuracy: float,
+    reach: float = MAX_CORRECTION,
+) -> Solution:
+    """Shrink a box around an approximation until it is small enough and holds exactly
+    one solution.
 
     Parameters
     ----------
@@ -174,9 +204,14 @@ def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: floa
         bits = max(bits, 32 - math.floor(math.log2(tolerance)))
         with ctx.workprec(bits):
             walker = body(setting.keys, setting.kneed)
-            box = [x + arb(0, size * s) for x, s in zip(middle, sizes(walker, middle), strict=True)]
+            box = [
+                x + arb(0, size * s)
+                for x, s in zip(middle, sizes(walker, middle), strict=True)
+            ]
             try:
-                enclosed_step, K = _attempt(walker, arb(setting.slope), middle, box, tolerance)
+                enclosed_step, K = _attempt(
+                    walker, arb(setting.slope), middle, box, tolerance
+                )
             except (NotProvedError, ZeroDivisionError) as error:
                 reason, size = _sentence(error), size * 1e-4
                 continue
@@ -194,16 +229,26 @@ def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: floa
                 continue
             corrected += shift
             if not corrected < reach:
-                raise NotProvedError(f"No gait is near the approximation: its first correction is {shift:.1e} of it.")
+                raise NotProvedError(
+                    f"No gait is near the approximation: its first correction is {shift:.1e} of it."
+                )
             middle = [x.mid() for x in K]
     raise NotProvedError(reason)
 
 
-def _attempt(walker: Body, slope: arb, middle: list[arb], box: list[arb], tolerance: float) -> tuple[Step, list[arb]]:
+def _attempt(
+    walker: Body, slope: arb, middle: list[arb], box: list[arb], tolerance: float
+) -> tuple[Step, list[arb]]:
     """Enclose the step over a box, and Krawczyk's image of it."""
     offsets = [x - c for x, c in zip(box, middle, strict=True)]
-    enclosed_step = step(walker, Region([*middle, slope], [*offsets, arb(0)]), Accuracy(order(tolerance), tolerance))
-    K = krawczyk.image(offsets, enclosed_step.defect, defect_derivative(walker, enclosed_step))
+    enclosed_step = step(
+        walker,
+        Region([*middle, slope], [*offsets, arb(0)]),
+        Accuracy(order(tolerance), tolerance),
+    )
+    K = krawczyk.image(
+        offsets, enclosed_step.defect, defect_derivative(walker, enclosed_step)
+    )
     return enclosed_step, [c + k for c, k in zip(middle, K, strict=True)]
 
 
@@ -246,15 +291,22 @@ def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
     with ctx.workprec(MIN_BITS):
         m, n = dimensions(body(setting.keys, setting.kneed))
     if len(guess) != 3 + n or not all(math.isfinite(x) for x in guess):
-        needed = "stance angle, two rates, kneestrike and period" if n == 2 else "stance angle, two rates and period"
+        needed = (
+            "stance angle, two rates, kneestrike and period"
+            if n == 2
+            else "stance angle, two rates and period"
+        )
         raise NotProvedError(f"The approximation is not made of finite {needed}.")
     if not guess[0] or not any(guess[1:m]) or not guess[-1] > 0:
-        raise NotProvedError("The approximation is no gait: its stance angle, rates or period vanish.")
+        raise NotProvedError(
+            "The approximation is no gait: its stance angle, rates or period vanish."
+        )
     return [arb(x) for x in (*guess[:m], *guess[3:])]
 
 
 def sizes(walker: Body, middle: Sequence[arb]) -> list[float]:
-    """Size of each coordinate: the angle, the largest rate, the period, and that of a slope behind them.
+    """Size of each coordinate: the angle, the largest rate, the period, and that of a
+    slope behind them.
 
     Parameters
     ----------
@@ -266,13 +318,24 @@ def sizes(walker: Body, middle: Sequence[arb]) -> list[float]:
     list of float
     """
     m, n = dimensions(walker)
-    rates, period = max(abs(float(r)) for r in middle[1:m]), abs(float(middle[m + n - 1]))
-    return [abs(float(middle[0])), *[rates] * (m - 1), *[period] * n, *(abs(float(x)) for x in middle[m + n :])]
+    rates, period = (
+        max(abs(float(r)) for r in middle[1:m]),
+        abs(float(middle[m + n - 1])),
+    )
+    return [
+        abs(float(middle[0])),
+        *[rates] * (m - 1),
+        *[period] * n,
+        *(abs(float(x)) for x in middle[m + n :]),
+    ]
 
 
 def _distance(walker: Body, middle: Sequence[arb], image: Sequence[arb]) -> float:
     scales = sizes(walker, middle)
-    return max(abs(float((k.mid() - c).mid())) / s for c, k, s in zip(middle, image, scales, strict=True))
+    return max(
+        abs(float((k.mid() - c).mid())) / s
+        for c, k, s in zip(middle, image, scales, strict=True)
+    )
 
 
 def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
@@ -302,14 +365,23 @@ def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
 
 
 def _radius(box: Mapping[str, arb]) -> float:
-    """Largest of the relative radii of angle and times, and of the rates' over the largest rate."""
+    """Largest of the relative radii of angle and times, and of the rates' over the
+    largest rate.
+    """
     rates = [x for name, x in box.items() if name.endswith("_rate")]
     largest = max(float(x.abs_lower()) for x in rates)
     period = float(box["period"].abs_lower())
     sizes = [float(box["stance_angle"].abs_lower()), *[largest] * len(rates)]
     sizes += [period] * (len(box) - len(sizes))
-    return max(float(x.rad()) / s if s else math.inf for x, s in zip(box.values(), sizes, strict=True))
+    return max(
+        float(x.rad()) / s if s else math.inf
+        for x, s in zip(box.values(), sizes, strict=True)
+    )
 
 
 def _sentence(error: Exception) -> str:
-    return str(error) if isinstance(error, NotProvedError) else "A matrix is not told from a singular one."
+    return (
+        str(error)
+        if isinstance(error, NotProvedError)
+        else "A matrix is not told from a singular one."
+    )

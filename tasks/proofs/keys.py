@@ -1,4 +1,6 @@
-"""A walker's keys as they are meant: decimals exact, derived keys by their formulas in balls; or doubles, exactly."""
+"""A walker's keys as they are meant: decimals exact, derived keys by their formulas in
+balls; or doubles, exactly.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 #: Bits of derived keys: more than any proof's.
 KEY_BITS = 1024
 Numbers = dict[str, Number]
-#: Characters of a number that is read exactly, of a zero's exponent, and digits of a decimal number that is quoted.
+#: Characters of a number that is read exactly, of a zero's exponent, and digits of a
+#: decimal number that is quoted.
 MAX_CHARACTERS, MAX_EXPONENT, MAX_DIGITS = 1000, 5, 10000
 #: Keys that are no numbers.
 _TEXTS = ("toward", "base", "name", "units")
@@ -28,7 +31,8 @@ _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
 
 
 def check_written(numbers: Mapping[str, Any]) -> None:
-    """Check that numbers can be read exactly: powers of ten are written out, and a double that is zero may hide one.
+    """Check that numbers can be read exactly: powers of ten are written out, and a
+    double that is zero may hide one.
 
     Parameters
     ----------
@@ -46,9 +50,13 @@ def check_written(numbers: Mapping[str, Any]) -> None:
         if not isinstance(text, str) or key in _TEXTS:
             continue
         if len(text) > MAX_CHARACTERS:
-            raise WalkerError(key, text, f"must have at most {MAX_CHARACTERS} characters")
+            raise WalkerError(
+                key, text, f"must have at most {MAX_CHARACTERS} characters"
+            )
         mantissa, _, exponent = text.strip().lower().partition("e")
-        if float(text) == 0 and (mantissa.strip("+-0._") or len(exponent) > MAX_EXPONENT):
+        if float(text) == 0 and (
+            mantissa.strip("+-0._") or len(exponent) > MAX_EXPONENT
+        ):
             raise WalkerError(key, text, "must be 0 or a number that doubles resolve")
 
 
@@ -85,7 +93,11 @@ def decimal(value: Any) -> fmpq:
     -------
     fmpq
     """
-    return _rational(Fraction(value if isinstance(value, str | int | Fraction) else repr(float(value))))
+    return _rational(
+        Fraction(
+            value if isinstance(value, str | int | Fraction) else repr(float(value))
+        )
+    )
 
 
 def double(value: Any) -> fmpq:
@@ -106,7 +118,9 @@ def _rational(value: Fraction) -> fmpq:
     return fmpq(value.numerator, value.denominator)
 
 
-def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> tuple[Numbers, bool]:
+def exact(
+    walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+) -> tuple[Numbers, bool]:
     """Numeric keys of a walker by what is written, and whether its knees bend.
 
     Parameters
@@ -120,20 +134,39 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     -------
     dict of str to fmpq or arb, bool
     """
-    overrides, table = dict(overrides or {}), {} if isinstance(walker, str) else dict(walker)
-    if "tuned" in table:  # the walker tuned in doubles; the offsets that tune it best stand for those that do
+    overrides, table = (
+        dict(overrides or {}),
+        {} if isinstance(walker, str) else dict(walker),
+    )
+    if (
+        "tuned" in table
+    ):  # the walker tuned in doubles; the offsets that tune it best stand for those that do
         return doubles(resolve(in_doubles(table), in_doubles(overrides)).table())
     table, overrides = split(table, overrides)
-    base, toward = walker if isinstance(walker, str) else table.pop("base", None), table.pop("toward", None)
+    base, toward = (
+        walker if isinstance(walker, str) else table.pop("base", None),
+        table.pop("toward", None),
+    )
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
     if base is None and table.get("knees") is False:
-        lengths: dict[str, Any] = {key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table}
+        lengths: dict[str, Any] = {
+            key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table
+        }
         table = straight({"R": 0, **table, **lengths})
-    overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
+    overrides = {
+        **{
+            key: table.pop(key)
+            for key in ("detuning", "foot_mass_ratio")
+            if key in table
+        },
+        **overrides,
+    }
     keys, kneed = _changed(keys, kneed, table)
     moved: Numbers = {}
     if "detuning" in overrides:
-        of_base = () if toward else (_named(str(base))[0], _named(PARTNERS[str(base)])[0])
+        of_base = (
+            () if toward else (_named(str(base))[0], _named(PARTNERS[str(base)])[0])
+        )
         tuned, physical = of_base or (keys, exact(toward)[0])
         moved |= _mixed(tuned, physical, decimal(overrides.pop("detuning")))
     if "foot_mass_ratio" in overrides:
@@ -142,7 +175,8 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
 
 
 def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
-    """Numeric keys of a whole table as the doubles they are, and whether its knees bend.
+    """Numeric keys of a whole table as the doubles they are, and whether its knees
+    bend.
 
     Parameters
     ----------
@@ -156,7 +190,8 @@ def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
     Notes
     -----
     Offsets that tune the leg or the shank as exactly as doubles can are balls of the offsets that do: at small slopes
-    the rounding of a tuned walker's offsets would be seen, and the tuned walker is the one meant and solved.
+    the rounding of a tuned walker's offsets would be seen, and the tuned walker is the
+    one meant and solved.
     """
     keys, kneed = _changed({}, False, table, double)
     with ctx.workprec(KEY_BITS):
@@ -168,20 +203,24 @@ def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
 
 
 def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
-    """Offsets that put the centres of mass of shank (with knees) and leg exactly on their lines, one by one.
+    """Offsets that put the centres of mass of shank (with knees) and leg exactly on
+    their lines, one by one.
 
-    Each with the change of it that would move its centre of mass across the line by the distance from the pivot; with
-    knees the leg's is that of thigh and of the shank as a point at the knee.
+    Each with the change of it that would move its centre of mass across the line by the
+    distance from the pivot; with knees the leg's is that of thigh and of the shank as a
+    point at the knee.
     """
     k = {name: arb(value) for name, value in keys.items()}
     sine_T, cosine_T = k["eps_T"].sin(), k["eps_T"].cos()
-    # A straight leg may end at its foot's centre: then the shank has no length to lean with.
+    # A straight leg may end at its foot's centre: then the shank has no length to lean
+    # with.
     sine = k["l_t"] * sine_T / (k["l_s"] - k["R"]) if keys["eps_T"] != 0 else arb(0)
     cosine = (1 - sine * sine).sqrt()
     along = k["c_s"] * cosine + k["w_s"] * sine
     if kneed:
         yield "w_s", k["c_s"] * sine / cosine, abs(along) / cosine
-    # Of the shank, forward of the hip-foot-centre line through the hip, and down along it.
+    # Of the shank, forward of the hip-foot-centre line through the hip, and down along
+    # it.
     forward, down = -k["l_t"] * sine_T, k["l_t"] * cosine_T
     if not kneed:
         forward += k["c_s"] * sine - arb(keys["w_s"]) * cosine
@@ -194,12 +233,17 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
 
 def _named(name: str) -> tuple[Numbers, bool]:
     is_tuned = name in PARTNERS  # exactly, not as printed
-    keys, kneed = _changed({}, False, CATALOGUE[f"{name}-printed" if is_tuned else name].table())
+    keys, kneed = _changed(
+        {}, False, CATALOGUE[f"{name}-printed" if is_tuned else name].table()
+    )
     return (_tuned(keys) if is_tuned else keys), kneed
 
 
 def _changed(
-    keys: Numbers, kneed: bool, table: Mapping[str, Any], read: Callable[[Any], fmpq] = decimal
+    keys: Numbers,
+    kneed: bool,
+    table: Mapping[str, Any],
+    read: Callable[[Any], fmpq] = decimal,
 ) -> tuple[Numbers, bool]:
     keys = dict(keys)
     table = {k: v for k, v in table.items() if k in NUMBERS or k == "knees"}
@@ -214,13 +258,17 @@ def _changed(
 
 
 def _tuned(keys: Numbers) -> Numbers:
-    """Keys with the offsets that meet both conditions of section 5.1; straight legs have those of the kneed walker."""
+    """Keys with the offsets that meet both conditions of section 5.1; straight legs
+    have those of the kneed walker.
+    """
     with ctx.workprec(KEY_BITS):
         return {**keys, **{key: offset for key, offset, _ in _tuning(keys, True)}}
 
 
 def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
-    """Keys in which the tuned walker (0) and the physical one (1) differ, mixed linearly; all others may be changed."""
+    """Keys in which the tuned walker (0) and the physical one (1) differ, mixed
+    linearly; all others may be changed.
+    """
     with ctx.workprec(KEY_BITS):
         return {
             name: value + (physical[name] - value) * amount
@@ -230,9 +278,13 @@ def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
 
 
 def _foot_masses(keys: Numbers, ratio: fmpq) -> Numbers:
-    """Masses of a point-foot walker whose feet each have a share of the whole; the hip carries the rest."""
+    """Masses of a point-foot walker whose feet each have a share of the whole; the hip
+    carries the rest.
+    """
     total = 2 * (keys["m_t"] + keys["m_s"]) + keys["m_h"]
-    if keys["m_t"] == 0 and any(keys[name] != 0 for name in ("c_t", "w_t", "r_t")):  # of a thigh without mass
+    if keys["m_t"] == 0 and any(
+        keys[name] != 0 for name in ("c_t", "w_t", "r_t")
+    ):  # of a thigh without mass
         return {"m_s": ratio * total, "m_t": fmpq(0), "m_h": (1 - 2 * ratio) * total}
     return {"m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
 
@@ -270,4 +322,7 @@ def written_table(keys: Mapping[str, Number], kneed: bool) -> dict[str, str]:
     -------
     dict of str to str
     """
-    return {**{key: written(value) for key, value in keys.items()}, "knees": str(kneed).lower()}
+    return {
+        **{key: written(value) for key, value in keys.items()},
+        "knees": str(kneed).lower(),
+    }

@@ -1,4 +1,6 @@
-"""Krawczyk's operator: existence and uniqueness of a zero of a gait's equations in a box."""
+"""Krawczyk's operator: existence and uniqueness of a zero of a gait's equations in a
+box.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from gaitsweep.tasks.proofs.enclosure import NotProvedError
 
 
 def approximate_inverse(matrix: arb_mat) -> arb_mat:
-    """Inverse of a matrix's middle, without its radii: any matrix does, a good one proves.
+    """Inverse of a matrix's middle, without its radii: any matrix does, a good one
+    proves.
 
     Parameters
     ----------
@@ -28,11 +31,14 @@ def approximate_inverse(matrix: arb_mat) -> arb_mat:
     try:
         return matrix.mid().inv().mid()
     except ZeroDivisionError:
-        raise NotProvedError("The equations' derivative is singular, as at a fold.") from None
+        raise NotProvedError(
+            "The equations' derivative is singular, as at a fold."
+        ) from None
 
 
 def image(away: Sequence[arb], defect: Sequence[arb], derivative: arb_mat) -> list[arb]:
-    """K = -Y F(c) + (1 - Y F'(X)) W: zeros of F in X = c + W lie in c + K, and if K lies inside W there is just one.
+    """K = -Y F(c) + (1 - Y F'(X)) W: zeros of F in X = c + W lie in c + K, and if K
+    lies inside W there is just one.
 
     Parameters
     ----------
@@ -55,7 +61,9 @@ def image(away: Sequence[arb], defect: Sequence[arb], derivative: arb_mat) -> li
     n = len(away)
     inverse = approximate_inverse(derivative)
     unit = arb_mat([[int(i == j) for j in range(n)] for i in range(n)])
-    step = (unit - inverse * derivative) * arb_mat(n, 1, list(away)) - inverse * arb_mat(n, 1, list(defect))
+    step = (unit - inverse * derivative) * arb_mat(
+        n, 1, list(away)
+    ) - inverse * arb_mat(n, 1, list(defect))
     return list(step.entries())
 
 

@@ -1,8 +1,11 @@
-"""Taylor coefficients of the motion between strikes, and of its derivatives by the start, in balls.
+"""Taylor coefficients of the motion between strikes, and of its derivatives by the
+start, in balls.
 
-With q the angles of stance leg and swing links, w their rates and a their accelerations, Lagrange's equations read
-r(q, w, a) = M(q) a - f(q, w) = 0. Every coefficient follows from those before it; a itself is a further unknown series,
-so that only M's leading coefficient is inverted. Coefficients of balls hold those of every motion starting in them.
+With q the angles of stance leg and swing links, w their rates and a their
+accelerations, Lagrange's equations read r(q, w, a) = M(q) a - f(q, w) = 0. Every
+coefficient follows from those before it; a itself is a further unknown series, so that
+only M's leading coefficient is inverted. Coefficients of balls hold those of every
+motion starting in them.
 """
 
 from __future__ import annotations
@@ -83,20 +86,32 @@ class Motion:
         self.a: list[Series] = [[] for _ in q]
         self.links = [body.leg] if self.n == 2 else [body.thigh, body.shank]
         sin, cos = slope.sin_cos()
-        pull = Vector(cos, -sin) * body.g  # turns a first moment into its weight's moment
+        pull = (
+            Vector(cos, -sin) * body.g
+        )  # turns a first moment into its weight's moment
         self.stance_weight = body.stance_first.turned(pull.x, pull.y)
         self.weights = [first.turned(pull.x, pull.y) for first, _ in self.links]
-        self.rolling, self.sinking = body.g * body.mass * body.R * sin, body.g * body.mass * body.R * cos
+        self.rolling, self.sinking = (
+            body.g * body.mass * body.R * sin,
+            body.g * body.mass * body.R * cos,
+        )
         self.turning = [_Turning(q[i], self.w[i]) for i in range(self.n)]
         self.lag = [[w[i] - w[0]] for i in range(1, self.n)]
-        self.relative = [_Turning(q[i] - q[0], self.lag[i - 1]) for i in range(1, self.n)]
+        self.relative = [
+            _Turning(q[i] - q[0], self.lag[i - 1]) for i in range(1, self.n)
+        ]
         if self.n == 3:
             self.flexing = [w[2] - w[1]]
             self.bent = _Turning(q[2] - q[1], self.flexing)
         self.squares: list[Series] = [[] for _ in q]
-        self.stance: list[tuple[arb, arb]] = []  # R times the stance leg's turned first moment
-        self.weight: list[list[tuple[arb, arb]]] = []  # of each link: moment of its weight, (cos, sin) parts
-        # Rows over the links: l e^(i (q_j - q_0)) S_j, and the same plus R e^(i q_j) S_j.
+        self.stance: list[
+            tuple[arb, arb]
+        ] = []  # R times the stance leg's turned first moment
+        self.weight: list[
+            list[tuple[arb, arb]]
+        ] = []  # of each link: moment of its weight, (cos, sin) parts
+        # Rows over the links: l e^(i (q_j - q_0)) S_j, and the same plus R e^(i q_j)
+        # S_j.
         self.hinge: list[tuple[Series, Series]] = [([], []) for _ in self.links]
         self.whole: list[tuple[Series, Series]] = [([], []) for _ in self.links]
         self.joint: tuple[Series, Series] = ([], [])
@@ -111,10 +126,16 @@ class Motion:
         return [*self.q, *self.w]
 
     def grow(self) -> None:
-        """Append one coefficient of the accelerations, and of rates and angles after them."""
+        """Append one coefficient of the accelerations, and of rates and angles after
+        them.
+        """
         k = len(self.a[0])
         if k:
-            for t in (*self.turning, *self.relative, *([self.bent] if self.n == 3 else [])):
+            for t in (
+                *self.turning,
+                *self.relative,
+                *([self.bent] if self.n == 3 else []),
+            ):
                 t.grow(k)
         for i, w in enumerate(self.w):
             self.squares[i].append(product(w, w, k))
@@ -124,9 +145,13 @@ class Motion:
             for j in range(self.n):
                 M = self.mass(i, j)
                 if M is not None and k:
-                    force[i] -= sum(map(mul, M[1 : k + 1], self.a[j][k - 1 :: -1]), _ZERO)
+                    force[i] -= sum(
+                        map(mul, M[1 : k + 1], self.a[j][k - 1 :: -1]), _ZERO
+                    )
         if not k:
-            self.inverse = arb_mat([[self._leading(i, j) for j in range(self.n)] for i in range(self.n)]).inv()
+            self.inverse = arb_mat(
+                [[self._leading(i, j) for j in range(self.n)] for i in range(self.n)]
+            ).inv()
         a = (self.inverse * arb_mat(self.n, 1, force)).entries()
         for i in range(self.n):
             self.a[i].append(a[i])
@@ -153,14 +178,21 @@ class Motion:
             ):
                 series.append(value)
         if self.n == 3:
-            for series, value in zip(self.joint, self.bent.turned(body.coupling, k), strict=True):
+            for series, value in zip(
+                self.joint, self.bent.turned(body.coupling, k), strict=True
+            ):
                 series.append(value)
 
     def _force(self, k: int) -> list[arb]:
         """Coefficient k of f, the forces at vanishing acceleration."""
         squares = self.squares
         self.weight.append(
-            [t.turned(s, k) for t, s in zip(self.turning, (self.stance_weight, *self.weights), strict=True)]
+            [
+                t.turned(s, k)
+                for t, s in zip(
+                    self.turning, (self.stance_weight, *self.weights), strict=True
+                )
+            ]
         )
         weight = self.weight[k]
         stance = -weight[0][0] - (self.rolling if k == 0 else 0)
@@ -197,7 +229,9 @@ class Motion:
         return self.mass_00[0] if i == 0 else self.links[i - 1][1]
 
     def partials(self, k: int, slope: bool) -> list[list[arb]]:
-        """Coefficient k of the derivatives of r by (q, w[, slope]); rows are the equations."""
+        """Coefficient k of the derivatives of r by (q, w[, slope]); rows are the
+        equations.
+        """
         n, body, squares, a = self.n, self.body, self.squares, self.a
         by_q = [[_ZERO] * n for _ in range(n)]
         by_w = [[_ZERO] * n for _ in range(n)]
@@ -211,7 +245,9 @@ class Motion:
             hinge_x, hinge_y = self.hinge[j - 1]
             whole_x, whole_y = self.whole[j - 1]
             if body.heavy:
-                by_q[0][0] += product(hinge_y, squares[j], k) - product(hinge_x, a[j], k)
+                by_q[0][0] += product(hinge_y, squares[j], k) - product(
+                    hinge_x, a[j], k
+                )
                 by_q[0][j] = product(whole_x, a[j], k) - product(whole_y, squares[j], k)
                 by_w[0][j] = 2 * product(whole_x, self.w[j], k)
             turn = product(hinge_y, squares[0], k)
@@ -253,7 +289,13 @@ class Variation:
     terms : list of arb_mat, shape (2 n, d)
     """
 
-    def __init__(self, motion: Motion, start: arb_mat, by_slope: arb_mat | None = None, order: int = 0):
+    def __init__(
+        self,
+        motion: Motion,
+        start: arb_mat,
+        by_slope: arb_mat | None = None,
+        order: int = 0,
+    ):
         self.motion, self.terms, self.by_slope = motion, [start], by_slope
         self.rows: list[arb_mat] = []
         self.masses: list[arb_mat] = []
@@ -272,22 +314,35 @@ class Variation:
             total += self.rows[j] * self.terms[k - j]
         if self.by_slope is not None:
             total += arb_mat([[row[2 * n]] for row in partials]) * self.by_slope
-        self.masses.append(arb_mat([[_at(motion.mass(i, j), k) for j in range(n)] for i in range(n)]))
+        self.masses.append(
+            arb_mat([[_at(motion.mass(i, j), k) for j in range(n)] for i in range(n)])
+        )
         for j in range(1, k + 1):  # the leading one is inverted
             total += self.masses[j] * self.accelerations[k - j]
         acceleration = motion.inverse * total * arb(-1)
         self.accelerations.append(acceleration)
         previous, new = self.terms[k].entries(), acceleration.entries()
-        self.terms.append(arb_mat(2 * n, self.columns, [*previous[n * self.columns :], *new]) * (arb(1) / (k + 1)))
+        self.terms.append(
+            arb_mat(2 * n, self.columns, [*previous[n * self.columns :], *new])
+            * (arb(1) / (k + 1))
+        )
 
     def stacked(self, states: arb_mat) -> arb_mat:
         """Derivatives of the states, and below them those of the slope if it varies."""
-        return states if self.by_slope is None else arb_mat([*states.tolist(), *self.by_slope.tolist()])
+        return (
+            states
+            if self.by_slope is None
+            else arb_mat([*states.tolist(), *self.by_slope.tolist()])
+        )
 
     def growth(self, h: arb) -> arb_mat:
-        """exp(h |A|), where A is the matrix of the derivatives' equation at the leading coefficients."""
+        """exp(h |A|), where A is the matrix of the derivatives' equation at the leading
+        coefficients.
+        """
         n, slope = self.motion.n, int(self.by_slope is not None)
-        low = (self.motion.inverse * arb_mat(self.motion.partials(0, bool(slope)))).tolist()
+        low = (
+            self.motion.inverse * arb_mat(self.motion.partials(0, bool(slope)))
+        ).tolist()
         size = 2 * n + slope
         top = [[arb(int(j == n + i)) for j in range(size)] for i in range(n)]
         rows = [*top, *low, *[[arb(0)] * size] * slope]

@@ -1,4 +1,6 @@
-"""Proofs as records: of what is stored, how far it lies from the gait, and in the words of the command line."""
+"""Proofs as records: of what is stored, how far it lies from the gait, and in the words
+of the command line.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +13,35 @@ from typing import Any
 from flint import arb, ctx
 
 from gaitsweep.tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
-from gaitsweep.tasks.proofs.keys import KEY_BITS, double, doubles, written, written_table
+from gaitsweep.tasks.proofs.keys import (
+    KEY_BITS,
+    double,
+    doubles,
+    written,
+    written_table,
+)
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Variables that a proof starts from.
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "kneestrike_time", "period")
-#: A bound is checked only by a box this much smaller, but no smaller than this: doubles come no closer to a gait, and
-#: the digits of a box have no other limit.
+#: A bound is checked only by a box this much smaller, but no smaller than this: doubles
+#: come no closer to a gait, and the digits of a box have no other limit.
 SHARPER, FINEST = 10.0, 1e-30
 #: Archives are of no coarser accuracy.
 MAX_BOUND = 1e-2
 
 
 def prove_stored(params: Mapping[str, Any]) -> dict[str, Any]:
-    """Prove one gait of an archive, whose walker, slope and values are the doubles they are.
+    """Prove one gait of an archive, whose walker, slope and values are the doubles they
+    are.
 
     Parameters
     ----------
     params : mapping
-        `walker` (table), `set` (keys to change), `slope` [rad], `gait`, `accuracy`, and `values`: the archive's
-        variables at the point, `error_bound` among them if it is stored.
+        `walker` (table), `set` (keys to change), `slope` [rad], `gait`, `accuracy`, and
+        `values`: the archive's variables at the point, `error_bound` among them if it
+        is stored.
 
     Returns
     -------
@@ -40,7 +50,12 @@ def prove_stored(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     setting, proof = proof_of(params)
     values = params["values"]
-    return record(setting, params["gait"], values, checked(proof, values, float(values.get("error_bound", math.nan))))
+    return record(
+        setting,
+        params["gait"],
+        values,
+        checked(proof, values, float(values.get("error_bound", math.nan))),
+    )
 
 
 def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
@@ -59,9 +74,16 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     keys, kneed = doubles(walker_of_line(params).table())
     setting = Setting(keys, kneed, double(params["slope"]))
     bound = float(values.get("error_bound", math.nan))
-    accuracy = min(params["accuracy"], max(bound / SHARPER, FINEST)) if bound > 0 else params["accuracy"]
-    # Newton's steps overlap: together they may be a little longer than what they correct.
-    reach = max(MAX_CORRECTION, min(2 * bound, MAX_BOUND)) if bound > 0 else MAX_CORRECTION
+    accuracy = (
+        min(params["accuracy"], max(bound / SHARPER, FINEST))
+        if bound > 0
+        else params["accuracy"]
+    )
+    # Newton's steps overlap: together they may be a little longer than what they
+    # correct.
+    reach = (
+        max(MAX_CORRECTION, min(2 * bound, MAX_BOUND)) if bound > 0 else MAX_CORRECTION
+    )
     return setting, prove(setting, guess(values), accuracy, params["gait"], reach)
 
 
@@ -75,14 +97,16 @@ def guess(values: Mapping[str, Any]) -> list[float]:
     Returns
     -------
     list of float
-        Stance angle [rad], stance rate, thigh rate, with knees the time of kneestrike, and the period.
+        Stance angle [rad], stance rate, thigh rate, with knees the time of kneestrike,
+        and the period.
     """
     numbers = [values.get(name) for name in STATE]
     return [float(x) for x in numbers if x is not None and not math.isnan(x)]
 
 
 def distance(proof: Proof, values: Mapping[str, Any]) -> arb:
-    """How far values lie from a proved gait, as `error_bound` counts it: all but the time of kneestrike.
+    """How far values lie from a proved gait, as `error_bound` counts it: all but the
+    time of kneestrike.
 
     Parameters
     ----------
@@ -99,16 +123,20 @@ def distance(proof: Proof, values: Mapping[str, Any]) -> arb:
         rates = [abs(x) for name, x in proof.box.items() if name.endswith("_rate")]
         largest = max(rates, key=float)
         apart = [
-            abs(arb(float(values[name])) - x) / (largest if name.endswith("_rate") else abs(x))
+            abs(arb(float(values[name])) - x)
+            / (largest if name.endswith("_rate") else abs(x))
             for name, x in proof.box.items()
             if name != "kneestrike_time" and values.get(name) is not None
         ]
         # A value that is NaN lies nowhere, which no comparison would show.
-        return next((x for x in apart if x.is_nan()), max(apart, key=lambda x: float(x.upper())))
+        return next(
+            (x for x in apart if x.is_nan()), max(apart, key=lambda x: float(x.upper()))
+        )
 
 
 def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
-    """A proof, or its refusal where the values lie further from the gait than their bound says.
+    """A proof, or its refusal where the values lie further from the gait than their
+    bound says.
 
     Parameters
     ----------
@@ -127,10 +155,16 @@ def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
     if apart <= arb(bound):
         return proof
     away = f"{float(apart.mid()):.2g} away from the values stored"
-    return replace(proof, proved=False, reason=f"The gait there is {away}, and `error_bound` says {bound:.2g}.")
+    return replace(
+        proof,
+        proved=False,
+        reason=f"The gait there is {away}, and `error_bound` says {bound:.2g}.",
+    )
 
 
-def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof) -> dict[str, Any]:
+def record(
+    setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
+) -> dict[str, Any]:
     """A proof as plain data, as `gaitsweep prove --json` prints it.
 
     Parameters
@@ -156,10 +190,14 @@ def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
         "unique": proof.unique,
         "first_strike": proof.first_strike,
         "stable": proof.stable,
-        "stance_angle": _number(values.get("stance_angle")) if angle is None else float(angle.mid()),
+        "stance_angle": _number(values.get("stance_angle"))
+        if angle is None
+        else float(angle.mid()),
         "radius": _number(proof.radius),
         "box": {name: list(quoted(x)) for name, x in proof.box.items()},
-        "multipliers": [[list(quoted(x.real)), list(quoted(x.imag))] for x in proof.multipliers],
+        "multipliers": [
+            [list(quoted(x.real)), list(quoted(x.imag))] for x in proof.multipliers
+        ],
         "events": proof.events,
         "bits": proof.bits,
         "reason": proof.reason,
@@ -183,7 +221,10 @@ def quoted(x: arb) -> tuple[str, str]:
         digits = 60 if spread == 0 else max(3, 4 - math.floor(math.log10(spread)))
         middle = x.mid().str(digits, radius=False, more=True)
         apart = float(abs(x - arb(middle)).upper())
-    return middle, f"{1.01 * apart:.2e}" if apart else "0"  # printing takes off half a hundredth at most
+    return (
+        middle,
+        f"{1.01 * apart:.2e}" if apart else "0",
+    )  # printing takes off half a hundredth at most
 
 
 def _plain(slope: Any) -> float:

@@ -1,4 +1,6 @@
-"""The order of strikes: a solution of a gait's equations is a step if its strikes come first and its legs pass once."""
+"""The order of strikes: a solution of a gait's equations is a step if its strikes come
+first and its legs pass once.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ class Events:
 
 
 def events(step: Step, times: Sequence[arb]) -> Events:
-    """Show that the strikes solved for are the first of their kind, for every start in the step's box.
+    """Show that the strikes solved for are the first of their kind, for every start in
+    the step's box.
 
     Parameters
     ----------
@@ -39,10 +42,13 @@ def events(step: Step, times: Sequence[arb]) -> Events:
     Raises
     ------
     NotProvedError
-        If another strike comes earlier, the legs do not pass exactly once, or a guard grazes.
+        If another strike comes earlier, the legs do not pass exactly once, or a guard
+        grazes.
     """
     kneed = len(times) == 2
-    phases = list(zip([arb(0), *times[:-1]], [p.pieces for p in step.phases], strict=True))
+    phases = list(
+        zip([arb(0), *times[:-1]], [p.pieces for p in step.phases], strict=True)
+    )
     order: list[tuple[str, arb, arb]] = []
     if kneed:
         order += _knee(phases[:1], times[0])
@@ -51,12 +57,16 @@ def events(step: Step, times: Sequence[arb]) -> Events:
     order.sort(key=lambda event: float(event[1].mid()))
     for (one, _, end), (other, begin, _) in itertools.pairwise(order):
         if not end < begin:
-            raise NotProvedError(f"Which comes first, {one} or {other}, is not decided.")
+            raise NotProvedError(
+                f"Which comes first, {one} or {other}, is not decided."
+            )
     return Events([name for name, _, _ in order], _label(step))
 
 
 def _knee(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
-    """The knee flexes, at once or after hyperextension, and its first return is the kneestrike."""
+    """The knee flexes, at once or after hyperextension, and its first return is the
+    kneestrike.
+    """
     sign, crossings = zeros(phases, KNEE, "knee", True)
     rises = [z.rises for z in crossings]
     if rises != ([False] if sign == "+" else [True, False]):
@@ -64,7 +74,10 @@ def _knee(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
             f"The kneestrike is not the first return of the flexion, which has {len(crossings)} zeros before it."
         )
     _ends(crossings, time, "kneestrike")
-    return [*(("knee_flexes", z.low, z.high) for z in crossings[:-1]), ("kneestrike", time, time)]
+    return [
+        *(("knee_flexes", z.low, z.high) for z in crossings[:-1]),
+        ("kneestrike", time, time),
+    ]
 
 
 def _heel(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
@@ -83,21 +96,31 @@ def _legs(phases: Sequence) -> list[tuple[str, arb, arb]]:
     """The swing leg passes the stance leg exactly once."""
     sign, crossings = zeros(phases, LEGS, "leg passage", False)
     if sign != "+" or len(crossings) != 1:
-        raise NotProvedError(f"Not anthropomorphic: the legs pass {len(crossings)} times.")
+        raise NotProvedError(
+            f"Not anthropomorphic: the legs pass {len(crossings)} times."
+        )
     return [("legs_pass", crossings[0].low, crossings[0].high)]
 
 
 def _ends(crossings: Sequence[Stretch], time: arb, name: str) -> None:
-    """Require that the strike's bracket meets the last zero alone: the strike solved for is a zero inside it."""
+    """Require that the strike's bracket meets the last zero alone: the strike solved
+    for is a zero inside it.
+    """
     if any(not zero.high < time for zero in crossings[:-1]):
-        raise NotProvedError(f"The bracket of the {name} meets another zero of its guard.")
+        raise NotProvedError(
+            f"The bracket of the {name} meets another zero of its guard."
+        )
 
 
 def _label(step: Step) -> str:
-    """`long` where the swing leg is less than half as fast again as the stance leg just before heelstrike."""
+    """`long` where the swing leg is less than half as fast again as the stance leg just
+    before heelstrike.
+    """
     _, _, stance, swing = step.ends[-1]
     if not (stance < 0 or stance > 0):
-        raise NotProvedError("The stance leg's rate at heelstrike is not told from zero.")
+        raise NotProvedError(
+            "The stance leg's rate at heelstrike is not told from zero."
+        )
     ratio = (swing - stance) / abs(stance)
     if ratio < arb("0.5"):
         return "long"

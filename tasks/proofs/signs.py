@@ -1,4 +1,6 @@
-"""Zeros of a guard along a motion: where its sign is certain, and that it passes each zero once, transversally."""
+"""Zeros of a guard along a motion: where its sign is certain, and that it passes each
+zero once, transversally.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,19 @@ from flint import arb
 from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece
 from gaitsweep.tasks.proofs.motion import Series, evaluate
 
-#: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as grazing.
+#: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as
+#: grazing.
 ZERO_DEPTH, MAX_DEPTH = 10, 24
 SIGNS = ("+", "-")
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of time: the guard is `+` or `-` on it, or strictly `rises` or `falls` through it.
+    """A stretch of time: the guard is `+` or `-` on it, or strictly `rises` or `falls`
+    through it.
 
-    `stance` holds the stance angle meanwhile [rad]. A zero is simple and the only one of its stretch.
+    `stance` holds the stance angle meanwhile [rad]. A zero is simple and the only one
+    of its stretch.
     """
 
     kind: str
@@ -40,7 +45,8 @@ Guard = tuple[int, ...]
 def zeros(
     phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
 ) -> tuple[str, list[Stretch]]:
-    """Sign just after the start, and in order the stretches that hold the zeros after it, one each.
+    """Sign just after the start, and in order the stretches that hold the zeros after
+    it, one each.
 
     Parameters
     ----------
@@ -51,8 +57,9 @@ def zeros(
     name : str
         What the guard is called in a refusal.
     strike : bool
-        True for the guard of a strike: it vanishes identically at the start of the step, where its sign is that of
-        guard / t, and again somewhere on the last stretch.
+        True for the guard of a strike: it vanishes identically at the start of the
+        step, where its sign is that of guard / t, and again somewhere on the last
+        stretch.
 
     Returns
     -------
@@ -61,28 +68,47 @@ def zeros(
     Raises
     ------
     NotProvedError
-        If the guard cannot be told from a grazing one, or no strike's from zero at the end.
+        If the guard cannot be told from a grazing one, or no strike's from zero at the
+        end.
     """
     stretches: list[Stretch] = []
     for stretch in _stretches(phases, guard, name, strike):
         if stretches and stretches[-1].kind == stretch.kind:
             last = stretches.pop()
-            stretch = Stretch(stretch.kind, last.low, stretch.high, last.stance.union(stretch.stance))
+            stretch = Stretch(
+                stretch.kind, last.low, stretch.high, last.stance.union(stretch.stance)
+            )
         stretches.append(stretch)
     crossings = []
-    for before, current, after in zip([None, *stretches], stretches, [*stretches[1:], None], strict=False):
+    for before, current, after in zip(
+        [None, *stretches], stretches, [*stretches[1:], None], strict=False
+    ):
         if current.kind in SIGNS:
             if after is not None and after.kind in SIGNS:
-                raise NotProvedError(f"Grazing: the {name} guard changes sign between phases.")
+                raise NotProvedError(
+                    f"Grazing: the {name} guard changes sign between phases."
+                )
             continue
-        if before is None or before.kind not in SIGNS or (after is not None and after.kind not in SIGNS):
-            raise NotProvedError(f"Grazing: the {name} guard and its rate are not told from zero at the same time.")
+        if (
+            before is None
+            or before.kind not in SIGNS
+            or (after is not None and after.kind not in SIGNS)
+        ):
+            raise NotProvedError(
+                f"Grazing: the {name} guard and its rate are not told from zero at the same time."
+            )
         from_sign = "-" if current.rises else "+"
         if after is None and not strike and before.kind == from_sign:
-            raise NotProvedError(f"Whether the {name} guard vanishes at the end of the step is not decided.")
-        changes = after.kind != before.kind if after else strike and before.kind == from_sign
+            raise NotProvedError(
+                f"Whether the {name} guard vanishes at the end of the step is not decided."
+            )
+        changes = (
+            after.kind != before.kind if after else strike and before.kind == from_sign
+        )
         if changes and before.kind != from_sign:
-            raise NotProvedError(f"Grazing: the {name} guard changes sign against its rate.")
+            raise NotProvedError(
+                f"Grazing: the {name} guard changes sign against its rate."
+            )
         if changes:
             crossings.append(current)
     return stretches[0].kind, crossings
@@ -97,7 +123,9 @@ def _stretches(
             yield from _classified(piece, begin, guard, name, own_zero)
 
 
-def _classified(piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start: bool) -> Iterator[Stretch]:
+def _classified(
+    piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start: bool
+) -> Iterator[Stretch]:
     """Stretches of one Taylor step, in order."""
     links = len(piece.series) // 2
     value, rate = (_form(guard, piece.series[first:]) for first in (0, links))
@@ -106,12 +134,20 @@ def _classified(piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start
     while waiting:
         low, high, depth = waiting.pop()
         span = low.union(high)
-        kind = _sign(evaluate(quotient, span)) if zero_at_start and low == 0 else _kind(value, rate, low, high, span)
+        kind = (
+            _sign(evaluate(quotient, span))
+            if zero_at_start and low == 0
+            else _kind(value, rate, low, high, span)
+        )
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
-            yield Stretch(kind, clock + low, clock + high, evaluate(piece.series[0], span))
+            yield Stretch(
+                kind, clock + low, clock + high, evaluate(piece.series[0], span)
+            )
             continue
         if depth == MAX_DEPTH:
-            raise NotProvedError(f"Grazing: the {name} guard and its rate cannot be told from zero together.")
+            raise NotProvedError(
+                f"Grazing: the {name} guard and its rate cannot be told from zero together."
+            )
         middle = ((low + high) / 2).mid()
         waiting += [(middle, high, depth + 1), (low, middle, depth + 1)]
 
@@ -119,9 +155,10 @@ def _classified(piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start
 def _kind(value: Series, rate: Series, low: arb, high: arb, span: arb) -> str:
     middle = ((low + high) / 2).mid()
     speed = evaluate(rate, span)
-    return _sign(evaluate(value, middle) + speed * (span - middle)) or {"+": "rises", "-": "falls"}.get(
-        _sign(speed), ""
-    )
+    return _sign(evaluate(value, middle) + speed * (span - middle)) or {
+        "+": "rises",
+        "-": "falls",
+    }.get(_sign(speed), "")
 
 
 def _sign(x: arb) -> str:

@@ -1,4 +1,6 @@
-"""Stability from an enclosure of the step map's derivative, by the conditions of Schur, Cohn and Jury."""
+"""Stability from an enclosure of the step map's derivative, by the conditions of Schur,
+Cohn and Jury.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,10 @@ def characteristic(matrix: arb_mat) -> list[arb]:
     a = matrix.tolist()
     if len(a) == 2:
         return [arb(1), -matrix.trace(), matrix.det()]
-    minors = sum((a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))), arb(0))
+    minors = sum(
+        (a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))),
+        arb(0),
+    )
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
 
 
@@ -68,12 +73,19 @@ def multipliers(matrix: arb_mat) -> list[acb]:
         found = matrix.eig()
     except ValueError:
         return []
-    # Conjugates of multipliers are multipliers: one whose conjugate lies in no other ball is its own.
-    return [z if any(z.conjugate().overlaps(x) for x in found if x is not z) else acb(z.real) for z in found]
+    # Conjugates of multipliers are multipliers: one whose conjugate lies in no other
+    # ball is its own.
+    return [
+        z
+        if any(z.conjugate().overlaps(x) for x in found if x is not z)
+        else acb(z.real)
+        for z in found
+    ]
 
 
 def is_stable(matrix: arb_mat) -> bool | None:
-    """True where every multiplier lies inside the unit circle, False where one lies outside, else None.
+    """True where every multiplier lies inside the unit circle, False where one lies
+    outside, else None.
 
     Parameters
     ----------
@@ -100,7 +112,9 @@ def is_stable(matrix: arb_mat) -> bool | None:
 
 
 def _last_fails(margins: list[arb]) -> bool:
-    """Whether the last condition fails; it has this form while the others hold, whose failures are decided first."""
+    """Whether the last condition fails; it has this form while the others hold, whose
+    failures are decided first.
+    """
     return bool(len(margins) == 4 and margins[3] < 0 and margins[2] > 0)
 
 
@@ -116,4 +130,6 @@ def flip_function(matrix: arb_mat) -> arb:
     arb
     """
     rows = matrix.tolist()
-    return arb_mat([[x + int(i == j) for j, x in enumerate(row)] for i, row in enumerate(rows)]).det()
+    return arb_mat(
+        [[x + int(i == j) for j, x in enumerate(row)] for i, row in enumerate(rows)]
+    ).det()

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 
-def guard(free: bool, x: np.ndarray, ground: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles.
+def guard(
+    free: bool, x: np.ndarray, ground: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Guard of the next strike and its rate: flexion of the knee, or the sum of the
+    legs' angles.
 
     Parameters
     ----------
@@ -15,7 +18,8 @@ def guard(free: bool, x: np.ndarray, ground: np.ndarray | None = None) -> tuple[
     x : ndarray, shape (size, ..., n)
         Scaled states.
     ground : ndarray, shape (2, n), optional
-        The scale of the angles, and the height of the ground over l: the guard is the foot's height above it.
+        The scale of the angles, and the height of the ground over l: the guard is the
+        foot's height above it.
 
     Returns
     -------
@@ -28,12 +32,18 @@ def guard(free: bool, x: np.ndarray, ground: np.ndarray | None = None) -> tuple[
     scale, height = ground
     mean, apart = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[1] - x[0])
     mean_rate, apart_rate = 0.5 * scale * (x[2] + x[3]), 0.5 * scale * (x[3] - x[2])
-    rate = np.cos(mean) * np.sin(apart) * mean_rate + np.sin(mean) * np.cos(apart) * apart_rate
+    rate = (
+        np.cos(mean) * np.sin(apart) * mean_rate
+        + np.sin(mean) * np.cos(apart) * apart_rate
+    )
     return 2 * np.sin(mean) * np.sin(apart) - height, 2 * rate
 
 
-def crossing(free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = None) -> np.ndarray:
-    """Fraction of each time step at which the guard falls through zero; -1 where it does not.
+def crossing(
+    free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = None
+) -> np.ndarray:
+    """Fraction of each time step at which the guard falls through zero; -1 where it
+    does not.
 
     Parameters
     ----------
@@ -53,8 +63,8 @@ def crossing(free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = No
     Notes
     -----
     At a strike the guard, once positive, falls to zero; at the start it is exactly zero, which is no strike. Within a
-    time step the guard is its cubic Hermite polynomial, so that a dip below zero and back is detected too. Heelstrikes
-    count only with the stance leg behind.
+    time step the guard is its cubic Hermite polynomial, so that a dip below zero and
+    back is detected too. Heelstrikes count only with the stance leg behind.
     """
     g, dg = guard(free, X.swapaxes(0, 1), ground)
     dg = h * dg
@@ -69,7 +79,12 @@ def crossing(free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = No
         return fraction
     a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
     s = np.linspace(0.0, 1.0, 17)[:, None]
-    value = a * (1 + 2 * s) * (1 - s) ** 2 + da * s * (1 - s) ** 2 + b * s * s * (3 - 2 * s) + db * s * s * (s - 1)
+    value = (
+        a * (1 + 2 * s) * (1 - s) ** 2
+        + da * s * (1 - s) ** 2
+        + b * s * s * (3 - 2 * s)
+        + db * s * s * (s - 1)
+    )
     below = (value <= 0) & (s > 0)
     first = np.argmax(below, axis=0)
     column = np.arange(len(a))

@@ -1,7 +1,8 @@
 """Fixed points to more digits than the step map in doubles resolves.
 
-Near vanishing slope I - DP is singular like slope^(2/3), and the rounding of P in doubles dominates the error of the
-gait. There the residual is evaluated in long double or in 128 bits; Newton keeps the derivative in doubles.
+Near vanishing slope I - DP is singular like slope^(2/3), and the rounding of P in
+doubles dominates the error of the gait. There the residual is evaluated in long double
+or in 128 bits; Newton keeps the derivative in doubles.
 """
 
 from __future__ import annotations
@@ -21,26 +22,36 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.symbols import end_of_step, lock_knee, start_of_step
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
+#: Error bounds of a fixed point in doubles from which long double is used, and 128
+#: bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
-#: Of a gait its scaled section coordinates (m,), event times (k,) [sqrt(leg/g)], rates just before heelstrike (2,) or
-#: (2, s) and state just after (angles,), and how accurate they are: relative size of the last Newton step, or a bound.
+#: Of a gait its scaled section coordinates (m,), event times (k,) [sqrt(leg/g)], rates
+#: just before heelstrike (2,) or (2, s) and state just after (angles,), and how
+#: accurate they are: relative size of the last Newton step, or a bound.
 Wide = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 #: Each tier's type of number and its rounding unit.
-TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-#: Newton steps, with one derivative each of at most half the size of the one before, and derivatives by differences in
-#: each tier's number: in long double they would be no better than those in doubles.
+TIERS: tuple[tuple[Any, float], ...] = (
+    (np.longdouble, 1.1e-19),
+    (hy.real128, 1.93e-34),
+)
+#: Newton steps, with one derivative each of at most half the size of the one before,
+#: and derivatives by differences in each tier's number: in long double they would be no
+#: better than those in doubles.
 _MAX_STEPS, _MAX_DERIVATIVES = 20, (0, 4)
-#: Size below which steps that no longer shrink are rounding: 128 bits resolve more than is asked for.
+#: Size below which steps that no longer shrink are rounding: 128 bits resolve more than
+#: is asked for.
 _ROUNDING = (ESCALATE, 0.0)
-#: Error bound in doubles from which their Newton steps are not trusted: beside folds of small gaits they lead anywhere.
+#: Error bound in doubles from which their Newton steps are not trusted: beside folds of
+#: small gaits they lead anywhere.
 UNTRUSTED = 1e-3
 #: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
 _MAX_STEP = 1e-2
 
 
 class _ExtendedStepMap:
-    """The map of one step or several of one structure in a wider number, one lane at a time, without derivatives."""
+    """The map of one step or several of one structure in a wider number, one lane at a
+    time, without derivatives.
+    """
 
     def __init__(self, structure: Structure, number: Any, unit: float):
         self.structure, self.number, self.unit = structure, number, unit
@@ -57,7 +68,9 @@ class _ExtendedStepMap:
             )
             for motion in systems
         ]
-        self._held = [motion.parameters(fp_type=number, compact_mode=True) for motion in systems]
+        self._held = [
+            motion.parameters(fp_type=number, compact_mode=True) for motion in systems
+        ]
         self._start, self._knee, self._finish = self._compile()
 
     def array(self, values: Any) -> np.ndarray:
@@ -70,15 +83,26 @@ class _ExtendedStepMap:
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
 
         def function(outputs: list[Any], variables: list[Any]) -> Any:
-            return hy.cfunc(outputs, vars=[*variables, *p.variables], fp_type=self.number, compact_mode=True)
+            return hy.cfunc(
+                outputs,
+                vars=[*variables, *p.variables],
+                fp_type=self.number,
+                compact_mode=True,
+            )
 
         # Each strike's guard and the state beyond it; the rates just before heelstrike.
         knee = function([x[1] - x[2], *lock_knee(p, x)], x) if self.kneed else None
         two = x[:4]
         finish = [two[0] + two[1], *end_of_step(self.structure, p, two), two[2], two[3]]
-        return function(start_of_step(self.structure, p, y), y), knee, function(finish, two)
+        return (
+            function(start_of_step(self.structure, p, y), y),
+            knee,
+            function(finish, two),
+        )
 
-    def _integrate(self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any) -> np.ndarray:
+    def _integrate(
+        self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any
+    ) -> np.ndarray:
         ta = self._flows[k]
         ta.time = self.number(0.0)
         ta.state[:] = state
@@ -86,7 +110,9 @@ class _ExtendedStepMap:
         ta.propagate_until(duration)
         return ta.state.copy()
 
-    def _call(self, function: Any, values: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    def _call(
+        self, function: Any, values: np.ndarray, parameters: np.ndarray
+    ) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
 
     def parameters(self, walker: Walker, slope: float, scale: float) -> np.ndarray:
@@ -95,57 +121,92 @@ class _ExtendedStepMap:
         constants = lump(walker, hy.real128)
         wide = [constants[k] for k in self.structure.constants]
         if self.number is not hy.real128:
-            wide = [self.number(float(v)) + self.number(float(v - float(v))) for v in wide]
+            wide = [
+                self.number(float(v)) + self.number(float(v - float(v))) for v in wide
+            ]
         return self.array([slope, scale, *wide])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike at y, of its first section."""
         return self._call(self._start, y[: self.m], parameters)
 
-    def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residual of the joint equations at y and the event times of all steps, and the rates before heelstrikes.
+    def __call__(
+        self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual of the joint equations at y and the event times of all steps, and
+        the rates before heelstrikes.
 
         Returns
         -------
         residual : ndarray, shape (m + k,)
-            The images less the sections after them, and the guards of the strikes, all in this number.
+            The images less the sections after them, and the guards of the strikes, all
+            in this number.
         impact : ndarray, shape (2,) or (2, s)
             Rates just before heelstrike, of every step.
         """
         steps = len(y) // self.m
         durations = np.diff(times, prepend=self.number(0.0)).reshape(steps, -1)
-        each = [self._step(one, d, parameters) for one, d in zip(y.reshape(steps, -1), durations, strict=True)]
+        each = [
+            self._step(one, d, parameters)
+            for one, d in zip(y.reshape(steps, -1), durations, strict=True)
+        ]
         images, guards, impacts = (list(values) for values in zip(*each, strict=True))
         residual = np.concatenate([*images[-1:], *images[:-1]]) - y
-        return np.concatenate([residual, *guards]), np.stack(impacts, axis=-1)[..., 0 if steps == 1 else slice(None)]
+        return np.concatenate([residual, *guards]), np.stack(impacts, axis=-1)[
+            ..., 0 if steps == 1 else slice(None)
+        ]
 
     def _step(
         self, y: np.ndarray, durations: np.ndarray, parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Image of a section, guards at the strikes and rates before heelstrike of one step."""
+        """Image of a section, guards at the strikes and rates before heelstrike of one
+        step.
+        """
         state = self.start(y, parameters)
         guards = self.array([])
         if self.kneed:
-            values = self._call(self._knee, self._integrate(0, state, parameters, durations[0]), parameters)
+            values = self._call(
+                self._knee,
+                self._integrate(0, state, parameters, durations[0]),
+                parameters,
+            )
             guards, state = values[:1], values[1:]
-        values = self._call(self._finish, self._integrate(-1, state, parameters, durations[-1]), parameters)
-        return values[1 : 1 + self.m], np.concatenate([guards, values[:1]]), values[1 + self.m :]
+        values = self._call(
+            self._finish,
+            self._integrate(-1, state, parameters, durations[-1]),
+            parameters,
+        )
+        return (
+            values[1 : 1 + self.m],
+            np.concatenate([guards, values[:1]]),
+            values[1 + self.m :],
+        )
 
-    def inverse(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """How far a residual moves the solution's y and event times, by differences from the residual at y and times.
+    def inverse(
+        self,
+        y: np.ndarray,
+        times: np.ndarray,
+        parameters: np.ndarray,
+        residual: np.ndarray,
+    ) -> np.ndarray:
+        """How far a residual moves the solution's y and event times, by differences
+        from the residual at y and times.
 
         Returns
         -------
         ndarray, shape (m + k, m + k)
             In doubles.
         """
-        # Beside folds its rounding counts over 1e-11, beside falls the step bends within 1e-17.
+        # Beside folds its rounding counts over 1e-11, beside falls the step bends
+        # within 1e-17.
         unknowns, difference = np.concatenate([y, times]), self.number(self.unit**0.6)
         columns = []
         for i in range(len(unknowns)):
             moved = unknowns.copy()
             moved[i] = moved[i] + difference
-            change = (self(moved[: len(y)], moved[len(y) :], parameters)[0] - residual) / difference
+            change = (
+                self(moved[: len(y)], moved[len(y) :], parameters)[0] - residual
+            ) / difference
             columns.append([float(v) for v in change])
         try:
             return -np.linalg.inv(np.array(columns).T)
@@ -187,7 +248,8 @@ class Start(NamedTuple):
 
 
 def solved(start: Start, tier: int) -> Wide:
-    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
+    """Solve for a gait by Newton's method, its residual in the tier's number, its
+    derivative in doubles if it serves.
 
     Parameters
     ----------
@@ -198,7 +260,8 @@ def solved(start: Start, tier: int) -> Wide:
     Returns
     -------
     Wide
-        In the tier's number; the last step is infinite where Newton's steps do not shrink.
+        In the tier's number; the last step is infinite where Newton's steps do not
+        shrink.
     """
     problem, lane, stride, y, times, slope, scale = start
     exact = _extended_step_map(problem.structure, tier)
@@ -218,7 +281,8 @@ def solved(start: Start, tier: int) -> Wide:
             if derivatives == _MAX_DERIVATIVES[tier]:
                 before = size = np.inf
                 break
-            # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
+            # Beside falls, where the step amplifies its start most, the derivative in
+            # doubles does not serve.
             derivatives += 1
             inverse = exact.inverse(wide, wide_times, parameters, residual)
             step = matvec(inverse, np.array([float(v) for v in residual]))
@@ -226,7 +290,10 @@ def solved(start: Start, tier: int) -> Wide:
             if not size < _MAX_STEP:
                 before = size = np.inf
                 break
-        wide, wide_times = wide + exact.array(step[:m]), wide_times + exact.array(step[m:])
+        wide, wide_times = (
+            wide + exact.array(step[:m]),
+            wide_times + exact.array(step[m:]),
+        )
         before = size
         if size < EPS / 64:
             break
@@ -251,13 +318,18 @@ def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
     (y, scale), times = problem.section(Z), Z[problem.m : -1]
     for lane, slope in enumerate(np.exp(Z[-1]).tolist()):
         parameters = exact.parameters(problem.walker_of(lane), slope, scale[lane])
-        values, _ = exact(exact.array(y[:, lane]), exact.array(times[:, lane]), parameters)
+        values, _ = exact(
+            exact.array(y[:, lane]), exact.array(times[:, lane]), parameters
+        )
         columns.append([float(value) for value in values] / y[0, lane])
     return np.array(columns).T
 
 
-def refine(start: Start, bound: float, amplification: float, accuracy: float = 0.0) -> Wide:
-    """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
+def refine(
+    start: Start, bound: float, amplification: float, accuracy: float = 0.0
+) -> Wide:
+    """Solve for a gait to the last digits of a double, in long double where that
+    suffices, else in 128 bits.
 
     Parameters
     ----------
@@ -278,7 +350,9 @@ def refine(start: Start, bound: float, amplification: float, accuracy: float = 0
     def rounding(tier: int) -> float:
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
-    for tier in (0, 1) if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else (1,):
+    for tier in (
+        (0, 1) if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else (1,)
+    ):
         *gait, last_step = solved(start, tier)
         error = 2 * last_step * max(1.0, amplification) + rounding(tier)
         if error <= accuracy if accuracy else np.isfinite(last_step):

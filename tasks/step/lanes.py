@@ -1,4 +1,6 @@
-"""Lanes of results, which are arrays whose last axis counts them, or dataclasses, tuples or lists of such."""
+"""Lanes of results, which are arrays whose last axis counts them, or dataclasses,
+tuples or lists of such.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ import numpy as np
 
 
 def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
-    """Return some lanes of a result, or of what itself returns `some` lanes, as problems do.
+    """Return some lanes of a result, or of what itself returns `some` lanes, as
+    problems do.
 
     Parameters
     ----------
@@ -22,13 +25,16 @@ def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
     if isinstance(result, tuple | list):
         return type(result)(lanes_of(each, lanes) for each in result)
     if dataclasses.is_dataclass(result) and not isinstance(result, type):
-        changed = {name: lanes_of(values, lanes) for name, values in _fields(result).items()}
+        changed = {
+            name: lanes_of(values, lanes) for name, values in _fields(result).items()
+        }
         return dataclasses.replace(result, **changed)
     return result.some(lanes)
 
 
 def replace_lanes(result: Any, lanes: np.ndarray, other: Any) -> None:
-    """Replace some lanes of a result, in place, by those of another, and drop what was computed from its arrays.
+    """Replace some lanes of a result, in place, by those of another, and drop what was
+    computed from its arrays.
 
     Parameters
     ----------
@@ -52,14 +58,23 @@ def replace_lanes(result: Any, lanes: np.ndarray, other: Any) -> None:
 def join_lanes(parts: Sequence[Any]) -> Any:
     """Return the lanes of dataclasses of arrays, one after another."""
     names = _fields(parts[0])
-    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names))
+    return type(parts[0])(
+        *(
+            np.concatenate([getattr(part, name) for part in parts], axis=-1)
+            for name in names
+        )
+    )
 
 
 def slices(counts: Sequence[int]) -> list[slice]:
-    """Return where parts of so many lanes each lie that follow one another, as `join_lanes` joins them."""
+    """Return where parts of so many lanes each lie that follow one another, as
+    `join_lanes` joins them.
+    """
     ends = np.cumsum(counts, dtype=int).tolist()
     return [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
 
 
 def _fields(result: Any) -> dict[str, Any]:
-    return {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    return {
+        field.name: getattr(result, field.name) for field in dataclasses.fields(result)
+    }

@@ -1,4 +1,6 @@
-"""A walker's step map with its constants filled in: one walker for all lanes, or one for each."""
+"""A walker's step map with its constants filled in: one walker for all lanes, or one
+for each.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,12 @@ EPS = np.finfo(float).eps
 
 
 class Problem:
-    """One walker's step map, or that of several steps in a row, with its constants filled in.
+    """One walker's step map, or that of several steps in a row, with its constants
+    filled in.
 
-    `map` is that of all `steps` after which gaits repeat, `step` that of one. `m` is the number of the section
-    coordinates of all of them, and `phases` that of their phases: 2 a step for knees, 1 for straight legs.
+    `map` is that of all `steps` after which gaits repeat, `step` that of one. `m` is
+    the number of the section coordinates of all of them, and `phases` that of their
+    phases: 2 a step for knees, 1 for straight legs.
     """
 
     map: StrideMap | StepSequence
@@ -30,7 +34,10 @@ class Problem:
 
     def __init__(self, walker: Walker, steps: int = 1):
         structure = structure_of(walker)
-        self.walker, self.constants = walker, constants_of(WalkerArray.of([walker]), structure)
+        self.walker, self.constants = (
+            walker,
+            constants_of(WalkerArray.of([walker]), structure),
+        )
         self._set(structure, steps)
 
     def _set(self, structure: Structure, steps: int) -> None:
@@ -61,7 +68,9 @@ class Problem:
         ndarray, shape (n_parameters, n)
         """
         constants = self.constants[:, self.lanes]
-        return np.vstack([slope, scale, np.broadcast_to(constants, (len(constants), len(slope)))])
+        return np.vstack(
+            [slope, scale, np.broadcast_to(constants, (len(constants), len(slope)))]
+        )
 
     def some(self, lanes: np.ndarray | slice) -> Problem:
         """Return the problem of some lanes: the same where all lanes share a walker.
@@ -86,7 +95,12 @@ class Problem:
         return self
 
     def stride(
-        self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, coarse: bool = False
+        self,
+        w: np.ndarray,
+        log_slope: np.ndarray,
+        slope: bool = False,
+        samples: int = 0,
+        coarse: bool = False,
     ) -> tuple[AnyStride, np.ndarray]:
         """Evaluate steps at similarity coordinates.
 
@@ -110,11 +124,19 @@ class Problem:
             Power of two by which its angles and rates are divided.
         """
         y, scale = self.section(w)
-        stride = self.map(y, w[self.m :], self.parameters(np.exp(log_slope), scale), slope, samples, coarse)
+        stride = self.map(
+            y,
+            w[self.m :],
+            self.parameters(np.exp(log_slope), scale),
+            slope,
+            samples,
+            coarse,
+        )
         return stride, scale
 
     def section(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled section coordinates of similarity coordinates, and the power of two that divides them.
+        """Scaled section coordinates of similarity coordinates, and the power of two
+        that divides them.
 
         Parameters
         ----------
@@ -130,7 +152,8 @@ class Problem:
         return np.vstack([angle, angle * w[1 : self.m]]) / scale, scale
 
     def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """State just after heelstrike of section states; of those of several steps, of the first.
+        """State just after heelstrike of section states; of those of several steps, of
+        the first.
 
         Parameters
         ----------
@@ -147,7 +170,8 @@ class Problem:
         return state[[0, size // 2, size // 2 + 1, size - 1]]
 
     def section_of(self, state: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Section coordinates of states just after heelstrike: what `start` takes to them.
+        """Section coordinates of states just after heelstrike: what `start` takes to
+        them.
 
         Parameters
         ----------
@@ -158,15 +182,20 @@ class Problem:
         Returns
         -------
         ndarray, shape (m, n)
-            For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
+            For kneed walkers with the rates just before the heelstrike, of which those
+            after it are linear functions.
         """
         if not self.structure.kneed:
             return state[: self.m].copy()
         scale, size = scale_of(state[0]), self.map.start_size
         at_rest = np.vstack([state[:1] / scale, np.zeros_like(state[1:])])
-        by_y = self.map.start(at_rest, self.parameters(slope, scale))[size:].reshape(size, 3, -1)
+        by_y = self.map.start(at_rest, self.parameters(slope, scale))[size:].reshape(
+            size, 3, -1
+        )
         matrix = by_y[[size // 2, size // 2 + 1], 1:].transpose(2, 0, 1)
-        return np.vstack([state[:1], np.linalg.solve(matrix, state[1:].T[:, :, None])[:, :, 0].T])
+        return np.vstack(
+            [state[:1], np.linalg.solve(matrix, state[1:].T[:, :, None])[:, :, 0].T]
+        )
 
 
 class Lanes(Problem):
@@ -182,8 +211,14 @@ class Lanes(Problem):
 
     lanes: np.ndarray
 
-    def __init__(self, walkers: WalkerArray | Sequence[Walker], structure: Structure | None = None):
-        self.walkers = walkers if isinstance(walkers, WalkerArray) else WalkerArray.of(walkers)
+    def __init__(
+        self,
+        walkers: WalkerArray | Sequence[Walker],
+        structure: Structure | None = None,
+    ):
+        self.walkers = (
+            walkers if isinstance(walkers, WalkerArray) else WalkerArray.of(walkers)
+        )
         self.walker = walkers[0]
         self._set(structure or structure_of(self.walker), 1)
         self.constants = constants_of(self.walkers, self.structure)
@@ -212,7 +247,10 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
-        alone.walker, alone.constants = self.walker_of(lane), self.constants[:, [self.lanes[lane]]]
+        alone.walker, alone.constants = (
+            self.walker_of(lane),
+            self.constants[:, [self.lanes[lane]]],
+        )
         alone._set(self.structure, 1)
         return alone
 
@@ -223,7 +261,8 @@ def scale_of(angle: np.ndarray) -> np.ndarray:
 
 
 def sizes(y: np.ndarray) -> np.ndarray:
-    """Scales by which errors of (angle, rates...) are relative: the angle, and for every rate the largest of them.
+    """Scales by which errors of (angle, rates...) are relative: the angle, and for
+    every rate the largest of them.
 
     Parameters
     ----------
@@ -234,7 +273,9 @@ def sizes(y: np.ndarray) -> np.ndarray:
     ndarray, shape (m, n)
     """
     rates = y[1:]
-    return np.vstack([np.abs(y[:1]), np.broadcast_to(np.abs(rates).max(axis=0), rates.shape)])
+    return np.vstack(
+        [np.abs(y[:1]), np.broadcast_to(np.abs(rates).max(axis=0), rates.shape)]
+    )
 
 
 def joint_sizes(y: np.ndarray, phases: int) -> np.ndarray:
@@ -253,7 +294,8 @@ def joint_sizes(y: np.ndarray, phases: int) -> np.ndarray:
 
 
 def residual_sizes(y: np.ndarray, phases: int) -> np.ndarray:
-    """Scales of the joint residual: those of y, and the stance angle for the guards of the strikes.
+    """Scales of the joint residual: those of y, and the stance angle for the guards of
+    the strikes.
 
     Parameters
     ----------

@@ -1,8 +1,10 @@
-"""Several steps in a row as one map, by multiple shooting: a gait of s steps is its fixed point.
+"""Several steps in a row as one map, by multiple shooting: a gait of s steps is its
+fixed point.
 
-All s sections are unknowns, so errors do not grow over many steps: a gait of 64 steps is as well conditioned as one of
-a single step. Sections follow each other in y, all over the scale of the first; event times count from the start of the
-first step. In shapes, m and k count the section coordinates and the phases of all steps, n lanes.
+All s sections are unknowns, so errors do not grow over many steps: a gait of 64 steps
+is as well conditioned as one of a single step. Sections follow each other in y, all
+over the scale of the first; event times count from the start of the first step. In
+shapes, m and k count the section coordinates and the phases of all steps, n lanes.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ class Strides:
 
     @property
     def singles(self) -> Stride:
-        """The single steps in s n lanes: the first steps of all gaits, then the second ones."""
+        """The single steps in s n lanes: the first steps of all gaits, then the second
+        ones.
+        """
         lanes = self.steps * self.y.shape[1]
         return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
 
@@ -52,12 +56,16 @@ class Strides:
 
     @property
     def image(self) -> np.ndarray:
-        """Where the steps lead, each at the place of the section after it, shape (m, n)."""
+        """Where the steps lead, each at the place of the section after it, shape (m,
+        n).
+        """
         return np.asarray(self.residual[: len(self.y)] + self.y)
 
     @property
     def jacobian(self) -> np.ndarray:
-        """Derivative of all steps, one after another, by the first section, shape (m/s, m/s, n)."""
+        """Derivative of all steps, one after another, by the first section, shape (m/s,
+        m/s, n).
+        """
         product = self.one.jacobian[:, :, 0]
         for i in range(1, self.steps):
             product = matvec(self.one.jacobian[:, :, None, i], product)
@@ -71,40 +79,62 @@ class Strides:
 
     @functools.cached_property
     def residual(self) -> np.ndarray:
-        """Of the joint equations: of each section how far the step before it misses it, and the guards, (m + k, n)."""
+        """Of the joint equations: of each section how far the step before it misses it,
+        and the guards, (m + k, n).
+        """
         m = len(self.one.y)
         missed = np.roll(self.one.residual[:m] + self.one.y, 1, axis=1) - self.one.y
         return np.vstack([_in_a_row(missed), _in_a_row(self.one.residual[m:])])
 
     @functools.cached_property
     def derivative(self) -> np.ndarray:
-        """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1, n)."""
+        """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1,
+        n).
+        """
         by = self.one.derivative.copy()
         m = len(self.one.y)
-        # A step's equation has its own section; in a gait of several that after it takes its place.
+        # A step's equation has its own section; in a gait of several that after it
+        # takes its place.
         by[np.arange(m), np.arange(m)] += 1.0
-        missed, guards = self._in_places(np.roll(by[:m], 1, axis=2), 1), self._in_places(by[m:], 0)
+        missed, guards = (
+            self._in_places(np.roll(by[:m], 1, axis=2), 1),
+            self._in_places(by[m:], 0),
+        )
         out = np.concatenate([*missed, *guards])
         out[np.arange(len(self.y)), np.arange(len(self.y))] -= 1.0
         return out
 
     def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
-        """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1, n).
+        """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1,
+        n).
 
-        They are given (i, j, s, n) by the section, event times and slope of the same step, or of one step `before`.
+        They are given (i, j, s, n) by the section, event times and slope of the same
+        step, or of one step `before`.
         """
         i, s, n, m = len(by), self.steps, by.shape[-1], len(self.one.y)
         own, by = np.arange(s), by.transpose(2, 0, 1, 3)
-        sections, times = np.zeros((s, i, s, m, n)), np.zeros((s, i, s, by.shape[2] - 1 - m, n))
-        sections[own, :, own - before], times[own, :, own - before] = by[:, :, :m], by[:, :, m:-1]
+        sections, times = (
+            np.zeros((s, i, s, m, n)),
+            np.zeros((s, i, s, by.shape[2] - 1 - m, n)),
+        )
+        sections[own, :, own - before], times[own, :, own - before] = (
+            by[:, :, :m],
+            by[:, :, m:-1],
+        )
         # A step begins with the last strike of the one before.
         times[:, :, :-1, -1] -= times[:, :, 1:].sum(axis=3)
-        each = sections.reshape(s, i, s * m, n), times.reshape(s, i, s * times.shape[3], n), by[:, :, -1:]
+        each = (
+            sections.reshape(s, i, s * m, n),
+            times.reshape(s, i, s * times.shape[3], n),
+            by[:, :, -1:],
+        )
         return np.concatenate(each, axis=2)
 
     @functools.cached_property
     def inverse(self) -> np.ndarray:
-        """How far a residual moves the fixed point's y and its event times, shape (m + k, m + k, n)."""
+        """How far a residual moves the fixed point's y and its event times, shape (m +
+        k, m + k, n).
+        """
         return -_inverse(self.derivative[:, :-1])
 
     @functools.cached_property
@@ -124,7 +154,9 @@ class Strides:
 
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
-        newton = self.newton.reshape(self.steps, len(self.one.y), self.y.shape[1]).swapaxes(0, 1)
+        newton = self.newton.reshape(
+            self.steps, len(self.one.y), self.y.shape[1]
+        ).swapaxes(0, 1)
         self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
         self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
 
@@ -134,13 +166,17 @@ AnyStride = Stride | Strides
 
 
 def side_by_side(values: np.ndarray, steps: int) -> np.ndarray:
-    """Values (s i, n) of steps in a row in lanes (i, s n): the first steps of all gaits, then the second ones."""
+    """Values (s i, n) of steps in a row in lanes (i, s n): the first steps of all
+    gaits, then the second ones.
+    """
     i, n = len(values) // steps, values.shape[1]
     return values.reshape(steps, i, n).swapaxes(0, 1).reshape(i, steps * n)
 
 
 def _in_a_row(values: np.ndarray) -> np.ndarray:
-    """Values (i, s, n) of every step, those of one after those of the step before: (s i, n)."""
+    """Values (i, s, n) of every step, those of one after those of the step before: (s
+    i, n).
+    """
     return np.concatenate([*values.swapaxes(0, 1)])
 
 
@@ -181,18 +217,28 @@ class StepSequence:
         samples: int = 0,
         coarse: bool = False,
     ) -> Strides:
-        """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n) of all steps."""
+        """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n)
+        of all steps.
+        """
         s, n = self.steps, y.shape[1]
         k = len(times) // s
         begins = np.vstack([np.zeros((1, n)), times[k - 1 : -1 : k]])
         inputs = np.vstack(
-            [side_by_side(y, s), side_by_side(times - np.repeat(begins, k, axis=0), s), np.tile(parameters, s)]
+            [
+                side_by_side(y, s),
+                side_by_side(times - np.repeat(begins, k, axis=0), s),
+                np.tile(parameters, s),
+            ]
         )
         # Lanes of differences share most of their steps.
         inputs, place = np.unique(inputs, axis=1, return_inverse=True)
         m = self.single.m
-        one = self.single(inputs[:m], inputs[m : m + k], inputs[m + k :], slope, samples, coarse)
-        return Strides(one.mapped(lambda values: values[..., place.reshape(s, n)]), y, times.copy())
+        one = self.single(
+            inputs[:m], inputs[m : m + k], inputs[m + k :], slope, samples, coarse
+        )
+        return Strides(
+            one.mapped(lambda values: values[..., place.reshape(s, n)]), y, times.copy()
+        )
 
 
 def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -232,13 +278,17 @@ def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.n
     """
     places = (np.arange(steps)[:, None, None] + first) % steps
     y, durations = (
-        np.take_along_axis(each, np.broadcast_to(places, (steps, *each.shape[1:])), axis=0)
+        np.take_along_axis(
+            each, np.broadcast_to(places, (steps, *each.shape[1:])), axis=0
+        )
         for each in sections(w, m, steps)
     )
     return joined(w[0], y, durations)
 
 
-def joined(log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray) -> np.ndarray:
+def joined(
+    log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray
+) -> np.ndarray:
     """Put together what `sections` takes apart, with y over another angle.
 
     Parameters
@@ -252,12 +302,22 @@ def joined(log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray) -
     ndarray, shape (m + k, n)
     """
     flat, angle = np.concatenate([*y]), y[0, 0]
-    return np.vstack([log_unit + np.log(angle), flat[1:] / angle, np.cumsum(np.concatenate([*durations]), axis=0)])
+    return np.vstack(
+        [
+            log_unit + np.log(angle),
+            flat[1:] / angle,
+            np.cumsum(np.concatenate([*durations]), axis=0),
+        ]
+    )
 
 
 def distance(a: np.ndarray, b: np.ndarray, m: int, steps: int) -> float:
     """Distance of two gaits (m + k,), whichever of their steps are the first."""
-    begun = begun_at(np.repeat(a[:, None], steps, axis=1), m, steps, np.arange(steps)) if steps > 1 else a[:, None]
+    begun = (
+        begun_at(np.repeat(a[:, None], steps, axis=1), m, steps, np.arange(steps))
+        if steps > 1
+        else a[:, None]
+    )
     return float(np.abs(begun - b[:, None]).max(axis=0).min())
 
 
@@ -272,7 +332,8 @@ def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
     Returns
     -------
     ndarray, shape (divisors, n)
-        For each number of steps that divides all of them the largest distance of sections, over the first angle.
+        For each number of steps that divides all of them the largest distance of
+        sections, over the first angle.
     """
     y, _ = sections(w, m, steps)
     sooner = [k for k in range(1, steps) if steps % k == 0]
@@ -281,5 +342,11 @@ def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
 
 
 def from_largest(w: np.ndarray, m: int, steps: int) -> np.ndarray:
-    """Similarity coordinates (m + k, n) of the same gaits begun at the step with the largest stance angle."""
-    return begun_at(w, m, steps, sections(w, m, steps)[0][:, 0].argmax(axis=0)) if steps > 1 else w
+    """Similarity coordinates (m + k, n) of the same gaits begun at the step with the
+    largest stance angle.
+    """
+    return (
+        begun_at(w, m, steps, sections(w, m, steps)[0][:, 0].argmax(axis=0))
+        if steps > 1
+        else w
+    )

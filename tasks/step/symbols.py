@@ -16,7 +16,8 @@ def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:
     if structure.kneed:
         return [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
     if structure.point_foot:
-        # The impulse has no moment about the hip of a leg whose mass is at the foot that leaves the ground.
+        # The impulse has no moment about the hip of a leg whose mass is at the foot
+        # that leaves the ground.
         return [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
     return [y[0], -y[0], y[1], y[2]]
 
@@ -45,7 +46,9 @@ def flat(matrix: list[list[Sym]]) -> list[Sym]:
 
 
 def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
-    """Inverse of a square matrix of symbols by its adjugate, whose minors are written once each."""
+    """Inverse of a square matrix of symbols by its adjugate, whose minors are written
+    once each.
+    """
     every = tuple(range(len(J)))
 
     @functools.cache
@@ -54,7 +57,9 @@ def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
             return hy.expression(1.0)
         first, rest = rows[0], rows[1:]
         terms = (
-            (-1.0) ** k * J[first][column] * minor(rest, (*columns[:k], *columns[k + 1 :]))
+            (-1.0) ** k
+            * J[first][column]
+            * minor(rest, (*columns[:k], *columns[k + 1 :]))
             for k, column in enumerate(columns)
         )
         return sum(terms, ZERO)
@@ -63,10 +68,18 @@ def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
         return (*every[:k], *every[k + 1 :])
 
     det = minor(every, every)
-    return [[(-1.0) ** (i + j) * minor(without(j), without(i)) / det for j in every] for i in every]
+    return [
+        [(-1.0) ** (i + j) * minor(without(j), without(i)) / det for j in every]
+        for i in every
+    ]
 
 
-def derivatives_along(values: list[Sym], x: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
+def derivatives_along(
+    values: list[Sym], x: list[Sym], D: list[list[Sym]]
+) -> list[list[Sym]]:
     """Derivative of each value by x along the directions D."""
     gradients = [[hy.diff(v, coordinate) for coordinate in x] for v in values]
-    return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
+    return [
+        [sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))]
+        for row in gradients
+    ]

@@ -22,8 +22,8 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `walkers`, a list of dicts: name, description, parameters and geometry (in the walker's units), drawing, and
-        statics (residuals of the static conditions).
+        `walkers`, a list of dicts: name, description, parameters and geometry (in the
+        walker's units), drawing, and statics (residuals of the static conditions).
 
     Raises
     ------
@@ -31,7 +31,9 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
         If there is no such walker.
     """
     if params.get("walker") is not None:
-        walkers = {str(params["walker"].get("name", "custom")): resolve(params["walker"])}
+        walkers = {
+            str(params["walker"].get("name", "custom")): resolve(params["walker"])
+        }
     elif params.get("name"):
         walkers = {params["name"]: from_catalogue(params["name"])}
     else:
@@ -42,7 +44,12 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
                 "name": name,
                 "description": DESCRIPTIONS.get(name, "a walker of your own"),
                 "parameters": w.table(),
-                "geometry": {"l": w.l, "eps_S": w.eps_S, "leg": w.leg, "total_mass": w.total_mass},
+                "geometry": {
+                    "l": w.l,
+                    "eps_S": w.eps_S,
+                    "leg": w.leg,
+                    "total_mass": w.total_mass,
+                },
                 "drawing": drawing(w),
                 "statics": statics(w),
             }
@@ -56,7 +63,17 @@ def drawing(walker: Walker) -> str:
     foot = "(_)" if walker.R > 0 else " * "
     rows = ["        o        hip"]
     if walker.knees:
-        rows += ["       / \\", "      /   >      knee", "     /   /", f"   {foot} {foot}      feet"]
+        rows += [
+            "       / \\",
+            "      /   >      knee",
+            "     /   /",
+            f"   {foot} {foot}      feet",
+        ]
     else:
-        rows += ["       / \\", "      /   \\", "     /     \\", f"   {foot}     {foot}  feet"]
+        rows += [
+            "       / \\",
+            "      /   \\",
+            "     /     \\",
+            f"   {foot}     {foot}  feet",
+        ]
     return "\n".join(rows)

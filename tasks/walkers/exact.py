@@ -1,7 +1,8 @@
 """The offsets of tuned walkers to more digits than doubles have.
 
-The steps of a walker that is tuned to rounding are solved as those of one that is tuned exactly. Its offsets in doubles
-are another walker's, whose gaits at small slopes are others.
+The steps of a walker that is tuned to rounding are solved as those of one that is tuned
+exactly. Its offsets in doubles are another walker's, whose gaits at small slopes are
+others.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ _COMPUTED, _STATED = 60, 40
 
 
 def exact_offsets(walker: Walker) -> dict[str, str]:
-    """Offsets with which a walker that is tuned to rounding is tuned exactly, its other keys being those doubles.
+    """Offsets with which a walker that is tuned to rounding is tuned exactly, its other
+    keys being those doubles.
 
     Parameters
     ----------
@@ -25,8 +27,9 @@ def exact_offsets(walker: Walker) -> dict[str, str]:
     Returns
     -------
     dict of str
-        By their keys the decimal numbers, of 40 digits, that are no doubles: of `w_s` with knees and `w_t`, or of `w_s`
-        alone if the thigh has no mass. Empty for a walker that is not tuned.
+        By their keys the decimal numbers, of 40 digits, that are no doubles: of `w_s`
+        with knees and `w_t`, or of `w_s` alone if the thigh has no mass. Empty for a
+        walker that is not tuned.
 
     Notes
     -----
@@ -47,9 +50,17 @@ def exact_offsets(walker: Walker) -> dict[str, str]:
         elif not walker.m_t and walker.m_s:
             exact["w_s"] = (key["c_s"] * sine_S - key["l_t"] * sine_T) / cosine_S
         if walker.m_t:
-            shank = key["l_t"] * sine_T + exact.get("w_s", key["w_s"]) * cosine_S - key["c_s"] * sine_S
-            exact["w_t"] = -(key["m_s"] / key["m_t"] * shank + key["c_t"] * sine_T) / cosine_T
-        return {name: _stated(value) for name, value in exact.items() if value != key[name]}
+            shank = (
+                key["l_t"] * sine_T
+                + exact.get("w_s", key["w_s"]) * cosine_S
+                - key["c_s"] * sine_S
+            )
+            exact["w_t"] = (
+                -(key["m_s"] / key["m_t"] * shank + key["c_t"] * sine_T) / cosine_T
+            )
+        return {
+            name: _stated(value) for name, value in exact.items() if value != key[name]
+        }
 
 
 def _stated(value: Decimal) -> str:

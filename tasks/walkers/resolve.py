@@ -12,7 +12,14 @@ import numpy as np
 
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
-from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
+from gaitsweep.tasks.walkers.walker import (
+    KEYS,
+    NUMBERS,
+    ONE_LINK,
+    Walker,
+    WalkerError,
+    check_number,
+)
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
@@ -26,9 +33,10 @@ FOOT_MASS_RATIOS = 0.0, 0.5
 def from_table(table: Mapping[str, Any]) -> Walker:
     """Read a `[walker]` table: every key, or `base` and the keys that differ.
 
-    A `name` is allowed. Straight legs need not name what is zero by default, fore-aft offsets and the angle of the
-    thigh; and a leg of one link may be given by `m`, `c`, `l` (from the hip to the centre of the foot) and, where they
-    are not zero, `w`, `r` and `R`.
+    A `name` is allowed. Straight legs need not name what is zero by default, fore-aft
+    offsets and the angle of the thigh; and a leg of one link may be given by `m`, `c`,
+    `l` (from the hip to the centre of the foot) and, where they are not zero, `w`, `r`
+    and `R`.
 
     Raises
     ------
@@ -41,10 +49,18 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         values = straight(values)
     _check_names(values, KEYS, KEYS)
     if base is not None:
-        return replace(from_catalogue(base), **values) if values else from_catalogue(base)
-    missing = [f.name for f in fields(Walker) if f.default is f.default_factory and f.name not in values]
+        return (
+            replace(from_catalogue(base), **values) if values else from_catalogue(base)
+        )
+    missing = [
+        f.name
+        for f in fields(Walker)
+        if f.default is f.default_factory and f.name not in values
+    ]
     if missing:
-        raise WalkerError(missing[0], ", ".join(values) or "no key", "is missing from the walker")
+        raise WalkerError(
+            missing[0], ", ".join(values) or "no key", "is missing from the walker"
+        )
     return Walker(**values)
 
 
@@ -52,7 +68,8 @@ def from_table(table: Mapping[str, Any]) -> Walker:
 ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
 #: Keys that a leg of one link must have beside `l`.
 NEEDED_BY_ONE_LINK = ("m", "c")
-#: Keys of a leg of one link, and those of its thigh and shank that they set; its mass and centre are the thigh's.
+#: Keys of a leg of one link, and those of its thigh and shank that they set; its mass
+#: and centre are the thigh's.
 _OF_LINKS = {
     **{"m": ("m_t",), "c": ("c_t", "c_s"), "w": ("w_t", "w_s"), "r": ("r_t", "r_s")},
     "l": ("l_t", "l_s", "c_s"),
@@ -61,23 +78,34 @@ _OF_THIGH = {key: _OF_LINKS[key][0] for key in ("m", "c", "w", "r")}
 
 
 def straight(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of straight legs with both links: what is zero by default, and a leg of one link as thigh and shank.
+    """The table of straight legs with both links: what is zero by default, and a leg of
+    one link as thigh and shank.
 
     Parameters
     ----------
     values : mapping
-        A `[walker]` table without `base`; `l`, `R` and `c` may be fractions, or arrays, which are not checked.
+        A `[walker]` table without `base`; `l`, `R` and `c` may be fractions, or arrays,
+        which are not checked.
 
     Raises
     ------
     WalkerError
-        If keys of both kinds of leg are mixed, one is missing, or a length is no number.
+        If keys of both kinds of leg are mixed, one is missing, or a length is no
+        number.
     """
     given = dict(values)
     if "l" in given:
-        mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
+        mixed = [
+            key
+            for key in given
+            if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")
+        ]
         if mixed:
-            raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
+            raise WalkerError(
+                mixed[0],
+                given[mixed[0]],
+                "does not go with `l`, the length of a leg of one link",
+            )
         if absent := [key for key in NEEDED_BY_ONE_LINK if key not in given]:
             raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
@@ -85,8 +113,14 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
             if not isinstance(value, Fraction | np.ndarray):
                 check_number(key, value)
         links = {_OF_THIGH[key]: given.pop(key) for key in _OF_THIGH if key in given}
-        # The shank, without mass, has the same centre: that of the leg where its mass vanishes.
-        shank = {"m_s": 0.0, "c_s": centre - length / 2, "w_s": links.get("w_t", 0.0), "r_s": links.get("r_t", 0.0)}
+        # The shank, without mass, has the same centre: that of the leg where its mass
+        # vanishes.
+        shank = {
+            "m_s": 0.0,
+            "c_s": centre - length / 2,
+            "w_s": links.get("w_t", 0.0),
+            "r_s": links.get("r_t", 0.0),
+        }
         halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
     return {**dict.fromkeys(ZERO_IF_STRAIGHT, 0.0), **given}
@@ -102,32 +136,48 @@ def from_catalogue(name: object) -> Walker:
     """
     if not isinstance(name, str) or name not in CATALOGUE:
         near = difflib.get_close_matches(str(name), CATALOGUE, 1)
-        raise WalkerError("walker", name, "is not a known walker" + (f" (did you mean {near[0]}?)" if near else ""))
+        raise WalkerError(
+            "walker",
+            name,
+            "is not a known walker" + (f" (did you mean {near[0]}?)" if near else ""),
+        )
     return CATALOGUE[name]
 
 
-def _check_names(values: Mapping[str, Any], known: Iterable[str], suggested: Iterable[str]) -> None:
+def _check_names(
+    values: Mapping[str, Any], known: Iterable[str], suggested: Iterable[str]
+) -> None:
     """Raise WalkerError at the first key that is not known."""
     for key in values:
         if key not in known:
             others = [name for name in suggested if name != key]
-            near = " or ".join(f"`{name}`" for name in difflib.get_close_matches(key, others))
-            hint = f"did you mean {near}?" if near else f"keys: {', '.join(k for k in others if k != 'slope')}"
+            near = " or ".join(
+                f"`{name}`" for name in difflib.get_close_matches(key, others)
+            )
+            hint = (
+                f"did you mean {near}?"
+                if near
+                else f"keys: {', '.join(k for k in others if k != 'slope')}"
+            )
             raise WalkerError(key, values[key], f"is not a walker key ({hint})")
 
 
-def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None) -> Walker:
+def resolve(
+    walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None
+) -> Walker:
     """Make a walker of its name or table and a line's axis values.
 
     Parameters
     ----------
     walker : str or mapping
-        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too; `toward`, the
-        name or table of the walker that `detuning` = 1 gives; and `tuned`, keys that are changed, as little as
-        possible, so that the walker meets the static conditions.
+        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio`
+        or `detuning` too; `toward`, the name or table of the walker that `detuning` = 1
+        gives; and `tuned`, keys that are changed, as little as possible, so that the
+        walker meets the static conditions.
     overrides : mapping, optional
-        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units; for a leg of one link
-        its own keys, with the meaning that they have in its table; `R` keeps the length to the bottom of the foot.
+        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the
+        walker's units; for a leg of one link its own keys, with the meaning that they
+        have in its table; `R` keeps the length to the bottom of the foot.
 
     Raises
     ------
@@ -138,24 +188,38 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     given = {**{key: table[key] for key in _DERIVED if key in table}, **given}
     tuned = _free_keys(table.get("tuned", ()), given)
     own, changes = split({k: v for k, v in table.items() if k not in _MORE}, given)
-    links = {link: (key, given[key]) for key in given.keys() - changes.keys() for link in _OF_LINKS[key]}
+    links = {
+        link: (key, given[key])
+        for key in given.keys() - changes.keys()
+        for link in _OF_LINKS[key]
+    }
     start = from_table(own)
-    derived = {key: changes.pop(key) for key in _DERIVED if changes.get(key) is not None}
+    derived = {
+        key: changes.pop(key) for key in _DERIVED if changes.get(key) is not None
+    }
     for key, value in derived.items():
         check_number(key, value)
     if "toward" in table and "detuning" not in derived:
         _detuning_ends(table)  # is checked though nothing is detuned
     moved: dict[str, Any] = _moved_values(table, start, derived, changes, links)
-    numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
+    numbers = {
+        k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))
+    }
     for key in (k for k in numbers if k in ONE_LINK):
-        raise WalkerError(key, numbers[key], "is a key of a leg of one link, whose table has `l`, `m` and `c`")
+        raise WalkerError(
+            key,
+            numbers[key],
+            "is a key of a leg of one link, whose table has `l`, `m` and `c`",
+        )
     _check_names(numbers, NUMBERS, [*NUMBERS, "knees", *_DERIVED, "slope"])
     result = replace(start, **moved, **changes)
     return _retuned(result, tuned) if tuned else result
 
 
 def walker_of_line(line: Mapping[str, Any]) -> Walker:
-    """Make the walker of a line: of its `walker`, a name or table, with the keys that it may `set`."""
+    """Make the walker of a line: of its `walker`, a name or table, with the keys that
+    it may `set`.
+    """
     return resolve(line["walker"], line.get("set"))
 
 
@@ -173,8 +237,9 @@ def _moved_values(
 ) -> dict[str, float]:
     """Values of all keys that derived keys set; none of these may be set otherwise.
 
-    `start` is the table's walker before derived keys move it; `changes` are the other keys that a line sets, and
-    `links` the keys that those of a leg of one link set, each with that key and its value.
+    `start` is the table's walker before derived keys move it; `changes` are the other
+    keys that a line sets, and `links` the keys that those of a leg of one link set,
+    each with that key and its value.
     """
     values: dict[str, float] = {}
     owners: dict[str, str] = {}
@@ -190,7 +255,9 @@ def _moved_values(
         own = [(key, given[key]) for key in given if key in keys]
         own += [links[key] for key in keys if key in links and is_way]
         for key, other in own:
-            raise WalkerError(key, other, f"is set by `{owner}`, which owns {', '.join(keys)}")
+            raise WalkerError(
+                key, other, f"is set by `{owner}`, which owns {', '.join(keys)}"
+            )
         for key in (k for k in keys if k in owners):
             raise WalkerError(owner, value, f"sets {key}, and so does `{owners[key]}`")
         owners |= dict.fromkeys(keys, owner)
@@ -198,8 +265,12 @@ def _moved_values(
     return values
 
 
-def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The table of a leg of one link with changes of its own keys, and all other changes."""
+def split(
+    table: Mapping[str, Any], changes: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The table of a leg of one link with changes of its own keys, and all other
+    changes.
+    """
     own = [key for key in changes if is_one_link(table) and key in _OF_LINKS]
     return (
         {**table, **{key: changes[key] for key in own}},
@@ -209,11 +280,16 @@ def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[st
 
 def is_one_link(walker: str | Mapping[str, Any]) -> bool:
     """Whether a walker is the table of a leg of one link."""
-    return "l" in (table := _table(walker)) and "base" not in table and table.get("knees") is False
+    return (
+        "l" in (table := _table(walker))
+        and "base" not in table
+        and table.get("knees") is False
+    )
 
 
 def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
-    """Check the keys that are to be tuned: numbers of a walker, none of which is given otherwise.
+    """Check the keys that are to be tuned: numbers of a walker, none of which is given
+    otherwise.
 
     Raises
     ------
@@ -221,10 +297,16 @@ def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
         If one is not.
     """
     if not isinstance(tuned, list | tuple) or any(key not in NUMBERS for key in tuned):
-        raise WalkerError("tuned", tuned, f"must be a list of keys of a walker ({', '.join(NUMBERS)})")
+        raise WalkerError(
+            "tuned", tuned, f"must be a list of keys of a walker ({', '.join(NUMBERS)})"
+        )
     for key in tuned:
         if key in changes:
-            raise WalkerError(key, changes[key], "is set by `tuned`, which changes it so that the walker is tuned")
+            raise WalkerError(
+                key,
+                changes[key],
+                "is set by `tuned`, which changes it so that the walker is tuned",
+            )
     return tuple(dict.fromkeys(tuned))
 
 
@@ -232,7 +314,8 @@ _Walkers = TypeVar("_Walkers", bound=Walker)
 
 
 def _retuned(walkers: _Walkers, free: Sequence[str]) -> _Walkers:
-    """The nearest walkers that meet the static conditions; NaN in keys of those of many that no change of them tunes.
+    """The nearest walkers that meet the static conditions; NaN in keys of those of many
+    that no change of them tunes.
 
     Raises
     ------
@@ -241,28 +324,46 @@ def _retuned(walkers: _Walkers, free: Sequence[str]) -> _Walkers:
     """
     values, _, found = nearest(walkers, free)
     if not found.any():
-        raise WalkerError("tuned", ", ".join(free), "cannot meet the static conditions of vanishing slopes; add a key")
-    tuned = {key: value if len(value) > 1 else float(value[0]) for key, value in values.items()}
+        raise WalkerError(
+            "tuned",
+            ", ".join(free),
+            "cannot meet the static conditions of vanishing slopes; add a key",
+        )
+    tuned = {
+        key: value if len(value) > 1 else float(value[0])
+        for key, value in values.items()
+    }
     return type(walkers)(**{**walkers.table(), **tuned})
 
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
-    """Keys that a derived key sets: the masses, or those in which the walkers at both ends of a way differ."""
+    """Keys that a derived key sets: the masses, or those in which the walkers at both
+    ends of a way differ.
+    """
     return tuple(_values(derived, walker, 0.0))
 
 
-def _values(derived: str, walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
+def _values(
+    derived: str, walker: str | Mapping[str, Any], amount: Any
+) -> dict[str, Any]:
     """Values of the keys that a derived key of some amount, a number or an array, sets.
 
-    Detuning interpolates between two walkers. A foot mass ratio is the share of the total mass that each foot of a
-    point-foot walker has; the hip carries the rest (section 4.1).
+    Detuning interpolates between two walkers. A foot mass ratio is the share of the
+    total mass that each foot of a point-foot walker has; the hip carries the rest
+    (section 4.1).
     """
     if derived == "detuning":
         start, end = (each.table() for each in _detuning_ends(walker))
-        return {k: (1 - amount) * start[k] + amount * end[k] for k in NUMBERS if start[k] != end[k]}
+        return {
+            k: (1 - amount) * start[k] + amount * end[k]
+            for k in NUMBERS
+            if start[k] != end[k]
+        }
     own = _itself(_table(walker))
     total = own.total_mass
-    if not own.m_t and (own.c_t or own.w_t or own.r_t):  # the centre of no mass need not be at the hip
+    if not own.m_t and (
+        own.c_t or own.w_t or own.r_t
+    ):  # the centre of no mass need not be at the hip
         return {"m_t": 0.0, "m_s": amount * total, "m_h": (1 - 2 * amount) * total}
     return {"m_t": (0.5 - amount) * total, "m_s": amount * total, "m_h": 0.0}
 
@@ -270,7 +371,8 @@ def _values(derived: str, walker: str | Mapping[str, Any], amount: Any) -> dict[
 def _check_feet(walker: Walker, ratio: float, base: str | None) -> None:
     """Check a foot mass ratio.
 
-    Of a table with a point-foot walker as its `base` the other keys, such as R, are free, as those that a line sets.
+    Of a table with a point-foot walker as its `base` the other keys, such as R, are
+    free, as those that a line sets.
 
     Raises
     ------
@@ -278,9 +380,15 @@ def _check_feet(walker: Walker, ratio: float, base: str | None) -> None:
         If no walker with point feet has it.
     """
     if not (walker.point_foot or (base and from_catalogue(base).point_foot)):
-        raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
+        raise WalkerError(
+            "foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)"
+        )
     if not FOOT_MASS_RATIOS[0] <= ratio < FOOT_MASS_RATIOS[1]:
-        raise WalkerError("foot_mass_ratio", ratio, "must lie in [{:g}, {:g})".format(*FOOT_MASS_RATIOS))
+        raise WalkerError(
+            "foot_mass_ratio",
+            ratio,
+            "must lie in [{:g}, {:g})".format(*FOOT_MASS_RATIOS),
+        )
 
 
 def _itself(table: Mapping[str, Any]) -> Walker:
@@ -288,7 +396,9 @@ def _itself(table: Mapping[str, Any]) -> Walker:
     return from_table({key: value for key, value in table.items() if key not in _MORE})
 
 
-def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) -> WalkerArray:
+def resolve_many(
+    walker: str | Mapping[str, Any], overrides: Mapping[str, Any]
+) -> WalkerArray:
     """Make walkers of a name or table and arrays of values of keys.
 
     Parameters
@@ -296,7 +406,8 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     walker : str or mapping
         As for `resolve`.
     overrides : mapping
-        As for `resolve`, of numbers and of ndarrays, shape (n,), of which not every walker is checked.
+        As for `resolve`, of numbers and of ndarrays, shape (n,), of which not every
+        walker is checked.
 
     Returns
     -------
@@ -312,10 +423,14 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     if "tuned" in table:
         free = _free_keys(table.pop("tuned"), overrides)
         return _retuned(resolve_many(table, overrides), free)
-    arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
+    arrays = {
+        key: value for key, value in overrides.items() if isinstance(value, np.ndarray)
+    }
     for own in zip(*arrays.values(), strict=True) if arrays else [()]:
         try:
-            first = resolve(walker, {**overrides, **dict(zip(arrays, map(float, own), strict=True))})
+            first = resolve(
+                walker, {**overrides, **dict(zip(arrays, map(float, own), strict=True))}
+            )
             break
         except WalkerError as error:
             impossible = error
@@ -324,7 +439,11 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     values: dict[str, Any] = {}
     start, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
     if is_one_link(table):
-        values |= {key: value for key, value in straight(start).items() if isinstance(value, np.ndarray)}
+        values |= {
+            key: value
+            for key, value in straight(start).items()
+            if isinstance(value, np.ndarray)
+        }
         arrays = {key: value for key, value in arrays.items() if key in others}
     for key, array in arrays.items():
         values |= _values(key, table, array) if key in _DERIVED else {key: array}
@@ -342,11 +461,13 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
-        walker with `set`), `varied` (for each key of the walker that `set` moves, the keys of `set` that do),
-        `tuned` (keys that are changed so that the walker is tuned), `smooth` (keys of `set` with which gaits change
-        smoothly, so that charts may predict them), and of a walker that is or may be detuned `way`: the walkers `start`
-        and `end` between which `detuning` leads, in words, and both `tables`.
+        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker
+        before `set`), `parameters` (the walker with `set`), `varied` (for each key of
+        the walker that `set` moves, the keys of `set` that do), `tuned` (keys that are
+        changed so that the walker is tuned), `smooth` (keys of `set` with which gaits
+        change smoothly, so that charts may predict them), and of a walker that is or
+        may be detuned `way`: the walkers `start` and `end` between which `detuning`
+        leads, in words, and both `tables`.
 
     Raises
     ------
@@ -360,7 +481,11 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         for key in _moved_by(owner, given):
             varied[key] = (*varied.get(key, ()), owner)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
-    movers = tuple(owner for owner in overrides if any(key in CONDITIONED for key in _moved_by(owner, given)))
+    movers = tuple(
+        owner
+        for owner in overrides
+        if any(key in CONDITIONED for key in _moved_by(owner, given))
+    )
     varied |= dict.fromkeys(tuned, movers) if movers else {}
     return {
         "si": walker.si,
@@ -370,8 +495,16 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "parameters": walker.table(),
         "varied": varied,
         "tuned": tuned,
-        "smooth": tuple(key for key in overrides if key in ("foot_mass_ratio", "detuning") or _is_size(key)),
-        **({"way": _way(given)} if {"detuning", "toward"} & {*overrides, *given} else {}),
+        "smooth": tuple(
+            key
+            for key in overrides
+            if key in ("foot_mass_ratio", "detuning") or _is_size(key)
+        ),
+        **(
+            {"way": _way(given)}
+            if {"detuning", "toward"} & {*overrides, *given}
+            else {}
+        ),
     }
 
 
@@ -379,7 +512,11 @@ def _way(table: Mapping[str, Any]) -> dict[str, Any]:
     """The walkers between which detuning leads."""
     tables = [end.table() for end in _detuning_ends(table)]
     if "toward" not in table:
-        return {"start": "the exactly tuned walker", "end": "the physical one", "tables": tables}
+        return {
+            "start": "the exactly tuned walker",
+            "end": "the physical one",
+            "tables": tables,
+        }
     own = {key: value for key, value in table.items() if key not in _MORE}
     return {"start": label(own), "end": label(table["toward"]), "tables": tables}
 
@@ -397,9 +534,11 @@ def _is_size(key: str) -> bool:
 
 
 def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
-    """Return the walkers between which `detuning` interpolates: the walker itself and the one it is `toward`.
+    """Return the walkers between which `detuning` interpolates: the walker itself and
+    the one it is `toward`.
 
-    Where a table names none, those are the exactly tuned walker of the catalogue, A or C, and its physical partner.
+    Where a table names none, those are the exactly tuned walker of the catalogue, A or
+    C, and its physical partner.
 
     Raises
     ------
@@ -414,25 +553,41 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
     if "toward" not in table:
         name = table.get("base")
         if name not in PARTNERS:
-            raise WalkerError("detuning", label(walker), "needs walker A or C, or `toward`, another walker")
+            raise WalkerError(
+                "detuning",
+                label(walker),
+                "needs walker A or C, or `toward`, another walker",
+            )
         return from_catalogue(name), from_catalogue(PARTNERS[str(name)])
     other = table["toward"]
     if not isinstance(other, str | Mapping):
         raise WalkerError("toward", other, "must be the name or the table of a walker")
     if "toward" in _table(other):
-        raise WalkerError("toward", label(other), "must be a walker that has no `toward` itself")
+        raise WalkerError(
+            "toward", label(other), "must be a walker that has no `toward` itself"
+        )
     start = _itself(table)
     try:
         end = resolve(other)
     except WalkerError as error:
         key = "base" if error.key == "walker" else error.key
-        raise WalkerError("toward", error.value, f"must be a walker, and its `{key}` {error.bound}") from error
+        raise WalkerError(
+            "toward", error.value, f"must be a walker, and its `{key}` {error.bound}"
+        ) from error
     if start.knees != end.knees:
-        raise WalkerError("toward", label(other), f"must have {_LEGS[start.knees]}, as the walker has")
+        raise WalkerError(
+            "toward", label(other), f"must have {_LEGS[start.knees]}, as the walker has"
+        )
     if start.si != end.si:
-        raise WalkerError("toward", label(other), f'must have `units` = "{start.units}", as the walker has')
+        raise WalkerError(
+            "toward",
+            label(other),
+            f'must have `units` = "{start.units}", as the walker has',
+        )
     if all(getattr(start, key) == getattr(end, key) for key in NUMBERS):
-        raise WalkerError("toward", label(other), "must differ from the walker in a key")
+        raise WalkerError(
+            "toward", label(other), "must differ from the walker in a key"
+        )
     return start, end
 
 
@@ -442,6 +597,14 @@ _LEGS = {True: "knees", False: "straight legs"}
 def label(walker: str | Mapping[str, Any]) -> str:
     """A walker in words: its name, or that of its base with the keys that differ."""
     table = _table(walker)
-    keys = ", ".join(f"{key} = {value}" for key, value in table.items() if key not in ("base", "name", "toward"))
+    keys = ", ".join(
+        f"{key} = {value}"
+        for key, value in table.items()
+        if key not in ("base", "name", "toward")
+    )
     name = table.get("name") or table.get("base")
-    return f"{name} with {keys}" if table.get("base") == name and keys else str(name or "a walker of its own")
+    return (
+        f"{name} with {keys}"
+        if table.get("base") == name and keys
+        else str(name or "a walker of its own")
+    )

@@ -1,4 +1,6 @@
-"""Whether a walker meets the static conditions of section 5.1 of the paper, and the nearest one that does."""
+"""Whether a walker meets the static conditions of section 5.1 of the paper, and the
+nearest one that does.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ def untuned(params: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        A sentence; empty where the walker is tuned, was not before, or is detuned on purpose by `detuning`.
+        A sentence; empty where the walker is tuned, was not before, or is detuned on
+        purpose by `detuning`.
 
     Raises
     ------
@@ -36,7 +39,11 @@ def untuned(params: Mapping[str, Any]) -> str:
     base, walker = CATALOGUE[table["base"]], resolve(given, changes)
     if not is_tuned(base) or is_tuned(walker):
         return ""
-    keys = ", ".join(key for key in dict.fromkeys((*table, *changes)) if key in (*KEYS, "foot_mass_ratio"))
+    keys = ", ".join(
+        key
+        for key in dict.fromkeys((*table, *changes))
+        if key in (*KEYS, "foot_mass_ratio")
+    )
     off = ", ".join(f"{name} {value:.3g}" for name, value in statics(walker).items())
     return (
         f"With this {keys}, {table['base']} is no longer tuned ({off}): it has no gaits at vanishing slopes. "
@@ -45,7 +52,8 @@ def untuned(params: Mapping[str, Any]) -> str:
 
 
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:
-    """Find the nearest zero-slope-capable walker: the smallest relative change of the freed keys.
+    """Find the nearest zero-slope-capable walker: the smallest relative change of the
+    freed keys.
 
     Parameters
     ----------
@@ -55,8 +63,9 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `walker` (a table ready to paste), `moved` (old and new value by key, in the walker's units; empty where the
-        walker meets the conditions as it is), `change` (relative change by key), and `statics` `before` and `after`.
+        `walker` (a table ready to paste), `moved` (old and new value by key, in the
+        walker's units; empty where the walker meets the conditions as it is), `change`
+        (relative change by key), and `statics` `before` and `after`.
 
     Raises
     ------
@@ -67,12 +76,24 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     free = list(dict.fromkeys(params.get("free") or ("w_t", "w_s")))
     for key in free:
         if key not in NUMBERS:
-            raise WalkerError("free", key, f"must name walker keys ({', '.join(NUMBERS)})")
+            raise WalkerError(
+                "free", key, f"must name walker keys ({', '.join(NUMBERS)})"
+            )
     values, change, found = nearest(start, free)
     if not found[0]:
-        raise WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
-    tuned = Walker(**{**start.table(), **{k: float(value[0]) for k, value in values.items()}})
-    moved = {k: [getattr(start, k), getattr(tuned, k)] for k in free if getattr(tuned, k) != getattr(start, k)}
+        raise WalkerError(
+            "free",
+            ", ".join(free),
+            "cannot meet the zero-slope conditions; free another key",
+        )
+    tuned = Walker(
+        **{**start.table(), **{k: float(value[0]) for k, value in values.items()}}
+    )
+    moved = {
+        k: [getattr(start, k), getattr(tuned, k)]
+        for k in free
+        if getattr(tuned, k) != getattr(start, k)
+    }
     return {
         "walker": tuned.table(),
         "moved": moved,

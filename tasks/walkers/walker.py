@@ -1,4 +1,6 @@
-"""A walker: the paper's parameters (figure 1), checked, and the geometry that follows from them."""
+"""A walker: the paper's parameters (figure 1), checked, and the geometry that follows
+from them.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +10,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-#: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
-#: overflow.
+#: Bounds on the size of a number other than 0, and on a length over the leg: squares
+#: and quotients of them do not overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
-_TABLES = tomllib.loads(Path(__file__).with_name("keys.toml").read_text(encoding="utf-8"))
-#: The kind of quantity that each walker key holds, and each key of a leg of one link, beside `R`.
-KEYS, ONE_LINK = ({key: about["kind"] for key, about in table.items()} for table in _TABLES.values())
+_TABLES = tomllib.loads(
+    Path(__file__).with_name("keys.toml").read_text(encoding="utf-8")
+)
+#: The kind of quantity that each walker key holds, and each key of a leg of one link,
+#: beside `R`.
+KEYS, ONE_LINK = (
+    {key: about["kind"] for key, about in table.items()} for table in _TABLES.values()
+)
 _ALL = {key: about for table in _TABLES.values() for key, about in table.items()}
 #: What each key is.
 MEANINGS = {key: about["meaning"] for key, about in _ALL.items()}
 #: Keys that hold a number.
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
 #: Least and largest value of each number by itself.
-BOUNDS = {k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE)) for k in (*NUMBERS, *ONE_LINK)}
+BOUNDS = {
+    k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))
+    for k in (*NUMBERS, *ONE_LINK)
+}
 _MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
@@ -50,13 +60,20 @@ def check_number(key: str, value: object) -> None:
         raise WalkerError(key, value, "must be finite")
     if value and not MIN_SIZE <= abs(value) <= MAX_SIZE and abs(value) != math.inf:
         # A whole number may be too long to be shown.
-        shown = value if isinstance(value, float) else f"a number of {value.bit_length()} bits"
-        raise WalkerError(key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}")
+        shown = (
+            value
+            if isinstance(value, float)
+            else f"a number of {value.bit_length()} bits"
+        )
+        raise WalkerError(
+            key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}"
+        )
 
 
 @dataclass(frozen=True)
 class Walker:
-    """Parameters of a walker with two equal legs (paper, figure 1); those of several are a `WalkerArray`.
+    """Parameters of a walker with two equal legs (paper, figure 1); those of several
+    are a `WalkerArray`.
 
     Parameters
     ----------
@@ -111,12 +128,22 @@ class Walker:
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
             raise WalkerError("knees", repr(self.knees), "must be true or false")
-        self._refuse("must be > 0", {k: getattr(self, k) <= 0 for k in NUMBERS if BOUNDS[k][0] > 0})
-        self._refuse("must be >= 0", {k: getattr(self, k) < 0 for k in NUMBERS if BOUNDS[k][0] == 0})
+        self._refuse(
+            "must be > 0",
+            {k: getattr(self, k) <= 0 for k in NUMBERS if BOUNDS[k][0] > 0},
+        )
+        self._refuse(
+            "must be >= 0",
+            {k: getattr(self, k) < 0 for k in NUMBERS if BOUNDS[k][0] == 0},
+        )
         if math.isinf(self.m_t):
-            # The paper's spelling of walker D: an infinitely heavy hip, so the foot's mass vanishes beside it.
+            # The paper's spelling of walker D: an infinitely heavy hip, so the foot's
+            # mass vanishes beside it.
             hip_offset = bool(self.c_t or self.w_t or self.r_t)
-            self._refuse("may be infinite only as a point at the hip (c_t = w_t = r_t = 0)", {"m_t": hip_offset})
+            self._refuse(
+                "may be infinite only as a point at the hip (c_t = w_t = r_t = 0)",
+                {"m_t": hip_offset},
+            )
             object.__setattr__(self, "m_t", 0.5)
             object.__setattr__(self, "m_s", 0.0)
         self._check_geometry()
@@ -128,23 +155,49 @@ class Walker:
             raise WalkerError(key, getattr(self, key), bound)
 
     def _check_geometry(self) -> None:
-        self._refuse("must lie in (-pi/2, pi/2) rad", {"eps_T": abs(self.eps_T) >= BOUNDS["eps_T"][1]})
-        self._refuse("must leave the walker some mass (m_t, m_s or m_h > 0)", {"m_t": self.total_mass <= 0})
+        self._refuse(
+            "must lie in (-pi/2, pi/2) rad",
+            {"eps_T": abs(self.eps_T) >= BOUNDS["eps_T"][1]},
+        )
+        self._refuse(
+            "must leave the walker some mass (m_t, m_s or m_h > 0)",
+            {"m_t": self.total_mass <= 0},
+        )
         d, sine = self.l_s - self.R, self.l_t * math.sin(self.eps_T)
         bound = f"must satisfy |l_t sin eps_T| <= |l_s - R| = {abs(d):g} or the leg cannot close"
         self._refuse(bound, {"eps_T": abs(sine) > abs(d) or (d == 0 and self.knees)})
         self._refuse("must leave the hip above the foot's centre", {"R": self.l <= 0})
         lengths = [key for key, kind in KEYS.items() if kind == "length"]
         bound = f"must be at most {MAX_LEGS:g} legs l + R = {self.leg:g}"
-        self._refuse(bound, {key: abs(getattr(self, key)) > MAX_LEGS * self.leg for key in lengths})
+        self._refuse(
+            bound,
+            {key: abs(getattr(self, key)) > MAX_LEGS * self.leg for key in lengths},
+        )
 
     def _check_inertia(self) -> None:
-        no_swing = not self.knees and self.massless_leg and not (abs(self.knee + self.shank_centre) + self.r_s)
-        too_light = not self.massless_leg and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2
-        self._refuse("must be > 0 with a free knee", {"m_s": self.knees and self.m_s == 0})
-        self._refuse("must leave the shank some inertia about its knee", {"r_s": self.knees and not self.shank_inertia})
-        self._refuse("may vanish only off the hip: the swing leg has no inertia", {"m_s": no_swing})
-        self._refuse("must leave the leg some inertia about the hip", {"m_s": too_light})
+        no_swing = (
+            not self.knees
+            and self.massless_leg
+            and not (abs(self.knee + self.shank_centre) + self.r_s)
+        )
+        too_light = (
+            not self.massless_leg
+            and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2
+        )
+        self._refuse(
+            "must be > 0 with a free knee", {"m_s": self.knees and self.m_s == 0}
+        )
+        self._refuse(
+            "must leave the shank some inertia about its knee",
+            {"r_s": self.knees and not self.shank_inertia},
+        )
+        self._refuse(
+            "may vanish only off the hip: the swing leg has no inertia",
+            {"m_s": no_swing},
+        )
+        self._refuse(
+            "must leave the leg some inertia about the hip", {"m_s": too_light}
+        )
 
     @property
     def total_mass(self) -> float:
@@ -160,7 +213,9 @@ class Walker:
     @property
     def l(self) -> float:
         """Length from hip to foot centre, with the knee extended."""
-        return self.l_t * self._math.cos(self.eps_T) + (self.l_s - self.R) * self._math.cos(self.eps_S)
+        return self.l_t * self._math.cos(self.eps_T) + (
+            self.l_s - self.R
+        ) * self._math.cos(self.eps_S)
 
     @property
     def leg(self) -> float:
@@ -174,17 +229,25 @@ class Walker:
 
     @property
     def knee(self) -> complex:
-        """Position of the knee from the hip, in the frame of the extended leg: x forward, y up."""
-        return -self.l_t * (self._math.sin(self.eps_T) + 1j * self._math.cos(self.eps_T))
+        """Position of the knee from the hip, in the frame of the extended leg: x
+        forward, y up.
+        """
+        return -self.l_t * (
+            self._math.sin(self.eps_T) + 1j * self._math.cos(self.eps_T)
+        )
 
     @property
     def thigh_centre(self) -> complex:
-        """Position of the thigh's centre of mass from the hip, in the frame of the extended leg."""
+        """Position of the thigh's centre of mass from the hip, in the frame of the
+        extended leg.
+        """
         return -self._turn(-self.eps_T) * (self.w_t + 1j * self.c_t)
 
     @property
     def shank_centre(self) -> complex:
-        """Position of the shank's centre of mass from the knee, in the frame of the extended leg."""
+        """Position of the shank's centre of mass from the knee, in the frame of the
+        extended leg.
+        """
         return -self._turn(self.eps_S) * (self.w_s + 1j * self.c_s)
 
     def _turn(self, angle: float) -> complex:
@@ -200,19 +263,31 @@ class Walker:
     def leg_inertia(self) -> float:
         """Moment of inertia of the extended leg about the hip."""
         thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
-        return thigh + self.m_s * (self.r_s**2 + abs(self.knee + self.shank_centre) ** 2)
+        return thigh + self.m_s * (
+            self.r_s**2 + abs(self.knee + self.shank_centre) ** 2
+        )
 
     @property
     def massless_leg(self) -> bool:
-        """Whether the swing leg has no inertia about the hip: the limit in which the mass of its shank vanishes."""
-        return not (_any(self.m_s) or _any(self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2)))
+        """Whether the swing leg has no inertia about the hip: the limit in which the
+        mass of its shank vanishes.
+        """
+        return not (
+            _any(self.m_s) or _any(self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2))
+        )
 
     @property
     def point_foot(self) -> bool:
-        """Whether the leg's mass is one point at a foot of zero radius (the step map is then two-dimensional)."""
-        hip_thigh = not _any(self.m_t) or not any(map(_any, (self.c_t, self.w_t, self.r_t)))
+        """Whether the leg's mass is one point at a foot of zero radius (the step map is
+        then two-dimensional).
+        """
+        hip_thigh = not _any(self.m_t) or not any(
+            map(_any, (self.c_t, self.w_t, self.r_t))
+        )
         foot = not any(map(_any, (self.c_s - self.l_s, self.w_s, self.r_s)))
-        return hip_thigh and foot and not (_any(self.R) or _any(self.eps_T) or self.knees)
+        return (
+            hip_thigh and foot and not (_any(self.R) or _any(self.eps_T) or self.knees)
+        )
 
     @property
     def si(self) -> bool:

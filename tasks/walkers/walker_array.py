@@ -12,9 +12,11 @@ from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, Walker
 
 
 class WalkerArray(Walker):
-    """Walkers of one kind: each number is one for all, or an array of one for each, shape (n,).
+    """Walkers of one kind: each number is one for all, or an array of one for each,
+    shape (n,).
 
-    Numbers are not checked: for an invalid walker, what follows from them is NaN or meaningless.
+    Numbers are not checked: for an invalid walker, what follows from them is NaN or
+    meaningless.
     """
 
     _math: ClassVar[Any] = np
@@ -32,7 +34,8 @@ class WalkerArray(Walker):
             All with or all without knees.
         """
         numbers: dict[str, Any] = {
-            key: np.array([getattr(walker, key) for walker in walkers], float) for key in NUMBERS
+            key: np.array([getattr(walker, key) for walker in walkers], float)
+            for key in NUMBERS
         }
         units: Any = np.array([walker.units for walker in walkers])
         return cls(**numbers, knees=walkers[0].knees, units=units)
@@ -45,7 +48,12 @@ class WalkerArray(Walker):
         return self._size
 
     def __getitem__(self, lane: int) -> Walker:
-        return Walker(**{key: v[lane].item() if isinstance(v, np.ndarray) else v for key, v in self.table().items()})
+        return Walker(
+            **{
+                key: v[lane].item() if isinstance(v, np.ndarray) else v
+                for key, v in self.table().items()
+            }
+        )
 
     def some(self, lanes: np.ndarray) -> WalkerArray:
         """Return some of the walkers.
@@ -54,7 +62,12 @@ class WalkerArray(Walker):
         ----------
         lanes : ndarray of int, shape (k,)
         """
-        return WalkerArray(**{key: v[lanes] if isinstance(v, np.ndarray) else v for key, v in self.table().items()})
+        return WalkerArray(
+            **{
+                key: v[lanes] if isinstance(v, np.ndarray) else v
+                for key, v in self.table().items()
+            }
+        )
 
     @property
     def eps_S(self) -> Any:
@@ -66,5 +79,7 @@ class WalkerArray(Walker):
     @property
     def massless_legs(self) -> np.ndarray:
         """Whether each walker's swing leg has no inertia about the hip, shape (n,)."""
-        massive = (self.m_s != 0) | (self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2) != 0)
+        massive = (self.m_s != 0) | (
+            self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2) != 0
+        )
         return np.broadcast_to(np.logical_not(massive), len(self))

@@ -1,4 +1,6 @@
-"""Counted work, and the share of a line's time that is spent in compiled flows and maps."""
+"""Counted work, and the share of a line's time that is spent in compiled flows and
+maps.
+"""
 
 import contextlib
 import time
@@ -22,9 +24,17 @@ from gaitsweep.tasks.step.step_map import StrideMap
 
 #: Studies that want fewer and fewer variables: a name, the variables, and the gaits.
 STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
-    ("everything", tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs"), GAITS),
+    (
+        "everything",
+        tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs"),
+        GAITS,
+    ),
     ("all but violations", problems.GRID_WANT, GAITS),
-    ("angle and multipliers", ("stance_angle", "multiplier_real", "multiplier_imag"), GAITS),
+    (
+        "angle and multipliers",
+        ("stance_angle", "multiplier_real", "multiplier_imag"),
+        GAITS,
+    ),
     ("angle", ("stance_angle",), GAITS),
     ("angle of the long gait", ("stance_angle",), ("long",)),
 )
@@ -32,12 +42,16 @@ STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 
 @contextlib.contextmanager
 def _watched(watch: Callable[..., Any], *places: tuple[Any, str]) -> Iterator[None]:
-    """Call `watch(name, function, *arguments)` in place of functions of modules and methods of classes."""
+    """Call `watch(name, function, *arguments)` in place of functions of modules and
+    methods of classes.
+    """
     with contextlib.ExitStack() as stack:
         for owner, name in places:
             kept = getattr(owner, name)
 
-            def instead(*arguments: Any, name: str = name, kept: Any = kept, **options: Any) -> Any:
+            def instead(
+                *arguments: Any, name: str = name, kept: Any = kept, **options: Any
+            ) -> Any:
                 return watch(name, kept, *arguments, **options)
 
             stack.enter_context(mock.patch.object(owner, name, instead))
@@ -45,10 +59,19 @@ def _watched(watch: Callable[..., Any], *places: tuple[Any, str]) -> Iterator[No
 
 
 def work(
-    name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str], gaits: Sequence[str] = GAITS
+    name: str,
+    atlas: dict[str, np.ndarray],
+    slopes: np.ndarray,
+    want: Sequence[str],
+    gaits: Sequence[str] = GAITS,
 ) -> dict[str, float]:
     """Count the work of the points of one line."""
-    params = {"line": {"walker": name, "set": {}}, "slope": slopes, "want": want, "gaits": gaits}
+    params = {
+        "line": {"walker": name, "set": {}},
+        "slope": slopes,
+        "want": want,
+        "gaits": gaits,
+    }
     solve_points.points({**params, "slope": slopes[:1]}, [atlas])
     for flow in FLOWS.values():
         flow.evaluations = flow.idle = 0
@@ -60,11 +83,16 @@ def work(
         "refine": lambda *others: 1,
     }
 
-    def count(name: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    def count(
+        name: str, function: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> Any:
         lanes[name] += sizes[name](*arguments)
         return function(*arguments, **options)
 
-    with _watched(count, *zip((polish, measured, violations, extended_precision), sizes, strict=True)):
+    with _watched(
+        count,
+        *zip((polish, measured, violations, extended_precision), sizes, strict=True),
+    ):
         points = solve_points.points(params, [atlas])
     flows = [flow for flow in FLOWS.values() if flow.evaluations]
     variables = [v for v in VARIABLES if v in want or v in ALWAYS]
@@ -83,19 +111,31 @@ def work(
 def less_and_less(f: problems.Family, n: int) -> list[dict[str, float | str]]:
     """Count the work of the studies in `STUDIES` on one line of n slopes."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
-    return [{"study": name, **work(f.name, f.atlas, slopes, want, gaits)} for name, want, gaits in STUDIES]
+    return [
+        {"study": name, **work(f.name, f.atlas, slopes, want, gaits)}
+        for name, want, gaits in STUDIES
+    ]
 
 
 def line(f: problems.Family, n: int) -> dict[str, float]:
-    """Steps a gait (each is one Newton step) and the share of time in compiled flows and maps, on one line."""
+    """Steps a gait (each is one Newton step) and the share of time in compiled flows
+    and maps, on one line.
+    """
     slopes = np.geomspace(1e-3, f.slope * 3, n)
-    params = {"line": {"walker": f.name, "set": {}}, "slope": slopes, "want": problems.GRID_WANT, "gaits": GAITS}
+    params = {
+        "line": {"walker": f.name, "set": {}},
+        "slope": slopes,
+        "want": problems.GRID_WANT,
+        "gaits": GAITS,
+    }
     solve_points.points(params, [f.atlas])
     for flow in FLOWS.values():
         flow.evaluations = 0
     inside = 0.0
 
-    def clock(name: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    def clock(
+        name: str, function: Callable[..., Any], *arguments: Any, **options: Any
+    ) -> Any:
         nonlocal inside
         start = time.process_time()
         found = function(*arguments, **options)
@@ -121,11 +161,15 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
     }
 
 
-def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str, float | str]]:
-    """Floating-point rate of each flow of a walker's points, from its decomposition, and its share of the peak rate.
+def roofline(
+    f: problems.Family, peak: float, repeats: int = 5
+) -> list[dict[str, float | str]]:
+    """Floating-point rate of each flow of a walker's points, from its decomposition,
+    and its share of the peak rate.
 
-    A Taylor step of order p costs about p^2 operations for each product, quotient, power, sine or cosine among the
-    u-variables (twice that for the last two), 2 p for each linear one and 2 p for each state's sum.
+    A Taylor step of order p costs about p^2 operations for each product, quotient,
+    power, sine or cosine among the u-variables (twice that for the last two), 2 p for
+    each linear one and 2 p for each state's sum.
     """
     q = np.log(f.slopes)
     f.problem.stride(f.w, q)
@@ -137,7 +181,10 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
         ta, order = flow._ta, flow._ta.order
         lanes = ta.state.shape[1]
         nonlinear, trigonometric, linear = _counts(ta)
-        flops = lanes * (order**2 * (nonlinear + 2 * trigonometric) + 2 * order * (linear + 2 * flow.size))
+        flops = lanes * (
+            order**2 * (nonlinear + 2 * trigonometric)
+            + 2 * order * (linear + 2 * flow.size)
+        )
         ta.set_time(0.0)
         ta.state[:] = 0.1
         ta.pars[:] = 0.5
@@ -158,7 +205,11 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
                 "products": float(nonlinear),
                 "sines and cosines": float(trigonometric),
                 "order": float(order),
-                "kilobytes of coefficients": len(ta.decomposition) * (order + 1) * lanes * 8 / 1024,
+                "kilobytes of coefficients": len(ta.decomposition)
+                * (order + 1)
+                * lanes
+                * 8
+                / 1024,
                 "microseconds a step": 1e6 * best,
                 "GFlop/s": flops / best / 1e9,
                 "share of peak": flops / best / peak,
@@ -174,7 +225,9 @@ def _counts(ta: Any) -> tuple[int, int, int]:
         text = str(expression)
         if "sin(" in text or "cos(" in text:
             trigonometric += 1
-        elif (text.count("u_") >= 2 and ("*" in text or "div(" in text or "prod" in text)) or "**" in text:
+        elif (
+            text.count("u_") >= 2 and ("*" in text or "div(" in text or "prod" in text)
+        ) or "**" in text:
             nonlinear += 1
         elif "u_" in text:
             linear += 1

@@ -10,7 +10,9 @@ from gaitsweep.tasks.walkers.resolve import label
 
 
 class Grid(NamedTuple):
-    """A walker, a number of slopes, the keys with range, number of values and spacing, and where detuning leads."""
+    """A walker, a number of slopes, the keys with range, number of values and spacing,
+    and where detuning leads.
+    """
 
     walker: str
     slopes: int
@@ -26,9 +28,18 @@ GRIDS = (
     Grid("E", 100, {"foot_mass_ratio": (*_LIGHTER, 100, "log")}),
     Grid("A", 100, {"detuning": (*_HALF, 100, "linear")}),
     Grid("C", 100, {"detuning": (*_HALF, 100, "linear")}),
-    Grid("C", 200, {"detuning": (0.0, 1.0, 7, "linear"), "m_h": (0.0, 6.0, 60, "linear")}),
     Grid(
-        *("E", 100, {"foot_mass_ratio": (*_LIGHTER, 20, "log"), "detuning": (0.0, 1.0, 10, "linear")}),
+        "C", 200, {"detuning": (0.0, 1.0, 7, "linear"), "m_h": (0.0, 6.0, 60, "linear")}
+    ),
+    Grid(
+        *(
+            "E",
+            100,
+            {
+                "foot_mass_ratio": (*_LIGHTER, 20, "log"),
+                "detuning": (0.0, 1.0, 10, "linear"),
+            },
+        ),
         toward={"base": "E", "R": 0.3},
     ),
     Grid("E", 100, {"foot_mass_ratio": (*_LIGHTER, 20, "log")}),
@@ -53,9 +64,13 @@ def table(quick: bool, newton_solve: float) -> list[dict[str, float | str]]:
         plane = planes.made(study)
         rows.append(
             {
-                "walker": grid.walker + (f" toward {label(grid.toward)}" if grid.toward else ""),
+                "walker": grid.walker
+                + (f" toward {label(grid.toward)}" if grid.toward else ""),
                 "grid": " × ".join(
-                    [f"{grid.slopes} slopes", *(f"{n} {key}" for key, (_, _, n, _) in grid.keys.items())]
+                    [
+                        f"{grid.slopes} slopes",
+                        *(f"{n} {key}" for key, (_, _, n, _) in grid.keys.items()),
+                    ]
                 ),
                 "boxes of a plane": float(plane.boxes),
                 "charts of a plane": float(plane.charts),
@@ -74,10 +89,17 @@ def table(quick: bool, newton_solve: float) -> list[dict[str, float | str]]:
 def _study(grid: Grid, most: int | None = None) -> dict[str, Any]:
     """The study of a grid, or of at most so many values of the slope and of each key."""
     axes = {}
-    for name, (low, high, n, spacing) in {"slope": (*SLOPES, grid.slopes, "log"), **grid.keys}.items():
+    for name, (low, high, n, spacing) in {
+        "slope": (*SLOPES, grid.slopes, "log"),
+        **grid.keys,
+    }.items():
         spaced, n = np.geomspace if spacing == "log" else np.linspace, min(n, most or n)
         # A single value is the one in the middle.
-        axes[name] = spaced(low, high, n).tolist() if n > 1 else [float(spaced(low, high, 3)[1])]
-    walker = {"base": grid.walker, "toward": grid.toward} if grid.toward else grid.walker
+        axes[name] = (
+            spaced(low, high, n).tolist() if n > 1 else [float(spaced(low, high, 3)[1])]
+        )
+    walker = (
+        {"base": grid.walker, "toward": grid.toward} if grid.toward else grid.walker
+    )
     want = {"variables": ["stance_angle", "period", "multipliers"]}
     return {"name": "grid", "walker": walker, "axes": axes, "want": want}

@@ -1,4 +1,6 @@
-"""What is measured, and timing of methods in turns, so that noise affects all of them alike."""
+"""What is measured, and timing of methods in turns, so that noise affects all of them
+alike.
+"""
 
 import json
 import tempfile
@@ -22,9 +24,9 @@ TICK = 0.01
 class Case:
     """One method on one problem.
 
-    `run` does the work once and returns its result; `units` is the number of answers in it; `error` is the largest
-    relative error of the result, by extended precision; `seconds` holds the processor time of one
-    answer in each round.
+    `run` does the work once and returns its result; `units` is the number of answers in
+    it; `error` is the largest relative error of the result, by extended precision;
+    `seconds` holds the processor time of one answer in each round.
     """
 
     family: str
@@ -40,17 +42,23 @@ class Case:
 
 @dataclass
 class Measurements:
-    """The results of one run of the bench: cases, tables by name, and the floating-point type of the references."""
+    """The results of one run of the bench: cases, tables by name, and the
+    floating-point type of the references.
+    """
 
     machine: dict[str, str]
     quick: bool
     kind: str = ""
     cases: list[Case] = field(default_factory=list)
-    tables: dict[str, list[dict[str, float | str]]] = field(default_factory=lambda: defaultdict(list))
+    tables: dict[str, list[dict[str, float | str]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
 
 
 class Difference(NamedTuple):
-    """Processor time [s] and gaits by which a larger study exceeds a smaller one, and those of the smaller one."""
+    """Processor time [s] and gaits by which a larger study exceeds a smaller one, and
+    those of the smaller one.
+    """
 
     seconds: float
     gaits: int
@@ -59,7 +67,9 @@ class Difference(NamedTuple):
 
 
 def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
-    """Take every case's processor time once per round, in turns; a round of a case lasts at least `least` seconds."""
+    """Take every case's processor time once per round, in turns; a round of a case
+    lasts at least `least` seconds.
+    """
     calls = []
     for case in cases:
         start, count = time.process_time(), 0
@@ -77,7 +87,9 @@ def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
 
 
 def solve_study(study: dict[str, Any], jobs: int = 1) -> tuple[float, int]:
-    """Processor time of a study by its workers and of writing its archive [s], and the number of its gaits."""
+    """Processor time of a study by its workers and of writing its archive [s], and the
+    number of its gaits.
+    """
     with tempfile.TemporaryDirectory() as folder:
         begin = time.process_time()
         archive = run(study, jobs=jobs, archive=Path(folder, "study.nc"), quiet=True)
@@ -87,9 +99,16 @@ def solve_study(study: dict[str, Any], jobs: int = 1) -> tuple[float, int]:
     return seconds, int((archive.status == "converged").sum())
 
 
-def what_more_take(study: Callable[[int], dict[str, Any]], fewer: int, more: int) -> Difference:
-    """Solve two sizes of a study; loading, compiling and whatever else they share cancel in the difference."""
-    (seconds, gaits), (first, known) = solve_study(study(more)), solve_study(study(fewer))
+def what_more_take(
+    study: Callable[[int], dict[str, Any]], fewer: int, more: int
+) -> Difference:
+    """Solve two sizes of a study; loading, compiling and whatever else they share
+    cancel in the difference.
+    """
+    (seconds, gaits), (first, known) = (
+        solve_study(study(more)),
+        solve_study(study(fewer)),
+    )
     return Difference(max(seconds - first, 0.0), gaits - known, first, known)
 
 
@@ -97,5 +116,7 @@ def largest_error(result: np.ndarray, exact: np.ndarray) -> float:
     """Largest error of an array over its largest entry, computed in long double."""
     if result.shape != exact.shape:
         return float("nan")
-    difference = convert(result.ravel(), np.longdouble) - convert(exact.ravel(), np.longdouble)
+    difference = convert(result.ravel(), np.longdouble) - convert(
+        exact.ravel(), np.longdouble
+    )
     return float(np.abs(difference).max() / np.abs(exact.astype(float)).max())

@@ -16,7 +16,9 @@ PACKAGES = ("heyoka", "numpy", "scipy", "numba", "xarray", "netCDF4", "matplotli
 
 def describe() -> dict[str, str]:
     """CPU, cores and versions of the packages."""
-    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+    cpu = re.search(
+        r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    )
     return {
         "cpu": cpu[1] if cpu else "unknown",
         "cores": str(len(os.sched_getaffinity(0))),
@@ -31,7 +33,9 @@ _LEAST = 0.05
 
 
 def peak_flops(size: int = 384, repeats: int = 8) -> float:
-    """Peak floating-point operations of one core per second, from the fastest of some matrix products."""
+    """Peak floating-point operations of one core per second, from the fastest of some
+    matrix products.
+    """
     a = np.random.default_rng(0).random((size, size))
     best = np.inf
     with threadpool_limits(1):

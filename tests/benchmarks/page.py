@@ -94,7 +94,9 @@ def write(measured: Measurements, path: Path) -> None:
     """Draw and write the page."""
     families: dict[str, dict[str, Any]] = {}
     for case in measured.cases:
-        part = families.setdefault(case.family, {}).setdefault(case.problem, {"cases": []})
+        part = families.setdefault(case.family, {}).setdefault(
+            case.problem, {"cases": []}
+        )
         part["cases"].append(case)
     for name, parts in families.items():
         for problem, part in parts.items():
@@ -103,8 +105,15 @@ def write(measured: Measurements, path: Path) -> None:
             part["plot"] = _plot(title, part["cases"]) if problem in _PLOTTED else ""
         for problem in {"line", "plane"} & set(parts):
             # Beside the peers, each gait of which is solved from its neighbour's.
-            peers = [case for case in parts["grid"]["cases"] if not case.method.startswith("ours")]
-            parts[problem]["plot"] = _plot(f"Walker {name}: one gait of a {problem}", parts[problem]["cases"] + peers)
+            peers = [
+                case
+                for case in parts["grid"]["cases"]
+                if not case.method.startswith("ours")
+            ]
+            parts[problem]["plot"] = _plot(
+                f"Walker {name}: one gait of a {problem}",
+                parts[problem]["cases"] + peers,
+            )
     environment = jinja2.Environment(autoescape=True)
     text = environment.from_string(_TEMPLATE).render(
         measured=measured,
@@ -133,7 +142,11 @@ def _row(case: Case) -> dict[str, Any]:
 
 def _words(name: str) -> str:
     """A name of the bench's archive as the page shows it."""
-    return name.replace("stride", "step").replace("flights", "integrations").replace(" a ", " per ")
+    return (
+        name.replace("stride", "step")
+        .replace("flights", "integrations")
+        .replace(" a ", " per ")
+    )
 
 
 def _time(seconds: float) -> str:
@@ -145,19 +158,32 @@ def _time(seconds: float) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    """Rows of equal keys as an HTML table; the text is the bench's own and is not escaped."""
+    """Rows of equal keys as an HTML table; the text is the bench's own and is not
+    escaped.
+    """
 
     def shown(x: Any) -> str:
         # Counts in all their digits, so that they add up.
-        return x if isinstance(x, str) else f"{x:.0f}" if x == round(x, 0) and abs(x) < 1e9 else f"{x:.4g}"
+        return (
+            x
+            if isinstance(x, str)
+            else f"{x:.0f}"
+            if x == round(x, 0) and abs(x) < 1e9
+            else f"{x:.4g}"
+        )
 
     head = "".join(f'<th scope="col">{_words(k)}</th>' for k in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{shown(x)}</td>" for x in row.values()) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{shown(x)}</td>" for x in row.values()) + "</tr>"
+        for row in rows
+    )
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _plot(title: str, cases: list[Case]) -> str:
-    """Time against error on logarithmic axes as SVG, one curve per method, with the range of times as bars."""
+    """Time against error on logarithmic axes as SVG, one curve per method, with the
+    range of times as bars.
+    """
     methods: dict[str, list[Case]] = {}
     for case in cases:
         if np.isfinite(case.error):
@@ -167,13 +193,29 @@ def _plot(title: str, cases: list[Case]) -> str:
         axes = figure.add_subplot()
         for mark, (method, of) in zip(_MARKS, methods.items(), strict=False):
             of = sorted(of, key=lambda c: c.error)
-            # Zero cannot be drawn on a logarithmic axis; the rounding of the reference can.
+            # Zero cannot be drawn on a logarithmic axis; the rounding of the reference
+            # can.
             error = np.maximum([c.error for c in of], 1e-20)
             middle = np.array([np.median(c.seconds) for c in of])
-            spread = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
-            axes.errorbar(error, middle, yerr=spread, marker=mark, ms=5, lw=1, capsize=2, label=method)
+            spread = np.abs(
+                np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle
+            )
+            axes.errorbar(
+                error,
+                middle,
+                yerr=spread,
+                marker=mark,
+                ms=5,
+                lw=1,
+                capsize=2,
+                label=method,
+            )
         axes.set(
-            xscale="log", yscale="log", xlabel="relative error", ylabel="processor time of one answer [s]", title=title
+            xscale="log",
+            yscale="log",
+            xlabel="relative error",
+            ylabel="processor time of one answer [s]",
+            title=title,
         )
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))

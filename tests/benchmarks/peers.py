@@ -1,8 +1,9 @@
-"""The peers: scipy's integrators with their events, DOP853 compiled by numba, and heyoka's scalar integrator.
+"""The peers: scipy's integrators with their events, DOP853 compiled by numba, and
+heyoka's scalar integrator.
 
-Their right-hand side is written in scalars with the lumped constants of `tasks.mechanics.equations` and compiled by
-numba, so that it does not slow scipy down. Angles are not scaled; tolerances are relative to the
-step's angle.
+Their right-hand side is written in scalars with the lumped constants of
+`tasks.mechanics.equations` and compiled by numba, so that it does not slow scipy down.
+Angles are not scaled; tolerances are relative to the step's angle.
 """
 
 import math
@@ -32,11 +33,18 @@ CONSTANTS = (*_STANCE, *_SWING)
 
 @numba.njit
 def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Derivatives of x, into `out`, for stance leg and locked swing leg; S_b and C_bb in c are those of the leg."""
+    """Derivatives of x, into `out`, for stance leg and locked swing leg; S_b and C_bb
+    in c are those of the leg.
+    """
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, b, u, v = x[0], x[1], x[2], x[3]
     sa, ca, sb, cb = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
-    ta, da, tb, db = math.sin(a - slope), math.cos(a - slope), math.sin(b - slope), math.cos(b - slope)
+    ta, da, tb, db = (
+        math.sin(a - slope),
+        math.cos(a - slope),
+        math.sin(b - slope),
+        math.cos(b - slope),
+    )
     sf, cf = math.sin(b - a), math.cos(b - a)
     couple = R * (c[7] * sb + c[8] * cb) + l * (c[8] * cf + c[7] * sf)
     turn = l * (c[8] * sf - c[7] * cf)
@@ -54,7 +62,9 @@ def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
 
 @numba.njit
 def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Derivatives of x, into `out`, for stance leg, swing thigh and swing shank; c holds slope and `CONSTANTS`."""
+    """Derivatives of x, into `out`, for stance leg, swing thigh and swing shank; c
+    holds slope and `CONSTANTS`.
+    """
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, u = x[0], x[3]
     sa, ca = math.sin(a), math.cos(a)
@@ -82,14 +92,18 @@ def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     f2 -= spin * v * v
     inner = c[9] - h * h / c[12]
     g1, k = f1 - h * f2 / c[12], k1 - h * k2 / c[12]
-    stance = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (top - eps * (k2 * k2 / c[12] + k * k / inner))
+    stance = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (
+        top - eps * (k2 * k2 / c[12] + k * k / inner)
+    )
     thigh = (g1 - k * stance) / inner
     out[0], out[1], out[2] = u, v, w
     out[3], out[4], out[5] = stance, thigh, (f2 - k2 * stance - h * thigh) / c[12]
 
 
 class Algebra:
-    """Start of a step, kneestrike and the image on the section, compiled for gaitsweep's lanes and for the peers."""
+    """Start of a step, kneestrike and the image on the section, compiled for
+    gaitsweep's lanes and for the peers.
+    """
 
     def __init__(self, problem: Problem):
         self.problem, self.m, self.kneed = problem, problem.m, problem.structure.kneed
@@ -102,7 +116,9 @@ class Algebra:
             image = [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: self.m - 1]]
         self.image = hy.cfunc(image, vars=[*x[:4], *p.variables])
         if self.kneed:
-            self.lock = hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables])
+            self.lock = hy.cfunc(
+                [x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables]
+            )
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike."""
@@ -110,10 +126,16 @@ class Algebra:
 
 
 class Peer:
-    """The step map by a peer's integrator, `integrate(rhs, constants, state, guard, tolerance)` -> (time, state)."""
+    """The step map by a peer's integrator, `integrate(rhs, constants, state, guard,
+    tolerance)` -> (time, state).
+    """
 
     def __init__(
-        self, algebra: Algebra, slope: float, integrate: Callable[..., tuple[float, np.ndarray]], tolerance: float
+        self,
+        algebra: Algebra,
+        slope: float,
+        integrate: Callable[..., tuple[float, np.ndarray]],
+        tolerance: float,
     ):
         self.algebra, self.integrate, self.tolerance = algebra, integrate, tolerance
         problem = algebra.problem
@@ -131,22 +153,30 @@ class Peer:
         state = self.algebra.start(y, self.parameters)
         times = []
         if self.algebra.kneed:
-            time, state = self.integrate(_three_links, self.constants, state, 1, self.tolerance)
+            time, state = self.integrate(
+                _three_links, self.constants, state, 1, self.tolerance
+            )
             times.append(time)
             state = self.algebra.lock(np.concatenate([state, self.parameters]))
         time, state = self.integrate(_two_links, self.locked, state, 0, self.tolerance)
         times.append(time + sum(times))
-        return np.concatenate([self.algebra.image(np.concatenate([state, self.parameters])), times])
+        return np.concatenate(
+            [self.algebra.image(np.concatenate([state, self.parameters])), times]
+        )
 
     def jacobian(self, y: np.ndarray) -> np.ndarray:
-        """Jacobian of the step map by central differences, with increments that suit the tolerance."""
+        """Jacobian of the step map by central differences, with increments that suit
+        the tolerance.
+        """
         m = self.algebra.m
         h = abs(y[0]) * max(self.tolerance, 1e-16) ** (1 / 3)
         columns = []
         for j in range(m):
             change = np.zeros(m)
             change[j] = h
-            columns.append((self.stride(y + change)[:m] - self.stride(y - change)[:m]) / (2 * h))
+            columns.append(
+                (self.stride(y + change)[:m] - self.stride(y - change)[:m]) / (2 * h)
+            )
         return np.stack(columns, axis=1)
 
     def fixed_point(self, y: np.ndarray, most: int = 12) -> np.ndarray:
@@ -160,7 +190,11 @@ class Peer:
             last, size = size, np.abs(step).max() / abs(y[0])
             if not size > 10 * self.tolerance or size > 0.5 * last:
                 break
-        multipliers = np.abs(np.linalg.eigvals(J)) if np.isfinite(J).all() else np.full(m, math.nan)
+        multipliers = (
+            np.abs(np.linalg.eigvals(J))
+            if np.isfinite(J).all()
+            else np.full(m, math.nan)
+        )
         return np.concatenate([y, np.sort(multipliers)[::-1]])
 
 
@@ -168,7 +202,11 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
     """Integration to an event by one of scipy's methods."""
 
     def integrate(
-        rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
+        rhs: Callable[..., None],
+        constants: np.ndarray,
+        state: np.ndarray,
+        kind: int,
+        tolerance: float,
     ) -> tuple[float, np.ndarray]:
         def field(_: float, x: np.ndarray) -> np.ndarray:
             out = np.empty_like(x)
@@ -176,7 +214,8 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
             return out
 
         def guard(t: float, x: np.ndarray) -> float:
-            # The guards are also zero at the start of a phase; only a later fall to zero ends it.
+            # The guards are also zero at the start of a phase; only a later fall to
+            # zero ends it.
             if t < EARLY:
                 return -1.0
             return x[1] - x[2] if kind else x[0] + x[1]
@@ -201,7 +240,9 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
 
 
 class Scalar:
-    """heyoka's scalar integrator with terminal events, one for each tolerance and number of links."""
+    """heyoka's scalar integrator with terminal events, one for each tolerance and
+    number of links.
+    """
 
     def __init__(self, problem: Problem):
         self.problem = problem
@@ -212,20 +253,34 @@ class Scalar:
             motion = system(self.problem.structure, bool(kind), 0, False)
             q: list[Any] = [name for name, _ in motion.equations]
             guard = q[1] - q[2] if kind else q[0] + q[1]
-            # The guard is zero at the start of a phase; only a later fall to zero ends it.
+            # The guard is zero at the start of a phase; only a later fall to zero ends
+            # it.
             event = hy.t_event(guard, direction=hy.event_direction.negative)
-            flow = hy.taylor_adaptive(motion.equations, np.zeros(len(q)), tol=max(tolerance, 2.3e-16), t_events=[event])
+            flow = hy.taylor_adaptive(
+                motion.equations,
+                np.zeros(len(q)),
+                tol=max(tolerance, 2.3e-16),
+                t_events=[event],
+            )
             self._integrators[kind, tolerance] = flow, motion.parameters()
         return self._integrators[kind, tolerance]
 
     def __call__(
-        self, rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
+        self,
+        rhs: Callable[..., None],
+        constants: np.ndarray,
+        state: np.ndarray,
+        kind: int,
+        tolerance: float,
     ) -> tuple[float, np.ndarray]:
-        """Integrate to the event; right-hand side and constants are the integrator's own."""
+        """Integrate to the event; right-hand side and constants are the integrator's
+        own.
+        """
         if not np.isfinite(state).all():
             return math.nan, state
         flow, constants_of = self._integrator(kind, tolerance)
-        # States are divided by the step's angle, for the integrator's tolerance is absolute below one.
+        # States are divided by the step's angle, for the integrator's tolerance is
+        # absolute below one.
         scale = 2.0 ** math.floor(math.log2(abs(state[0])))
         parameters = self.problem.parameters(constants[:1], np.array([scale]))[:, 0]
         flow.time = 0.0
@@ -233,7 +288,9 @@ class Scalar:
         flow.state[:] = state / scale
         flow.pars[:] = constants_of(np.ascontiguousarray(parameters))
         while True:
-            outcome = flow.propagate_until(EARLY if flow.time < EARLY else LONGEST, max_steps=200)[0]
+            outcome = flow.propagate_until(
+                EARLY if flow.time < EARLY else LONGEST, max_steps=200
+            )[0]
             if int(outcome) == -1 and flow.time < EARLY:
                 continue
             if int(outcome) == -1:
@@ -242,12 +299,18 @@ class Scalar:
                 return math.nan, np.full_like(state, math.nan)
 
 
-_A, _B, _E3, _E5 = (table.copy() for table in (dop853.A[:12, :12], dop853.B, dop853.E3, dop853.E5))
+_A, _B, _E3, _E5 = (
+    table.copy() for table in (dop853.A[:12, :12], dop853.B, dop853.E3, dop853.E5)
+)
 
 
 @numba.njit
-def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray, new: np.ndarray) -> None:
-    """One step of DOP853 from x, into `new`; the stages go into K, whose first row is given."""
+def _dop853_step(
+    rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray, new: np.ndarray
+) -> None:
+    """One step of DOP853 from x, into `new`; the stages go into K, whose first row is
+    given.
+    """
     for s in range(1, 12):
         for i in range(len(x)):
             total = 0.0
@@ -263,8 +326,17 @@ def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray
 
 
 @numba.njit
-def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absolute: float, relative: float) -> float:
-    """Error of a step over its tolerance, from the embedded methods of orders five and three."""
+def _dop853_error(
+    x: np.ndarray,
+    new: np.ndarray,
+    h: float,
+    K: np.ndarray,
+    absolute: float,
+    relative: float,
+) -> float:
+    """Error of a step over its tolerance, from the embedded methods of orders five and
+    three.
+    """
     five, three = 0.0, 0.0
     for i in range(len(x)):
         scale = absolute + relative * max(abs(x[i]), abs(new[i]))
@@ -280,7 +352,9 @@ def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absol
 
 @numba.njit
 def _guard(kind: int, t: float, x: np.ndarray) -> float:
-    """The guard of kneestrike (1) or heelstrike (0), which is negative while it does not count yet."""
+    """The guard of kneestrike (1) or heelstrike (0), which is negative while it does
+    not count yet.
+    """
     if t < EARLY:
         return -1.0
     return x[1] - x[2] if kind else x[0] + x[1]
@@ -290,7 +364,9 @@ def _guard(kind: int, t: float, x: np.ndarray) -> float:
 def _dop853_until_guard(
     rhs: Any, c: np.ndarray, start: np.ndarray, kind: int, tolerance: float
 ) -> tuple[float, np.ndarray]:
-    """Integrate to the guard's fall through zero; Newton's method finds the length of the last step."""
+    """Integrate to the guard's fall through zero; Newton's method finds the length of
+    the last step.
+    """
     n = len(start)
     x, new, t, h = start.copy(), np.empty(n), 0.0, 0.05
     K = np.zeros((13, n))

@@ -1,4 +1,6 @@
-"""Processor time of planes of keys: the cost of making charts, and of every further walker."""
+"""Processor time of planes of keys: the cost of making charts, and of every further
+walker.
+"""
 
 import functools
 import time
@@ -20,15 +22,17 @@ PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
     "B": (0.01, {"m_s": (0.05, 0.15), "R": (0.0, 0.25)}),
     "C": (0.04, {"detuning": (0.0, 1.0), "m_h": (0.0, 1.5)}),
 }
-#: Walkers along each key in the smaller and in the larger study of a full and of a quick run.
+#: Walkers along each key in the smaller and in the larger study of a full and of a
+#: quick run.
 _ACROSS = {False: (40, 120), True: (32, 48)}
 
 
 def table(quick: bool) -> list[dict[str, float | str]]:
     """Measure planes of walkers at one slope.
 
-    Two studies have the same charts and differ in their number of walkers; the difference is what further gaits take,
-    with multipliers, error bounds, journal and archive.
+    Two studies have the same charts and differ in their number of walkers; the
+    difference is what further gaits take, with multipliers, error bounds, journal and
+    archive.
     """
     rows: list[dict[str, float | str]] = []
     for name, (slope, keys) in list(PLANES.items())[: 1 if quick else None]:
@@ -49,13 +53,19 @@ def table(quick: bool) -> list[dict[str, float | str]]:
     return rows
 
 
-def _study(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> dict[str, Any]:
-    axes = {key: np.linspace(low, high, n).tolist() for key, (low, high) in keys.items()}
+def _study(
+    walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int
+) -> dict[str, Any]:
+    axes = {
+        key: np.linspace(low, high, n).tolist() for key, (low, high) in keys.items()
+    }
     return {"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}
 
 
 class Made(NamedTuple):
-    """A plane: processor time of making its charts [s], boxes of keys, charts, lines surveyed, points left to lines."""
+    """A plane: processor time of making its charts [s], boxes of keys, charts, lines
+    surveyed, points left to lines.
+    """
 
     seconds: float = 0.0
     boxes: int = 0
@@ -65,15 +75,21 @@ class Made(NamedTuple):
 
 
 def made(table: dict[str, Any]) -> Made:
-    """Make the charts of a study's first plane, if it has one, and solve its points by them."""
+    """Make the charts of a study's first plane, if it has one, and solve its points by
+    them.
+    """
     graph = Graph(parse(table, "", Path("plane.toml")), in_memory=True)
     if graph.method is not Method.PLANE:
         return Made()
     first, arrays = graph.node("charts", 0), {}
     params = graph.params(first)
     solve_planes.charts(params, [])  # loads code
-    own = [k for k in range(graph.study.lines) if graph.line_keys(k)["charts"] == first.key]
-    with mock.patch.object(cell, "survey_lines", side_effect=cell.survey_lines) as survey:
+    own = [
+        k for k in range(graph.study.lines) if graph.line_keys(k)["charts"] == first.key
+    ]
+    with mock.patch.object(
+        cell, "survey_lines", side_effect=cell.survey_lines
+    ) as survey:
         begin = time.process_time()
         for chunk in (graph.grid.chunk(k) for k in range(graph.grid.chunks)):
             for node in (
@@ -94,8 +110,13 @@ def made(table: dict[str, Any]) -> Made:
 
     solved_by_charts, study = solve_planes.solve, graph.study
     with mock.patch.object(solve_planes, "solve", solve):
-        solve_planes.lines({**params, "lines": [study.line(k) for k in own], "slope": study.slope}, [*arrays.values()])
-    own_boxes = [box for made_there in arrays.values() for box in cell.parts(made_there)]
+        solve_planes.lines(
+            {**params, "lines": [study.line(k) for k in own], "slope": study.slope},
+            [*arrays.values()],
+        )
+    own_boxes = [
+        box for made_there in arrays.values() for box in cell.parts(made_there)
+    ]
     return Made(
         seconds,
         len(own_boxes),

@@ -1,4 +1,6 @@
-"""The timed problems: one step, its Jacobian, a fixed point, a grid and the branches of one walker."""
+"""The timed problems: one step, its Jacobian, a fixed point, a grid and the branches of
+one walker.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -39,7 +41,9 @@ GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 
 @dataclass
 class Family:
-    """One walker at one slope: its gait in double and in extended precision, and the compiled maps."""
+    """One walker at one slope: its gait in double and in extended precision, and the
+    compiled maps.
+    """
 
     name: str
     slope: float
@@ -73,7 +77,9 @@ class Family:
 
 
 def family(name: str, slope: float) -> Family:
-    """Solve a walker's long gait on lanes around a slope, and its first lane in extended precision."""
+    """Solve a walker's long gait on lanes around a slope, and its first lane in
+    extended precision.
+    """
     problem = Problem(resolve(name, {}))
     arrays = atlases.to_arrays(atlases.survey(problem))
     slopes = slope * np.concatenate([[1.0], np.linspace(0.9, 1.1, LANES - 1)])
@@ -88,12 +94,28 @@ def family(name: str, slope: float) -> Family:
 
 
 def _with_reference(
-    name: str, slope: float, problem: Problem, arrays: dict[str, np.ndarray], w: np.ndarray, slopes: np.ndarray
+    name: str,
+    slope: float,
+    problem: Problem,
+    arrays: dict[str, np.ndarray],
+    w: np.ndarray,
+    slopes: np.ndarray,
 ) -> Family:
     kind, wide = best_kind()
     precise = Precise(problem.structure, wide)
     family = Family(
-        name, slope, problem, arrays, w, slopes, kind, precise, peers.Algebra(problem), {}, np.zeros(0), {kind: precise}
+        name,
+        slope,
+        problem,
+        arrays,
+        w,
+        slopes,
+        kind,
+        precise,
+        peers.Algebra(problem),
+        {},
+        np.zeros(0),
+        {kind: precise},
     )
     y, times, parameters = _lane(family, precise)
     family.exact = precise.settled_stride(y, times, parameters)
@@ -102,33 +124,46 @@ def _with_reference(
 
 
 def _lane(f: Family, precise: Precise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Section coordinates, event times and parameters of the first lane in the wider type."""
+    """Section coordinates, event times and parameters of the first lane in the wider
+    type.
+    """
     parameters = f.problem.parameters(f.slopes[:1], f.scale[:1])[:, 0]
     times = f.exact["times"] if f.exact else f.w[f.problem.m :, 0]
     return precise.array(f.y[:, 0]), precise.array(times), precise.array(parameters)
 
 
 class Lanes:
-    """Steps by gaitsweep's integrator at a given tolerance, without variations, over given event times."""
+    """Steps by gaitsweep's integrator at a given tolerance, without variations, over
+    given event times.
+    """
 
     def __init__(self, f: Family, tolerance: float):
         structure = f.problem.structure
         self.f, self.width = f, hy.recommended_simd_size()
 
-        self.times = np.tile(np.asarray([float(t) for t in f.exact["times"]])[:, None], LANES)
-        self.y, self.parameters = f.y[:, [0] * LANES], f.problem.parameters(f.slopes[[0] * LANES], f.scale[[0] * LANES])
+        self.times = np.tile(
+            np.asarray([float(t) for t in f.exact["times"]])[:, None], LANES
+        )
+        self.y, self.parameters = (
+            f.y[:, [0] * LANES],
+            f.problem.parameters(f.slopes[[0] * LANES], f.scale[[0] * LANES]),
+        )
 
         def build(free: bool) -> Any:
             motion = system(structure, free, 0, False)
             flow = hy.taylor_adaptive_batch(
-                motion.equations, np.zeros((len(motion.equations), self.width)), tol=tolerance
+                motion.equations,
+                np.zeros((len(motion.equations), self.width)),
+                tol=tolerance,
             )
             return flow, motion.parameters()(np.ascontiguousarray(self.parameters))
 
         self.locked = build(False)
         self.free = build(True) if structure.kneed else None
 
-    def _integrate(self, flow: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
+    def _integrate(
+        self, flow: Any, state: np.ndarray, duration: np.ndarray
+    ) -> np.ndarray:
         integrator, constants = flow
         out = np.empty_like(state)
         for k in range(0, LANES, self.width):
@@ -154,7 +189,11 @@ class Lanes:
 
 def _peer_integrators(f: Family) -> dict[str, Any]:
     """Integration to an event, by each peer."""
-    integrators = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
+    integrators = {
+        name: peers.by_scipy(name.split()[1])
+        for name in THEIRS
+        if name.startswith("scipy")
+    }
     if "numba DOP853" in THEIRS:
         integrators["numba DOP853"] = peers.by_numba()
     if "heyoka scalar" in THEIRS:
@@ -163,7 +202,9 @@ def _peer_integrators(f: Family) -> dict[str, Any]:
 
 
 def _tolerances(name: str, quick: bool, newton: bool = False) -> tuple[float, ...]:
-    """A peer's tolerances; for Newton's method, which takes dozens of steps, without the loosest."""
+    """A peer's tolerances; for Newton's method, which takes dozens of steps, without
+    the loosest.
+    """
     chosen = THEIRS[name][:-1] if newton else THEIRS[name]
     return chosen[::2] if quick else chosen
 
@@ -181,14 +222,20 @@ def strides(f: Family, quick: bool) -> list[Case]:
     for name, integrate in _peer_integrators(f).items():
         for tolerance in _tolerances(name, quick):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))
-            case.error = largest_error(case.run()[: f.problem.m], exact * f.precise.kind(f.scale[0]))
+            case = Case(
+                f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y)
+            )
+            case.error = largest_error(
+                case.run()[: f.problem.m], exact * f.precise.kind(f.scale[0])
+            )
             cases.append(case)
     return cases
 
 
 def jacobians(f: Family, quick: bool) -> list[Case]:
-    """The Jacobian of a step, exact in two tolerances and two precisions, and by differences."""
+    """The Jacobian of a step, exact in two tolerances and two precisions, and by
+    differences.
+    """
     exact = f.exact["jacobian"]
     q, m = np.log(f.slopes), f.problem.m
     cases = []
@@ -200,14 +247,19 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
         case = Case(f.name, "jacobian", "ours, exact", setting, ours, LANES)
         case.error = largest_error(ours()[..., 0], exact)
         cases.append(case)
-    for kind, wide in (("long double", np.longdouble), *([("real128", hy.real128)] if f.kind == "real128" else [])):
+    for kind, wide in (
+        ("long double", np.longdouble),
+        *([("real128", hy.real128)] if f.kind == "real128" else []),
+    ):
         precise = f.in_kind(kind, wide)
         lane = _lane(f, precise)
 
         def widened(precise: Precise = precise, lane: Any = lane) -> np.ndarray:
             return precise.stride(*lane)["jacobian"]
 
-        rounding = 2.0**-113 if kind == "real128" else float(np.finfo(np.longdouble).eps)
+        rounding = (
+            2.0**-113 if kind == "real128" else float(np.finfo(np.longdouble).eps)
+        )
         case = Case(f.name, "jacobian", f"{kind}, exact", rounding, widened)
         # The reference has no error against itself.
         case.error = float("nan") if kind == f.kind else largest_error(widened(), exact)
@@ -218,17 +270,27 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))
+            case = Case(
+                f.name,
+                "jacobian",
+                f"{name}, differences",
+                tolerance,
+                lambda peer=peer: peer.jacobian(y),
+            )
             case.error = largest_error(case.run(), exact)
             cases.append(case)
 
     def differences() -> np.ndarray:
-        """Central differences of gaitsweep's own map, with the directions of one gait as lanes."""
+        """Central differences of gaitsweep's own map, with the directions of one gait
+        as lanes.
+        """
         h = f.y[0, 0] * EPS ** (1 / 3)
         changes = np.concatenate([np.eye(m) * h, -np.eye(m) * h]).T
         n = 2 * m
         stride = f.problem.map(
-            f.y[:, [0] * n] + changes, f.w[m:, [0] * n], f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n])
+            f.y[:, [0] * n] + changes,
+            f.w[m:, [0] * n],
+            f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n]),
         )
         return (stride.image[:, :m] - stride.image[:, m:]) / (2 * h)
 
@@ -239,7 +301,9 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
 
 
 def fixed_points(f: Family, quick: bool) -> list[Case]:
-    """Newton's method from a guess with a relative error of a thousandth, multipliers included."""
+    """Newton's method from a guess with a relative error of a thousandth, multipliers
+    included.
+    """
     exact, m, q = f.exact_y, f.problem.m, np.log(f.slopes)
     start = f.w.copy()
     start[0] += 1e-3
@@ -264,7 +328,13 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     def polished() -> np.ndarray:
         return wide.fixed_point(*lane, turns=1)[0]
 
-    case = Case(f.name, "fixed point", "long double, from double", float(np.finfo(np.longdouble).eps), polished)
+    case = Case(
+        f.name,
+        "fixed point",
+        "long double, from double",
+        float(np.finfo(np.longdouble).eps),
+        polished,
+    )
     case.error = largest_error(polished(), exact)
     cases.append(case)
     y = f.y[:, 0] * f.scale[0] * np.exp(1e-3) * np.where(np.arange(m) == 0, 1.0, 0.999)
@@ -273,8 +343,16 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "fixed point", f"{name}, differences", tolerance, lambda peer=peer: peer.fixed_point(y))
-            case.error = largest_error(case.run()[:m], exact * f.precise.kind(f.scale[0]))
+            case = Case(
+                f.name,
+                "fixed point",
+                f"{name}, differences",
+                tolerance,
+                lambda peer=peer: peer.fixed_point(y),
+            )
+            case.error = largest_error(
+                case.run()[:m], exact * f.precise.kind(f.scale[0])
+            )
             cases.append(case)
     return cases
 
@@ -284,13 +362,20 @@ def _evaluations(f: Family) -> int:
 
 
 def grid(f: Family, n: int) -> list[Case]:
-    """A line of slopes with all variables but the violations; the error is that of the angle at its first point."""
+    """A line of slopes with all variables but the violations; the error is that of the
+    angle at its first point.
+    """
     slopes = np.concatenate([[f.slope], np.geomspace(1e-3, f.slope * 3, n - 1)])
     line = {"walker": f.name, "set": {}}
     last: dict[str, np.ndarray] = {}
 
     def run() -> np.ndarray:
-        last.update(solve_points.points({"line": line, "slope": slopes, "want": GRID_WANT, "gaits": GAITS}, [f.atlas]))
+        last.update(
+            solve_points.points(
+                {"line": line, "slope": slopes, "want": GRID_WANT, "gaits": GAITS},
+                [f.atlas],
+            )
+        )
         return last["stance_angle"]
 
     case = Case(f.name, "grid", "ours", EPS, run, n)
@@ -302,24 +387,37 @@ def grid(f: Family, n: int) -> list[Case]:
 
 
 def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
-    """Peers on the long gait alone, each slope from the solution at the one before; the error is that at the first."""
+    """Peers on the long gait alone, each slope from the solution at the one before; the
+    error is that at the first.
+    """
     m, cases = f.problem.m, []
     first = f.y[:, 0] * f.scale[0]
     for name, integrate in _peer_integrators(f).items():
         if name not in SOLVERS:
             continue
-        for tolerance in _tolerances(name, quick=False, newton=True) if problem == "grid" else THEIRS[name][:1]:
+        for tolerance in (
+            _tolerances(name, quick=False, newton=True)
+            if problem == "grid"
+            else THEIRS[name][:1]
+        ):
 
-            def run(integrate: Any = integrate, tolerance: float = tolerance) -> np.ndarray:
+            def run(
+                integrate: Any = integrate, tolerance: float = tolerance
+            ) -> np.ndarray:
                 y, solutions = first * np.exp(1e-3), []
                 for slope in slopes:
-                    # A gait scales roughly as the cube root of the slope, a good enough guess for Newton's method.
-                    solution = peers.Peer(f.algebra, float(slope), integrate, tolerance).fixed_point(y)[:m]
+                    # A gait scales roughly as the cube root of the slope, a good enough
+                    # guess for Newton's method.
+                    solution = peers.Peer(
+                        f.algebra, float(slope), integrate, tolerance
+                    ).fixed_point(y)[:m]
                     solutions.append(solution)
                     y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
                 return solutions[0]
 
-            case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
+            case = Case(
+                f.name, problem, f"{name}, differences", tolerance, run, len(slopes)
+            )
             case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
             case.work = 1.0
             cases.append(case)
@@ -327,7 +425,9 @@ def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
 
 
 def branches(f: Family) -> list[Case]:
-    """All branches of the walker with their folds and ends: the cost of one line of a study before its points."""
+    """All branches of the walker with their folds and ends: the cost of one line of a
+    study before its points.
+    """
 
     def run() -> np.ndarray:
         return np.array([len(b.q) for b in atlases.survey(f.problem)], float)

@@ -1,4 +1,6 @@
-"""Clicks on marks and cells of a page, and whether what walks is the gait that the archive holds there."""
+"""Clicks on marks and cells of a page, and whether what walks is the gait that the
+archive holds there.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from gaitsweep.pipeline.report.source import Source, read
 #: What a page says of a step of no length, which cannot walk.
 STILL = "Here the steps have no length: nothing walks."
 
-#: Clicks a figure at points of its picture, as a hand does, and returns what tip, panel and address say after each.
+#: Clicks a figure at points of its picture, as a hand does, and returns what tip, panel
+#: and address say after each.
 _CLICK = """
 const [figure, points] = arguments, plot = document.querySelector(`#${figure} .plot`), picture = plot.querySelector("svg");
 const part = name => document.querySelector(`[data-part=${name}]`), text = node => node?.textContent ?? "";
@@ -55,7 +58,12 @@ def parts(browser: Any, figure: str, name: str) -> list[dict[str, Any]]:
 
 def places(browser: Any, figure: str) -> list[list[float]]:
     """Where the marks of a figure lie that have a gait of their own."""
-    return [row[:2] for curve in parts(browser, figure, "marks") if "starts" in curve for row in curve["rows"]]
+    return [
+        row[:2]
+        for curve in parts(browser, figure, "marks")
+        if "starts" in curve
+        for row in curve["rows"]
+    ]
 
 
 def place_in(panel: dict[str, Any], column: int, row: int) -> list[float]:
@@ -64,13 +72,21 @@ def place_in(panel: dict[str, Any], column: int, row: int) -> list[float]:
     for side, k, (a, b) in (("x", column, (0, 2)), ("y", row, (3, 1))):
         low, high = panel[side]["limits"]
         value = panel[side]["values"][k]
-        share = np.log(value / low) / np.log(high / low) if panel[side]["log"] else (value - low) / (high - low)
+        share = (
+            np.log(value / low) / np.log(high / low)
+            if panel[side]["log"]
+            else (value - low) / (high - low)
+        )
         place.append(panel["box"][a] + share * (panel["box"][b] - panel["box"][a]))
     return place
 
 
-def cells(browser: Any, figure: str, count: int, seed: int = 1) -> list[tuple[int, int, int, list[float]]]:
-    """Panels, columns and rows of some cells of each map of a figure, drawn by lot, and where they lie."""
+def cells(
+    browser: Any, figure: str, count: int, seed: int = 1
+) -> list[tuple[int, int, int, list[float]]]:
+    """Panels, columns and rows of some cells of each map of a figure, drawn by lot, and
+    where they lie.
+    """
     lot, drawn = np.random.default_rng(seed), []
     for k, panel in enumerate(parts(browser, figure, "panels")):
         m, n = len(panel["y"]["values"]), len(panel["x"]["values"])
@@ -83,7 +99,9 @@ def cells(browser: Any, figure: str, count: int, seed: int = 1) -> list[tuple[in
 
 
 def click(browser: Any, figure: str, points: list[list[float]]) -> list[dict[str, Any]]:
-    """What tip, panel and address say after a click at each point of a figure's picture."""
+    """What tip, panel and address say after a click at each point of a figure's
+    picture.
+    """
     said: list[dict[str, Any]] = []
     for k in range(0, len(points), 40):
         begin = time.monotonic()
@@ -95,34 +113,57 @@ def click(browser: Any, figure: str, points: list[list[float]]) -> list[dict[str
 
 
 def archived(path: Path) -> pd.DataFrame:
-    """Every gait of an archive: its line, slope, stance angle and period (NaN where it is not stored)."""
+    """Every gait of an archive: its line, slope, stance angle and period (NaN where it
+    is not stored).
+    """
     source = read(path)
     rows: list[dict[str, Any]] = []
     for line in source.lines:
-        solved = np.isfinite(line.data["stance_angle"].values) if "gait" in line.data.dims else []
+        solved = (
+            np.isfinite(line.data["stance_angle"].values)
+            if "gait" in line.data.dims
+            else []
+        )
         for i, j in np.argwhere(solved).tolist():
             point = line.data.isel(slope=i, gait=j)
-            known = {name: float(point[name]) for name in ("stance_angle", "period") if name in point}
+            known = {
+                name: float(point[name])
+                for name in ("stance_angle", "period")
+                if name in point
+            }
             rows.append({**line.at, "slope": float(point["slope"]), **known})
     for name in ("branches", "special_points", "census", "cascade"):
         rows += _of_table(source, name)
     return pd.DataFrame(rows)
 
 
-def in_cell(source: Source, panel: dict[str, Any], which: int, values: list[str]) -> pd.DataFrame:
-    """The gait of map `which` that a design study's archive holds in the cell of which the tip says some values.
+def in_cell(
+    source: Source, panel: dict[str, Any], which: int, values: list[str]
+) -> pd.DataFrame:
+    """The gait of map `which` that a design study's archive holds in the cell of which
+    the tip says some values.
 
-    Empty where there is none. A cell may be smaller than a pixel, so that the tip names one beside the one aimed at.
+    Empty where there is none. A cell may be smaller than a pixel, so that the tip names
+    one beside the one aimed at.
     """
     table = source.tables["design"]
     number = [float(value.replace("−", "-")) for value in values[:2]]
     named = dict(zip((panel["y"]["name"], panel["x"]["name"]), number, strict=True))
     for key, value in {**panel["at"], **named}.items():
         if key in table:
-            table = table[table[key] == value if key == "walker" else np.isclose(table[key], value, rtol=1e-6)]
+            table = table[
+                table[key] == value
+                if key == "walker"
+                else np.isclose(table[key], value, rtol=1e-6)
+            ]
     _, _, slope, of, _ = list(MAPPED.values())[which]
     (row,) = table.to_dict("records")
-    gait = {"walker": panel["at"]["walker"], **named, "slope": row[slope], "stance_angle": row[f"stance_angle{of}"]}
+    gait = {
+        "walker": panel["at"]["walker"],
+        **named,
+        "slope": row[slope],
+        "stance_angle": row[f"stance_angle{of}"],
+    }
     return pd.DataFrame([gait] if np.isfinite(row[slope]) else [])
 
 
@@ -130,14 +171,24 @@ def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
     table = source.tables.get(name)
     if table is None or not {"slope", "stance_angle"} <= set(table.columns):
         return []
-    wanted = [c for c in (*source.line_columns(table), "slope", "stance_angle", "period") if c in table]
-    return [{"walker": source.walker, **row} for row in table[wanted].to_dict("records")]
+    wanted = [
+        c
+        for c in (*source.line_columns(table), "slope", "stance_angle", "period")
+        if c in table
+    ]
+    return [
+        {"walker": source.walker, **row} for row in table[wanted].to_dict("records")
+    ]
 
 
 def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     """Why what a click says is not one gait of the archive; empty if it is."""
     if said["said"] == STILL and "end: steps vanish" in said["values"]:
-        return "" if said["title"] == "No gait" and not said["address"] else f"walks as {said['title']!r}"
+        return (
+            ""
+            if said["title"] == "No gait" and not said["address"]
+            else f"walks as {said['title']!r}"
+        )
     if not said["facts"].get("period T") or "gait" in said["said"].lower():
         return f"does not walk: {said['said']}"
     if said["tip"] != said["command"]:
@@ -151,10 +202,16 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
             own = own[own[key] == value]
         elif key in own and key != "stance_angle":
             own = own[np.isclose(own[key].astype(float), value, rtol=1e-7, atol=0)]
-    own = own[np.isclose(own["stance_angle"], address["stance_angle"], rtol=1e-6, atol=0)]
+    own = own[
+        np.isclose(own["stance_angle"], address["stance_angle"], rtol=1e-6, atol=0)
+    ]
     if own.empty:
         return f"no such gait in the archive: {said['address']}"
-    shown = {"slope": "slope γ", "stance_angle": "stance angle θ*", "period": "period T"}
+    shown = {
+        "slope": "slope γ",
+        "stance_angle": "stance angle θ*",
+        "period": "period T",
+    }
     for name, words in shown.items():
         number = float(said["facts"][words].replace("−", "-"))
         stored = own[name].astype(float).to_numpy() if name in own else np.array([])
@@ -169,4 +226,8 @@ def wrong_motion(said: dict[str, Any]) -> str:
     archived, outcome = said["values"][-1], said["outcome"].replace("the ", "")
     if archived.startswith(("fell", "foot", "knee")):
         return "" if archived in outcome else f"archive {archived!r}, page {outcome!r}"
-    return "" if "walks" in outcome or "recovers" in outcome else f"archive {archived!r}, page {outcome!r}"
+    return (
+        ""
+        if "walks" in outcome or "recovers" in outcome
+        else f"archive {archived!r}, page {outcome!r}"
+    )

@@ -9,7 +9,8 @@ from gaitsweep import run
 from gaitsweep.pipeline.report import pages
 from test_report import synthetic
 
-#: Studies whose pages have gaits that walk: curves, branches through folds, maps, orbits and a basin.
+#: Studies whose pages have gaits that walk: curves, branches through folds, maps,
+#: orbits and a basin.
 STUDIES = {
     "curves": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.1, 0.05, 0.02]\n'
     'slope = { from = 1e-3, to = 0.1, n = 40, spacing = "log" }\n'
@@ -50,7 +51,9 @@ def archives_bundled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bundle of a report, alone in a folder."""
     archives = synthetic.everything(tmp_path_factory.mktemp("archive"))
     index = pages.write(archives, tmp_path_factory.mktemp("reports"), bundle=True)
-    return index.with_name("bundle.html").rename(tmp_path_factory.mktemp("alone") / "bundle.html")
+    return index.with_name("bundle.html").rename(
+        tmp_path_factory.mktemp("alone") / "bundle.html"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -59,16 +62,22 @@ def walking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("walking")
     for name, text in STUDIES.items():
         run(f'name = "{name}"\n{text}', archive=folder / f"{name}.nc", quiet=True)
-    return pages.write([folder / f"{name}.nc" for name in STUDIES], folder / "reports").parent
+    return pages.write(
+        [folder / f"{name}.nc" for name in STUDIES], folder / "reports"
+    ).parent
 
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
     """A headless Chromium with a profile of its own, talking to nobody."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="the browser tests need selenium")
+    webdriver = pytest.importorskip(
+        "selenium.webdriver", reason="the browser tests need selenium"
+    )
     chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or driver is None:
-        pytest.skip("the browser tests need Debian's chromium and chromium-driver (.ci/run installs them)")
+        pytest.skip(
+            "the browser tests need Debian's chromium and chromium-driver (.ci/run installs them)"
+        )
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
     profile = tmp_path_factory.mktemp("profile")
@@ -85,17 +94,35 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
 def opened(browser):
     """Open a file at a width, in a colour scheme, with or without motion."""
 
-    def go(path: Path, width: int = 1280, scheme: str = "light", anchor: str = "", still: bool = False):
-        media = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce" if still else "no-preference"}
+    def go(
+        path: Path,
+        width: int = 1280,
+        scheme: str = "light",
+        anchor: str = "",
+        still: bool = False,
+    ):
+        media = {
+            "prefers-color-scheme": scheme,
+            "prefers-reduced-motion": "reduce" if still else "no-preference",
+        }
         features = [{"name": name, "value": value} for name, value in media.items()]
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+        size = {
+            "width": width,
+            "height": 900,
+            "deviceScaleFactor": 1,
+            "mobile": width < 500,
+        }
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         browser.get("about:blank")
         browser.get(path.as_uri() + anchor)
-        loaded = "return location.protocol === 'file:' && document.readyState === 'complete'"
+        loaded = (
+            "return location.protocol === 'file:' && document.readyState === 'complete'"
+        )
         deadline = time.monotonic() + 30
-        while not browser.execute_script(loaded) and time.monotonic() < deadline:  # on a busy machine
+        while (
+            not browser.execute_script(loaded) and time.monotonic() < deadline
+        ):  # on a busy machine
             time.sleep(0.05)
         return browser
 

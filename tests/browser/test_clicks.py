@@ -1,4 +1,6 @@
-"""Every mark of a page, and many cells of its maps, make the gait walk that the archive holds there."""
+"""Every mark of a page, and many cells of its maps, make the gait walk that the archive
+holds there.
+"""
 
 from pathlib import Path
 
@@ -14,18 +16,26 @@ PAPER = Path(__file__).parents[2] / "data" / "studies" / "paper"
 
 
 def wrong_marks(browser, archive):
-    """Marks clicked on the open page of an archive, and what is wrong with those that are."""
+    """Marks clicked on the open page of an archive, and what is wrong with those that
+    are.
+    """
     gaits, clicked, wrong = clicks.archived(archive), 0, []
     for figure in clicks.figures(browser):
         places = clicks.places(browser, figure)
         said = clicks.click(browser, figure, places)
         clicked += len(places)
-        wrong += [(figure, one["values"], reason) for one in said if (reason := clicks.wrong(one, gaits))]
+        wrong += [
+            (figure, one["values"], reason)
+            for one in said
+            if (reason := clicks.wrong(one, gaits))
+        ]
     return clicked, wrong
 
 
 def wrong_cells(browser, archive, figure, count):
-    """Cells clicked of the maps of the open page of an archive, and what is wrong with those that are."""
+    """Cells clicked of the maps of the open page of an archive, and what is wrong with
+    those that are.
+    """
     source, panels = read(archive), clicks.parts(browser, figure, "panels")
     drawn = clicks.cells(browser, figure, count)
     said, wrong = clicks.click(browser, figure, [point for *_, point in drawn]), []
@@ -38,12 +48,18 @@ def wrong_cells(browser, archive, figure, count):
             if len(gait) and gait["slope"].iloc[0] > 0:
                 reason = clicks.wrong(one, gait)
             else:
-                reason = "" if blank and (one["said"] == clicks.STILL) == bool(len(gait)) else f"says {one['said']!r}"
+                reason = (
+                    ""
+                    if blank and (one["said"] == clicks.STILL) == bool(len(gait))
+                    else f"says {one['said']!r}"
+                )
         wrong += [(figure, one["values"], reason)] if reason else []
     return len(drawn), wrong
 
 
-@pytest.mark.parametrize(("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)])
+@pytest.mark.parametrize(
+    ("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)]
+)
 def test_every_mark_walks_the_archived_gait(walk, walking, name, least):
     clicked, wrong = wrong_marks(walk(name, still=True), walking.parent / f"{name}.nc")
     assert clicked > least and wrong == []
@@ -51,19 +67,27 @@ def test_every_mark_walks_the_archived_gait(walk, walking, name, least):
 
 @pytest.mark.parametrize(("name", "count"), [("design", 9), ("basin", 60)])
 def test_cells_of_maps_walk_as_the_archive_says(walk, walking, name, count):
-    clicked, wrong = wrong_cells(walk(name, still=True), walking.parent / f"{name}.nc", name, count)
+    clicked, wrong = wrong_cells(
+        walk(name, still=True), walking.parent / f"{name}.nc", name, count
+    )
     assert clicked >= count and wrong == []
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("name", ["figure5", "figure6", "figure8", "figure11", "design", "basin"])
+@pytest.mark.parametrize(
+    "name", ["figure5", "figure6", "figure8", "figure11", "design", "basin"]
+)
 def test_every_mark_of_the_papers_pages_walks_the_archived_gait(opened, tmp_path, name):
     archive = tmp_path / f"{name}.nc"
     run(PAPER / f"{name}.toml", archive=archive, quiet=True)
-    browser = opened(pages.write([archive], tmp_path / "report").parent / f"{name}.html", still=True)
+    browser = opened(
+        pages.write([archive], tmp_path / "report").parent / f"{name}.html", still=True
+    )
     if name in ("design", "basin"):
-        clicked, wrong = wrong_cells(browser, archive, name, 400 if name == "design" else 200)
+        clicked, wrong = wrong_cells(
+            browser, archive, name, 400 if name == "design" else 200
+        )
         assert clicked >= 200
     else:
         clicked, wrong = wrong_marks(browser, archive)

@@ -1,4 +1,6 @@
-"""The pages in Firefox and WebKit: they open, fit their width, and every mark walks the archived gait."""
+"""The pages in Firefox and WebKit: they open, fit their width, and every mark walks the
+archived gait.
+"""
 
 import time
 
@@ -31,7 +33,11 @@ def opened(engine):
 
 
 def test_every_page_opens_and_fits_its_width(opened, engine, report, walking):
-    pages = [(folder, page.stem) for folder in (report, walking) for page in sorted(folder.glob("*.html"))]
+    pages = [
+        (folder, page.stem)
+        for folder in (report, walking)
+        for page in sorted(folder.glob("*.html"))
+    ]
     assert len(pages) > 15
     for width in (1280, 500):  # the windows of neither get narrower
         for folder, name in pages:
@@ -45,13 +51,17 @@ def test_every_page_opens_and_fits_its_width(opened, engine, report, walking):
 def test_firefox_tells_what_goes_wrong(opened, engine, walking):
     if not isinstance(engine, Firefox):
         pytest.skip("WebKit has no log")
-    opened(walking, "curves").execute_script("console.error('as planned'); setTimeout(() => nothing(), 0)")
+    opened(walking, "curves").execute_script(
+        "console.error('as planned'); setTimeout(() => nothing(), 0)"
+    )
     time.sleep(0.5)
     said = "\n".join(engine.complaints())
     assert "as planned" in said and "nothing is not defined" in said
 
 
-@pytest.mark.parametrize(("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)])
+@pytest.mark.parametrize(
+    ("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)]
+)
 def test_every_mark_walks_the_archived_gait(opened, walking, name, least):
     clicked, wrong = wrong_marks(opened(walking, name), walking.parent / f"{name}.nc")
     assert clicked > least and wrong == []
@@ -59,13 +69,17 @@ def test_every_mark_walks_the_archived_gait(opened, walking, name, least):
 
 @pytest.mark.parametrize(("name", "count"), [("design", 9), ("basin", 60)])
 def test_cells_of_maps_walk_as_the_archive_says(opened, walking, name, count):
-    clicked, wrong = wrong_cells(opened(walking, name), walking.parent / f"{name}.nc", name, count)
+    clicked, wrong = wrong_cells(
+        opened(walking, name), walking.parent / f"{name}.nc", name, count
+    )
     assert clicked >= count and wrong == []
 
 
 def test_the_walker_moves_within_a_moment_of_the_click(opened, walking):
     browser = opened(walking, "curves")
-    still = browser.execute_script(f"document.querySelector('[data-do=play]').click(); return {LEG}")
+    still = browser.execute_script(
+        f"document.querySelector('[data-do=play]').click(); return {LEG}"
+    )
     begin = time.monotonic()
     while browser.execute_script(f"return {LEG}") == still:
         assert time.monotonic() < begin + 0.6

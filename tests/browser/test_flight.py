@@ -1,4 +1,6 @@
-"""The script's flight against the solver: steps, multipliers, losses and violations of 200 gaits a structure."""
+"""The script's flight against the solver: steps, multipliers, losses and violations of
+200 gaits a structure.
+"""
 
 from pathlib import Path
 
@@ -12,20 +14,37 @@ from gaitsweep.tasks.registry import VIOLATIONS
 pytestmark = pytest.mark.thorough
 
 _SCRIPTS = Path(pages.__file__).parent / "scripts"
-MECHANICS = "\n".join((_SCRIPTS / name).read_text(encoding="utf-8") for name in ("flight.js", "gaits.js"))
+MECHANICS = "\n".join(
+    (_SCRIPTS / name).read_text(encoding="utf-8") for name in ("flight.js", "gaits.js")
+)
 
 #: Lines of each structure: a walker's name, keys that are set, slopes.
 LINES = {
     "point feet": [("D", {}, np.geomspace(1e-6, 0.1, 24))]
-    + [("E", {"foot_mass_ratio": ratio}, np.geomspace(1e-5, 0.12, 30)) for ratio in (0.02, 0.1, 0.2)],
-    "straight legs": [("B", {"R": radius}, np.geomspace(1e-5, 0.1, 24)) for radius in (0.1, 0.2, 0.4)]
-    + [("A", {}, np.geomspace(1e-5, 0.05, 30)), ("physical-straight", {}, np.linspace(0.02, 0.055, 24))],
-    "knees": [("C", {"detuning": amount}, np.geomspace(1e-3, 0.08, 36)) for amount in (0.0, 0.1, 0.2)]
-    + [("C", {}, np.geomspace(1e-6, 1e-3, 12)), ("physical", {}, np.linspace(0.02, 0.11, 24))],
+    + [
+        ("E", {"foot_mass_ratio": ratio}, np.geomspace(1e-5, 0.12, 30))
+        for ratio in (0.02, 0.1, 0.2)
+    ],
+    "straight legs": [
+        ("B", {"R": radius}, np.geomspace(1e-5, 0.1, 24)) for radius in (0.1, 0.2, 0.4)
+    ]
+    + [
+        ("A", {}, np.geomspace(1e-5, 0.05, 30)),
+        ("physical-straight", {}, np.linspace(0.02, 0.055, 24)),
+    ],
+    "knees": [
+        ("C", {"detuning": amount}, np.geomspace(1e-3, 0.08, 36))
+        for amount in (0.0, 0.1, 0.2)
+    ]
+    + [
+        ("C", {}, np.geomspace(1e-6, 1e-3, 12)),
+        ("physical", {}, np.linspace(0.02, 0.11, 24)),
+    ],
 }
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
-#: One gait flown: the state after its step, its losses and violations, and the gait that Newton's method finds.
+#: One gait flown: the state after its step, its losses and violations, and the gait
+#: that Newton's method finds.
 _FLY = """
 const [keys, points] = arguments, walker = makeWalker(keys);
 return points.map(([slope, ...state]) => {
@@ -46,26 +65,45 @@ def run(browser, script, *given):
 
 
 def solved(name, setting, slopes):
-    """Gaits of a line as the solver has them: dicts of the archive's variables, with the slope."""
-    wanted = ["stance_angle", *_RATES, "period", "kneestrike_time", "multipliers", "energy", "violations"]
+    """Gaits of a line as the solver has them: dicts of the archive's variables, with
+    the slope.
+    """
+    wanted = [
+        "stance_angle",
+        *_RATES,
+        "period",
+        "kneestrike_time",
+        "multipliers",
+        "energy",
+        "violations",
+    ]
     found = gaits(name, slopes, variables=wanted, **setting)
     for i, slope in enumerate(slopes):
         for label in found.gait.values:
             point = found.isel(slope=i).sel(gait=label)
             if np.isfinite(point.stance_angle):
-                yield {"slope": float(slope)} | {str(k): point[k].values for k in point.data_vars}
+                yield {"slope": float(slope)} | {
+                    str(k): point[k].values for k in point.data_vars
+                }
 
 
 def keys_of(name, setting):
     """Keys of a walker as a page has them, with the limits of violations."""
-    parameters = dispatch.ask("check_walker", {"walker": name, "set": setting})["parameters"]
+    parameters = dispatch.ask("check_walker", {"walker": name, "set": setting})[
+        "parameters"
+    ]
     return {**parameters, "violation_limits": [v.limit for v in VIOLATIONS.values()]}
 
 
 def apart(found, wanted):
-    """Largest difference of the power sums of two sets of multipliers, which nearly equal ones determine well."""
+    """Largest difference of the power sums of two sets of multipliers, which nearly
+    equal ones determine well.
+    """
     size = max(map(abs, wanted))
-    return max(abs(sum((z / size) ** k for z in found) - sum((z / size) ** k for z in wanted)) for k in (1, 2, 3))
+    return max(
+        abs(sum((z / size) ** k for z in found) - sum((z / size) ** k for z in wanted))
+        for k in (1, 2, 3)
+    )
 
 
 @pytest.mark.parametrize("structure", LINES)
@@ -75,21 +113,41 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
     for name, setting, slopes in LINES[structure]:
         keys = keys_of(name, setting)
         known = list(solved(name, setting, slopes))
-        starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
-        for start, gait, flown in zip(starts, known, run(browser, _FLY, keys, starts), strict=True):
+        starts = [
+            [p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)]
+            for p in known
+        ]
+        for start, gait, flown in zip(
+            starts, known, run(browser, _FLY, keys, starts), strict=True
+        ):
             where = name, setting, start
             assert "fall" not in flown, (where, flown)
             rates = np.array(start[2 : 2 + len(flown["rates"])])
             assert abs(flown["angle"] / start[1] - 1) < 1e-6, where
-            assert np.abs(np.array(flown["rates"]) - rates).max() < 1e-6 * np.abs(rates).max(), where
+            assert (
+                np.abs(np.array(flown["rates"]) - rates).max()
+                < 1e-6 * np.abs(rates).max()
+            ), where
             assert abs(flown["period"] / float(gait["period"]) - 1) < 1e-6, where
             if flown["kneestrike"] is not None:
-                assert abs(flown["kneestrike"] - float(gait["kneestrike_time"])) < 1e-6 * flown["period"], where
-            losses = np.nan_to_num([float(gait[f"loss_{part}"]) for part in ("normal", "tangential", "kneestrike")])
-            assert np.abs(np.array(flown["losses"]) - losses).max() < 1e-6 * losses.sum(), where
+                assert (
+                    abs(flown["kneestrike"] - float(gait["kneestrike_time"]))
+                    < 1e-6 * flown["period"]
+                ), where
+            losses = np.nan_to_num(
+                [
+                    float(gait[f"loss_{part}"])
+                    for part in ("normal", "tangential", "kneestrike")
+                ]
+            )
+            assert (
+                np.abs(np.array(flown["losses"]) - losses).max() < 1e-6 * losses.sum()
+            ), where
             assert abs(flown["found"] / start[1] - 1) < 1e-6, where
             values = gait["multiplier_real"][:3] + 1j * gait["multiplier_imag"][:3]
-            assert apart([complex(*z) for z in flown["multipliers"]], values) < 1e-6, where
+            assert apart([complex(*z) for z in flown["multipliers"]], values) < 1e-6, (
+                where
+            )
             assert flown["flags"] == int(gait["violations"]), where
             count += 1
     assert count >= 200
@@ -106,15 +164,24 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
         ("physical-straight", 0.3, "trailing_foot_pulls", 1e-4, 1e-3),
     ],
 )
-def test_a_violation_is_flagged_above_its_limit(browser, walker, slope, violation, below, above):
+def test_a_violation_is_flagged_above_its_limit(
+    browser, walker, slope, violation, below, above
+):
     browser.get("about:blank")
     keys, number = keys_of(walker, {}), list(VIOLATIONS).index(violation)
     known = list(solved(walker, {}, [slope]))
-    starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
+    starts = [
+        [p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)]
+        for p in known
+    ]
     for limit, is_flagged in ((below, True), (above, False)):
-        bits = gaits(walker, slope, variables=["violations"], violation_limits={violation: limit}).violations.values
+        bits = gaits(
+            walker, slope, variables=["violations"], violation_limits={violation: limit}
+        ).violations.values
         keys["violation_limits"][number] = limit
-        flown = [gait["flags"] >> number & 1 for gait in run(browser, _FLY, keys, starts)]
+        flown = [
+            gait["flags"] >> number & 1 for gait in run(browser, _FLY, keys, starts)
+        ]
         assert flown == (bits[: len(known)] >> number & 1).tolist()
         assert any(flown) == is_flagged
 
@@ -124,7 +191,10 @@ def test_a_scuff_between_two_samples_is_flagged(browser):
     for name, slopes in (("C", [0.324, 0.325]), ("physical", [0.355])):
         keys = {**keys_of(name, {}), "violation_limits": [0.0] * len(VIOLATIONS)}
         known = list(solved(name, {}, slopes))
-        starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
+        starts = [
+            [p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)]
+            for p in known
+        ]
         assert [flown["flags"] & 1 for flown in run(browser, _FLY, keys, starts)] == [
             int(p["scuff_depth"] > 0) for p in known
         ]

@@ -4,17 +4,29 @@ from pathlib import Path
 
 import pytest
 
-PAGES = ("index", "ledger", "transition", "tuned-walkers", "detuning", "cascade", "design")
+PAGES = (
+    "index",
+    "ledger",
+    "transition",
+    "tuned-walkers",
+    "detuning",
+    "cascade",
+    "design",
+)
 
 
 @pytest.fixture
 def keys():
-    return pytest.importorskip("selenium.webdriver.common.keys", reason="the browser tests need selenium").Keys
+    return pytest.importorskip(
+        "selenium.webdriver.common.keys", reason="the browser tests need selenium"
+    ).Keys
 
 
 @pytest.fixture
 def chains():
-    return pytest.importorskip("selenium.webdriver", reason="the browser tests need selenium").ActionChains
+    return pytest.importorskip(
+        "selenium.webdriver", reason="the browser tests need selenium"
+    ).ActionChains
 
 
 def one(browser, selector):
@@ -27,7 +39,9 @@ def ask(browser, script):
 
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_a_page_opens_without_a_word_in_the_console_and_fits_its_width(visit, name, width, scheme):
+def test_a_page_opens_without_a_word_in_the_console_and_fits_its_width(
+    visit, name, width, scheme
+):
     browser = visit(name, width, scheme)
     assert ask(browser, "document.documentElement.scrollWidth") <= width
     assert [entry["message"] for entry in browser.get_log("browser")] == []
@@ -35,13 +49,18 @@ def test_a_page_opens_without_a_word_in_the_console_and_fits_its_width(visit, na
 
 def test_every_link_of_the_index_leads_to_a_page(visit):
     browser = visit("index")
-    links = {a.get_attribute("href") for a in browser.find_elements("css selector", "a[href]")}
+    links = {
+        a.get_attribute("href")
+        for a in browser.find_elements("css selector", "a[href]")
+    }
     assert len(links) > 6
     for link in links:
         browser.get(link)
         assert one(browser, "h1").text
         anchor = link.partition("#")[2]
-        assert not anchor or ask(browser, f"document.getElementById({anchor!r}) !== null")
+        assert not anchor or ask(
+            browser, f"document.getElementById({anchor!r}) !== null"
+        )
 
 
 def test_text_and_figures_follow_the_colour_scheme(visit):
@@ -64,23 +83,31 @@ def _lightness(colour: str) -> float:
     [("transition", "loglog"), ("transition", "angles"), ("detuning", "locus"), ("cascade", "bifurcation"),
      ("design", "heatmap")],
 )  # fmt: skip
-def test_a_point_under_the_pointer_says_its_values_and_command(visit, chains, name, figure):
+def test_a_point_under_the_pointer_says_its_values_and_command(
+    visit, chains, name, figure
+):
     browser = visit(name, anchor=f"#{figure}")
     plot = one(browser, f"#{figure} .plot")
     x, y = ask(browser, _place(figure))
     box = plot.rect
-    chains(browser).move_to_element_with_offset(plot, int(x - box["width"] / 2), int(y - box["height"] / 2)).perform()
+    chains(browser).move_to_element_with_offset(
+        plot, int(x - box["width"] / 2), int(y - box["height"] / 2)
+    ).perform()
     tip = one(browser, f"#{figure} .tip")
     assert tip.is_displayed()
     assert tip.find_elements("css selector", "dd")[0].text
     command = tip.find_element("css selector", "code").text
-    assert re.fullmatch(r"gaitsweep solve --walker \w+( --set \S+)* --slope [\d.e-]+", command)
+    assert re.fullmatch(
+        r"gaitsweep solve --walker \w+( --set \S+)* --slope [\d.e-]+", command
+    )
     chains(browser).click().perform()
     assert "pinned" in tip.get_attribute("class")
 
 
 def _place(figure: str) -> str:
-    """Where a mark in the middle of a figure's first curve or map is, in pixels from the plot's corner."""
+    """Where a mark in the middle of a figure's first curve or map is, in pixels from
+    the plot's corner.
+    """
     return f"""(() => {{
         const plot = document.querySelector('#{figure} .plot'), scale = plot.clientWidth / plot.dataset.width;
         const [first] = JSON.parse(plot.querySelector('script').textContent), rows = first.rows, box = first.box;
@@ -125,9 +152,13 @@ def test_small_text_of_figures_stays_legible_on_a_phone(visit):
 @pytest.mark.parametrize("name", PAGES)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_serious_accessibility_finding(visit, name, scheme):
-    axe = pytest.importorskip("axe_core_python", reason="accessibility is checked with axe-core")
+    axe = pytest.importorskip(
+        "axe_core_python", reason="accessibility is checked with axe-core"
+    )
     browser = visit(name, scheme=scheme)
-    browser.execute_script((Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
+    browser.execute_script(
+        (Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
+    )
     found = browser.execute_async_script("axe.run().then(arguments[0])")
     serious = [f"{v['id']}: {v['nodes'][0]['html'][:120]}" for v in found["violations"]
                if v["impact"] in ("serious", "critical")]  # fmt: skip
@@ -152,7 +183,9 @@ def test_claims_are_filtered_by_words_and_verdict(visit):
     one(browser, ".filter [name=words]").send_keys("cube root")
     assert ask(browser, shown) == ["E2"]
     one(browser, ".filter [name=words]").clear()
-    browser.execute_script("document.querySelector('.filter').dispatchEvent(new Event('input'))")
+    browser.execute_script(
+        "document.querySelector('.filter').dispatchEvent(new Event('input'))"
+    )
     one(browser, ".filter option:last-child").click()
     assert set(ask(browser, shown)) == {"E4", "Z5"}
     assert "2 of 4" in one(browser, ".filter [role=status]").text
@@ -185,7 +218,9 @@ def test_a_table_is_sorted_by_a_click_on_its_heading(visit):
     table = "document.querySelectorAll('table.archive')[0]"
     column = f"[...{table}.tBodies[0].rows].map(row => Number(row.cells[4].querySelector('data').value))"
     before = ask(browser, column)
-    button = browser.execute_script(f"return {table}.tHead.rows[0].cells[4].querySelector('button')")
+    button = browser.execute_script(
+        f"return {table}.tHead.rows[0].cells[4].querySelector('button')"
+    )
     button.click()
     assert ask(browser, column) == sorted(before) != before
     button.click()
@@ -221,9 +256,14 @@ def test_a_box_zooms_and_keeps_axes_and_titles_and_a_double_click_resets(visit, 
     assert one(browser, "#loglog .box").is_displayed()
     chains(browser).release().perform()
     assert ask(browser, view)[2] < 0.5 * whole[2]
-    titles = [b.text for b in browser.find_elements("css selector", "#loglog .numbers-on-edges b")]
+    titles = [
+        b.text
+        for b in browser.find_elements("css selector", "#loglog .numbers-on-edges b")
+    ]
     assert titles == ["slope γ (rad)", "stance angle θ* (rad)"]
-    assert len(browser.find_elements("css selector", "#loglog .numbers-on-edges span")) > 3
+    assert (
+        len(browser.find_elements("css selector", "#loglog .numbers-on-edges span")) > 3
+    )
     chains(browser).double_click(plot).perform()
     assert ask(browser, view) == whole
 
@@ -244,13 +284,15 @@ def test_a_table_shows_six_columns_and_digits_and_all_on_request(visit):
     browser = visit("transition", anchor="#fits")
     seen = """[...document.querySelectorAll('#fits table')].map(table =>
         [...table.tHead.rows[0].cells].filter(cell => getComputedStyle(cell).display !== 'none').length)"""
-    before, digits = ask(browser, seen), "document.querySelector('#fits td.num data').textContent.length"
+    before, digits = (
+        ask(browser, seen),
+        "document.querySelector('#fits td.num data').textContent.length",
+    )
     assert max(before) == 6
     one(browser, "#fits .scroll + .save").click()
     assert ask(browser, seen)[0] > 6
-    long = (
-        "Math.max(...[...document.querySelectorAll('#fits table:first-of-type data')].map(d => d.textContent.length))"
-    )
+    cells = "[...document.querySelectorAll('#fits table:first-of-type data')]"
+    long = f"Math.max(...{cells}.map(d => d.textContent.length))"
     assert ask(browser, long) > 12
     one(browser, "#fits .scroll + .save").click()
     assert ask(browser, seen) == before and ask(browser, digits) < 12
@@ -262,7 +304,9 @@ def test_a_button_copies_the_command(visit):
     browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", button)
     button.click()
     assert button.text in ("Copied", "Selected")
-    assert ask(browser, "getSelection().toString()").startswith("gaitsweep run transition.toml")
+    assert ask(browser, "getSelection().toString()").startswith(
+        "gaitsweep run transition.toml"
+    )
 
 
 def test_claims_are_folded_on_a_phone_and_open_at_their_address(visit):
@@ -295,5 +339,7 @@ def test_all_pages_are_in_one_file(opened, archives_bundled):
     link = one(browser, "#E4 .how a").get_attribute("href")
     browser.get(link)
     assert one(browser, f"#{link.partition('#')[2]} .plot").is_displayed()
-    assert ask(browser, "document.querySelectorAll('.plot .tools').length") > 0  # the page's own script ran
+    assert (
+        ask(browser, "document.querySelectorAll('.plot .tools').length") > 0
+    )  # the page's own script ran
     assert [entry["message"] for entry in browser.get_log("browser")] == []

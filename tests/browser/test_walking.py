@@ -1,4 +1,6 @@
-"""The live page: a click makes a gait walk, and one selection is shared by figures, tables, walker and address."""
+"""The live page: a click makes a gait walk, and one selection is shared by figures,
+tables, walker and address.
+"""
 
 import itertools
 import json
@@ -15,17 +17,31 @@ from gaitsweep.pipeline.cli import commands
 
 pytestmark = pytest.mark.thorough
 
-EVERY = ("curves", "branches", "map", "ratios", "design", "basin", "kneed-basin", "orbits", "index")
+EVERY = (
+    "curves",
+    "branches",
+    "map",
+    "ratios",
+    "design",
+    "basin",
+    "kneed-basin",
+    "orbits",
+    "index",
+)
 
 
 @pytest.fixture
 def keys():
-    return pytest.importorskip("selenium.webdriver.common.keys", reason="the browser tests need selenium").Keys
+    return pytest.importorskip(
+        "selenium.webdriver.common.keys", reason="the browser tests need selenium"
+    ).Keys
 
 
 @pytest.fixture
 def chains():
-    return pytest.importorskip("selenium.webdriver", reason="the browser tests need selenium").ActionChains
+    return pytest.importorskip(
+        "selenium.webdriver", reason="the browser tests need selenium"
+    ).ActionChains
 
 
 def one(browser, selector):
@@ -50,7 +66,9 @@ def wait(browser, script, seconds=6.0):
 
 def data(browser, figure, name):
     """Marks or maps of a figure."""
-    found = json.loads(ask(browser, f"document.querySelector('#{figure} script.{name}').textContent"))
+    found = json.loads(
+        ask(browser, f"document.querySelector('#{figure} script.{name}').textContent")
+    )
     for part in found if name == "panels" else ():
         for side in "xy":
             part[side].setdefault("values", found[0][side].get("values"))
@@ -79,7 +97,9 @@ LEG = "document.querySelector('[data-part=walk] g g path:nth-of-type(2)').getAtt
 
 @pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_a_page_whose_gaits_walk_opens_without_a_word_and_fits_its_width(walk, name, width, scheme):
+def test_a_page_whose_gaits_walk_opens_without_a_word_and_fits_its_width(
+    walk, name, width, scheme
+):
     browser = walk(name, width, scheme)
     assert ask(browser, "document.documentElement.scrollWidth") <= width
     assert [entry["message"] for entry in browser.get_log("browser")] == []
@@ -98,7 +118,9 @@ def test_the_walker_walks_pauses_slows_and_steps(walk, name):
     clock = "document.querySelector('[data-part=clock]').textContent"
     rates = []
     for pace in ("1", "10"):
-        browser.execute_script("arguments[0].value = arguments[1]", part(browser, "pace"), pace)
+        browser.execute_script(
+            "arguments[0].value = arguments[1]", part(browser, "pace"), pace
+        )
         play.click()
         assert play.text == "Pause" and play.get_attribute("aria-pressed") == "true"
         first = _seconds(ask(browser, clock))
@@ -123,7 +145,9 @@ def test_the_units_of_a_walker_can_be_left_for_those_of_its_leg(walk):
     browser.execute_script("arguments[0].value = 'leg'; arguments[0].dispatchEvent(new Event('change'))",
                            part(browser, "units"))  # fmt: skip
     text = part(browser, "facts").text
-    assert float(text.split("step length")[1].split()[0]) == pytest.approx(metres / 0.806136, rel=1e-3)
+    assert float(text.split("step length")[1].split()[0]) == pytest.approx(
+        metres / 0.806136, rel=1e-3
+    )
     assert "√(leg/g)" in text
 
 
@@ -135,18 +159,37 @@ def test_a_click_on_a_curve_makes_that_gait_walk_and_marks_it_everywhere(walk, c
     assert wait(browser, HASH)
     found = selected(browser)
     assert found["walker"] == "E" and found["slope"] == pytest.approx(row[2], rel=1e-7)
-    solved = gaits("E", row[2], foot_mass_ratio=found["foot_mass_ratio"], variables=["stance_angle"]).stance_angle
+    solved = gaits(
+        "E",
+        row[2],
+        foot_mass_ratio=found["foot_mass_ratio"],
+        variables=["stance_angle"],
+    ).stance_angle
     assert np.nanmin(abs(solved / found["stance_angle"] - 1)) < 1e-4
     assert str(row[2]) in part(browser, "command").text
-    assert f"foot_mass_ratio={found['foot_mass_ratio']}" in part(browser, "command").text
+    assert (
+        f"foot_mass_ratio={found['foot_mass_ratio']}" in part(browser, "command").text
+    )
     assert ask(browser, "document.querySelectorAll('.ring:not([hidden])').length") == 2
-    assert len(browser.find_elements("css selector", "[data-part=circle] [data-multiplier]")) == 3
-    assert "Energy lost per step" in part(browser, "losses").text and "ssumption" in part(browser, "violations").text
+    assert (
+        len(
+            browser.find_elements(
+                "css selector", "[data-part=circle] [data-multiplier]"
+            )
+        )
+        == 3
+    )
+    assert (
+        "Energy lost per step" in part(browser, "losses").text
+        and "ssumption" in part(browser, "violations").text
+    )
     # The radius beside it is that of the figure of multipliers at the same slope.
     shown = float(part(browser, "facts").text.split("max |λ|")[1].split()[0])
     others = [r for c in data(browser, "multipliers", "marks") if c["label"].startswith(curve["label"].split(" · ")[0])
               for r in c["rows"] if r[2] == row[2]]  # fmt: skip
-    assert any(float(r[4].replace("−", "-")) == pytest.approx(shown, rel=1e-4) for r in others)
+    assert any(
+        float(r[4].replace("−", "-")) == pytest.approx(shown, rel=1e-4) for r in others
+    )
     first = ask(browser, LEG)
     time.sleep(0.3)
     assert ask(browser, LEG) != first
@@ -171,7 +214,12 @@ def test_a_selection_can_be_sent(walk, chains):
 )  # fmt: skip
 def test_an_address_that_names_no_gait_says_so_and_shows_another(walk, address):
     browser = walk("branches", anchor=address)
-    assert "no gait" in wait(browser, "document.querySelector('[data-part=said]').textContent").lower()
+    assert (
+        "no gait"
+        in wait(
+            browser, "document.querySelector('[data-part=said]').textContent"
+        ).lower()
+    )
     assert "step gait of walker C" in part(browser, "title").text
     assert [entry["message"] for entry in browser.get_log("browser")] == []
 
@@ -179,12 +227,16 @@ def test_an_address_that_names_no_gait_says_so_and_shows_another(walk, address):
 def test_a_row_of_a_table_walks(walk):
     browser = walk("branches")
     button = browser.find_elements("css selector", "tr[data-gait] .walk-it")[-1]
-    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' }); arguments[0].click()", button)
+    browser.execute_script(
+        "arguments[0].scrollIntoView({ block: 'center' }); arguments[0].click()", button
+    )
     assert wait(browser, HASH)
     row = one(browser, "tr.chosen")
     given = dict(pair.split("=") for pair in row.get_attribute("data-gait").split("&"))
     assert selected(browser)["slope"] == pytest.approx(float(given["slope"]), rel=1e-4)
-    assert selected(browser)["stance_angle"] == pytest.approx(float(given["stance_angle"]), rel=1e-3)
+    assert selected(browser)["stance_angle"] == pytest.approx(
+        float(given["stance_angle"]), rel=1e-3
+    )
 
 
 def test_the_end_of_a_branch_walks(walk):
@@ -208,26 +260,39 @@ def test_a_branch_is_slid_along_through_its_folds(walk, keys):
         time.sleep(0.12)
         labels.add(part(browser, "title").text.split()[0])
         slopes.append(float(part(browser, "facts").text.split("slope γ")[1].split()[0]))
-    turns = sum((b - a) * (c - b) < 0 for a, b, c in zip(slopes, slopes[1:], slopes[2:], strict=False))
+    turns = sum(
+        (b - a) * (c - b) < 0
+        for a, b, c in zip(slopes, slopes[1:], slopes[2:], strict=False)
+    )
     assert labels == {"Long-step", "Short-step"}
     assert turns >= 1
     assert part(browser, "said").text == ""
     one(browser, ".motion").send_keys(keys.ARROW_LEFT)
     time.sleep(0.4)
-    assert float(part(browser, "facts").text.split("slope γ")[1].split()[0]) != slopes[-1]
+    assert (
+        float(part(browser, "facts").text.split("slope γ")[1].split()[0]) != slopes[-1]
+    )
 
 
 def test_a_stable_gait_recovers_from_a_push_and_a_hard_one_makes_it_fall(walk):
-    browser = walk("branches", anchor="#motion", still=True)  # what follows depends on the moment of the push
+    browser = walk(
+        "branches", anchor="#motion", still=True
+    )  # what follows depends on the moment of the push
     assert "unstable" not in part(browser, "facts").text
-    browser.execute_script("for (let k = 0; k < 10; k++) arguments[0].click()", one(browser, "[data-do=step]"))
+    browser.execute_script(
+        "for (let k = 0; k < 10; k++) arguments[0].click()",
+        one(browser, "[data-do=step]"),
+    )
     one(browser, "[data-do=push]").click()
     assert "recovers" in part(browser, "outcome").text
     one(browser, "[data-do=reset]").click()
     assert part(browser, "outcome").text == ""
     browser.execute_script("arguments[0].value = '0.3'", part(browser, "strength"))
     one(browser, "[data-do=pull]").click()
-    assert "fall" in part(browser, "outcome").text or "fell" in part(browser, "outcome").text
+    assert (
+        "fall" in part(browser, "outcome").text
+        or "fell" in part(browser, "outcome").text
+    )
 
 
 def test_what_has_fallen_begins_again_when_it_is_pushed(walk):
@@ -235,7 +300,10 @@ def test_what_has_fallen_begins_again_when_it_is_pushed(walk):
     browser.execute_script("arguments[0].value = '0.3'", part(browser, "strength"))
     one(browser, "[data-do=pull]").click()
     assert "fell" in part(browser, "outcome").text
-    browser.execute_script("for (let k = 0; k < 2000; k++) arguments[0].click()", one(browser, "[data-do=step]"))
+    browser.execute_script(
+        "for (let k = 0; k < 2000; k++) arguments[0].click()",
+        one(browser, "[data-do=step]"),
+    )
     browser.execute_script("arguments[0].value = '0.01'", part(browser, "strength"))
     one(browser, "[data-do=push]").click()
     assert "recovers" in part(browser, "outcome").text
@@ -244,7 +312,9 @@ def test_what_has_fallen_begins_again_when_it_is_pushed(walk):
 
 def test_escape_closes_the_docked_panel_from_anywhere(walk, chains, keys):
     browser = walk("curves", still=True)
-    click(browser, chains, "loglog", data(browser, "loglog", "marks")[0]["rows"][20][:2])
+    click(
+        browser, chains, "loglog", data(browser, "loglog", "marks")[0]["rows"][20][:2]
+    )
     docked = "document.querySelector('.motion').classList.contains('docked')"
     assert wait(browser, docked)
     chains(browser).send_keys(keys.ESCAPE).perform()
@@ -254,7 +324,11 @@ def test_escape_closes_the_docked_panel_from_anywhere(walk, chains, keys):
 def test_an_unstable_gait_is_not_said_to_recover(walk):
     address = "#walker=C&detuning=0.1&slope=0.076987184&stance_angle=0.43751088"
     browser = walk("branches", anchor=address, still=True)
-    radius = float(wait(browser, "document.querySelector('[data-part=facts]').textContent").split("max |λ|")[1][:5])
+    radius = float(
+        wait(browser, "document.querySelector('[data-part=facts]').textContent").split(
+            "max |λ|"
+        )[1][:5]
+    )
     assert 1 < radius < 1.01
     browser.execute_script("arguments[0].value = '0.01'", part(browser, "strength"))
     one(browser, "[data-do=push]").click()
@@ -263,9 +337,14 @@ def test_an_unstable_gait_is_not_said_to_recover(walk):
 
 def test_steps_are_counted_on_when_a_pushed_walker_is_pushed_again(walk):
     browser = walk("branches", anchor="#motion", still=True)
-    clock, step = "document.querySelector('[data-part=clock]').textContent", one(browser, "[data-do=step]")
+    clock, step = (
+        "document.querySelector('[data-part=clock]').textContent",
+        one(browser, "[data-do=step]"),
+    )
     for pushes in range(2):
-        browser.execute_script("for (let k = 0; k < 50; k++) arguments[0].click()", step)  # two steps and a little
+        browser.execute_script(
+            "for (let k = 0; k < 50; k++) arguments[0].click()", step
+        )  # two steps and a little
         before = ask(browser, clock).split(",")[0]
         assert before == f"step {2 * pushes + 3}"
         one(browser, "[data-do=push]").click()
@@ -274,7 +353,9 @@ def test_steps_are_counted_on_when_a_pushed_walker_is_pushed_again(walk):
 
 def test_two_gaits_at_one_slope_are_laid_over_each_other(walk):
     browser = walk("curves", anchor="#motion")
-    assert wait(browser, "document.querySelectorAll('[data-part=second] option').length > 1")
+    assert wait(
+        browser, "document.querySelectorAll('[data-part=second] option').length > 1"
+    )
     circles = "document.querySelectorAll('[data-part=circle] [data-multiplier]').length"
     before = ask(browser, circles)
     browser.find_elements("css selector", "[data-part=second] option")[1].click()
@@ -283,42 +364,79 @@ def test_two_gaits_at_one_slope_are_laid_over_each_other(walk):
     assert ask(browser, drawn) == 2
 
 
-@pytest.mark.parametrize(("name", "walker", "key"), [("map", "B", "R"), ("ratios", "E", "foot_mass_ratio")])
+@pytest.mark.parametrize(
+    ("name", "walker", "key"), [("map", "B", "R"), ("ratios", "E", "foot_mass_ratio")]
+)
 def test_a_cell_of_a_map_walks_as_the_solver_has_it(walk, chains, name, walker, key):
     browser = walk(name)
     maps = data(browser, "heatmap", "panels")
     assert len(json.dumps(maps)) < 25_000
     # The right map first: what is said of a cell stands to its right.
-    for panel, label, share in zip(maps[::-1], ("Short", "Long"), (0.31, 0.62), strict=True):
+    for panel, label, share in zip(
+        maps[::-1], ("Short", "Long"), (0.31, 0.62), strict=True
+    ):
         left, top, right, bottom = panel["box"]
-        click(browser, chains, "heatmap", (left + share * (right - left), top + 0.41 * (bottom - top)))
+        click(
+            browser,
+            chains,
+            "heatmap",
+            (left + share * (right - left), top + 0.41 * (bottom - top)),
+        )
         is_titled = f"document.querySelector('[data-part=title]').textContent.startsWith('{label}')"
-        assert wait(browser, is_titled), (part(browser, "title").text, part(browser, "said").text)
+        assert wait(browser, is_titled), (
+            part(browser, "title").text,
+            part(browser, "said").text,
+        )
         found = selected(browser)
         column = round(share * (len(panel["x"]["values"]) - 1))
-        assert any(found["slope"] == pytest.approx(v, rel=1e-7) for v in panel["x"]["values"][column - 1 : column + 2])
+        assert any(
+            found["slope"] == pytest.approx(v, rel=1e-7)
+            for v in panel["x"]["values"][column - 1 : column + 2]
+        )
         row = min(panel["y"]["values"], key=lambda value: abs(value - found[key]))
         assert found[key] == pytest.approx(row, rel=1e-9)
-        gait = gaits(walker, found["slope"], variables=["stance_angle"], **{key: row}).sel(gait=label.lower())
-        assert found["stance_angle"] == pytest.approx(float(gait.stance_angle), rel=1e-6)
+        gait = gaits(
+            walker, found["slope"], variables=["stance_angle"], **{key: row}
+        ).sel(gait=label.lower())
+        assert found["stance_angle"] == pytest.approx(
+            float(gait.stance_angle), rel=1e-6
+        )
         assert f"--set {key}={row}" in part(browser, "command").text
 
 
 def test_a_cell_of_a_design_map_walks_as_the_fastest_stable_gait(walk, chains):
     browser = walk("design")
     left, top, right, bottom = data(browser, "design", "panels")[2]["box"]
-    click(browser, chains, "design", (left + 0.5 * (right - left), top + 0.5 * (bottom - top)))
+    click(
+        browser,
+        chains,
+        "design",
+        (left + 0.5 * (right - left), top + 0.5 * (bottom - top)),
+    )
     assert wait(browser, HASH)
     found = selected(browser)
-    wanted = gaits("A", found["slope"], R=found["R"], c_t=found["c_t"], variables=["stance_angle", "spectral_radius"])
-    assert found["stance_angle"] == pytest.approx(float(wanted.stance_angle.sel(gait="long")), rel=1e-6)
+    wanted = gaits(
+        "A",
+        found["slope"],
+        R=found["R"],
+        c_t=found["c_t"],
+        variables=["stance_angle", "spectral_radius"],
+    )
+    assert found["stance_angle"] == pytest.approx(
+        float(wanted.stance_angle.sel(gait="long")), rel=1e-6
+    )
     assert float(part(browser, "facts").text.split("max |λ|")[1].split()[0]) <= 1
 
 
 def test_the_address_of_a_cell_of_a_design_map_leads_to_its_gait(walk, chains):
     browser = walk("design")
     left, top, right, bottom = data(browser, "design", "panels")[2]["box"]
-    click(browser, chains, "design", (left + 0.5 * (right - left), top + 0.1 * (bottom - top)))
+    click(
+        browser,
+        chains,
+        "design",
+        (left + 0.5 * (right - left), top + 0.1 * (bottom - top)),
+    )
     assert wait(browser, HASH)
     address, facts = ask(browser, "location.hash"), part(browser, "facts").text
     walk("design", anchor=address)
@@ -332,12 +450,26 @@ def test_a_pixel_of_a_basin_walks_on_or_falls_as_the_archive_says(walk, chains, 
     left, top, right, bottom = data(browser, "basin", "panels")[0]["box"]
     said = []
     for across, down in itertools.product(np.linspace(0.1, 0.9, 5), repeat=2):
-        click(browser, chains, "basin", (left + across * (right - left), top + down * (bottom - top)))
+        click(
+            browser,
+            chains,
+            "basin",
+            (left + across * (right - left), top + down * (bottom - top)),
+        )
         time.sleep(0.15)
-        archived = one(browser, "#basin .tip").find_elements("css selector", "dd")[-1].text
-        text, falls = part(browser, "outcome").text, archived.startswith(("fell", "foot", "knee"))
+        archived = (
+            one(browser, "#basin .tip").find_elements("css selector", "dd")[-1].text
+        )
+        text, falls = (
+            part(browser, "outcome").text,
+            archived.startswith(("fell", "foot", "knee")),
+        )
         said.append(falls)
-        assert archived in text.replace("the ", "") if falls else "walks" in text or "recovers" in text, archived
+        assert (
+            archived in text.replace("the ", "")
+            if falls
+            else "walks" in text or "recovers" in text
+        ), archived
         one(browser, "[data-do=close]").click()
     assert set(said) == {True, False}
 
@@ -349,9 +481,15 @@ def test_the_pixel_chosen_of_a_basin_is_marked_where_it_was_clicked(walk, chains
     point = left + 0.4 * (right - left), top + 0.7 * (bottom - top)
     click(browser, chains, "basin", point)
     assert wait(browser, HASH)
-    ring, width = one(browser, "#basin .ring"), float(one(browser, "#basin .plot").get_attribute("data-width"))
+    ring, width = (
+        one(browser, "#basin .ring"),
+        float(one(browser, "#basin .plot").get_attribute("data-width")),
+    )
     scale = one(browser, "#basin .plot").rect["width"] / width
-    found = [float(ring.value_of_css_property(side).removesuffix("px")) / scale for side in ("left", "top")]
+    found = [
+        float(ring.value_of_css_property(side).removesuffix("px")) / scale
+        for side in ("left", "top")
+    ]
     assert found == pytest.approx(point, abs=4)
 
 
@@ -361,7 +499,10 @@ def test_a_dot_of_an_orbit_goes_on_as_it_was(walk, chains):
     click(browser, chains, "bifurcation", rows[-3][:2])
     assert wait(browser, HASH)
     assert selected(browser)["free"] == 1
-    assert "still walks" in part(browser, "outcome").text or "recovers" in part(browser, "outcome").text
+    assert (
+        "still walks" in part(browser, "outcome").text
+        or "recovers" in part(browser, "outcome").text
+    )
 
 
 def test_a_gait_of_two_steps_walks(walk, chains, capsys):
@@ -370,23 +511,41 @@ def test_a_gait_of_two_steps_walks(walk, chains, capsys):
     click(browser, chains, "linear", data(browser, "linear", "marks")[0]["rows"][2][:2])
     assert wait(browser, HASH) and selected(browser)["free"] == 1
     assert wait(browser, "document.querySelector('[data-part=outcome]').textContent")
-    assert "61 steps" in part(browser, "outcome").text or "still walks" in part(browser, "outcome").text
-    assert commands.main([*shlex.split(part(browser, "command").text)[1:], "--json"]) == 0
+    assert (
+        "61 steps" in part(browser, "outcome").text
+        or "still walks" in part(browser, "outcome").text
+    )
+    assert (
+        commands.main([*shlex.split(part(browser, "command").text)[1:], "--json"]) == 0
+    )
     angles = json.loads(capsys.readouterr().out)["stance_angle"]
-    assert angles[2] == pytest.approx(angles[0], rel=1e-9) and abs(angles[1] - angles[0]) > 0.01
+    assert (
+        angles[2] == pytest.approx(angles[0], rel=1e-9)
+        and abs(angles[1] - angles[0]) > 0.01
+    )
 
 
 def test_the_command_of_a_motion_from_any_state_makes_the_same_motion(walk, capsys):
     ends = set()
     for angle, rate in ((0.3, -0.01), (0.3, -0.3), (0.22, -0.22), (0.15, -0.3)):
-        browser = walk("basin", anchor=f"#walker=D&slope=0.0126&stance_angle={angle}&stance_rate={rate}&free=1")
-        said = wait(browser, "document.querySelector('[data-part=outcome]').textContent")
+        browser = walk(
+            "basin",
+            anchor=f"#walker=D&slope=0.0126&stance_angle={angle}&stance_rate={rate}&free=1",
+        )
+        said = wait(
+            browser, "document.querySelector('[data-part=outcome]').textContent"
+        )
         program, *words = part(browser, "command").text.split()
         assert program == "gaitsweep" and commands.main([*words, "--steps", "60"]) == 0
-        if fell := re.fullmatch(r"Step (\d+): (.*)\.", capsys.readouterr().out.splitlines()[-1]):
+        if fell := re.fullmatch(
+            r"Step (\d+): (.*)\.", capsys.readouterr().out.splitlines()[-1]
+        ):
             steps = int(fell[1])
             begins = f"After {steps} step" if steps else "In its first step"
-            assert said.startswith(begins) and said.endswith(f"{fell[2]}."), (said, fell[0])
+            assert said.startswith(begins) and said.endswith(f"{fell[2]}."), (
+                said,
+                fell[0],
+            )
         else:
             assert "60 steps" in said or "recovers" in said
         ends.add(bool(fell))
@@ -435,23 +594,35 @@ def test_a_phones_touch_selects(walk):
     browser.execute_script("arguments[0].scrollIntoView({ block: 'start' })", plot)
     row = data(browser, "loglog", "marks")[0]["rows"][5]
     scale = plot.rect["width"] / float(plot.get_attribute("data-width"))
-    corner = ask(browser, "[arguments[0].getBoundingClientRect().left, arguments[0].getBoundingClientRect().top]", plot)
+    corner = ask(
+        browser,
+        "[arguments[0].getBoundingClientRect().left, arguments[0].getBoundingClientRect().top]",
+        plot,
+    )
     point = {"x": corner[0] + row[0] * scale, "y": corner[1] + row[1] * scale}
-    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
-    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    browser.execute_cdp_cmd(
+        "Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]}
+    )
+    browser.execute_cdp_cmd(
+        "Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []}
+    )
     assert wait(browser, HASH)
     assert selected(browser)["slope"] == pytest.approx(row[2], rel=1e-7)
 
 
 def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
     browser = walk("curves")
-    plot, view = one(browser, "#loglog .plot"), "document.querySelector('#loglog svg').getAttribute('viewBox')"
+    plot, view = (
+        one(browser, "#loglog .plot"),
+        "document.querySelector('#loglog svg').getAttribute('viewBox')",
+    )
     whole = ask(browser, view)
     browser.execute_script("arguments[0].scrollIntoView({ block: 'start' })", plot)
     plot.send_keys("+")
     zoomed = ask(browser, view)
     assert float(zoomed.split()[2]) == pytest.approx(float(whole.split()[2]) / 1.6)
-    # Numbers stand along its edges, for its axes may be out of sight: they rise to the right, and upwards.
+    # Numbers stand along its edges, for its axes may be out of sight: they rise to the
+    # right, and upwards.
     for side, edge in (("x", "left"), ("y", "top")):
         shown = ask(
             browser,
@@ -460,12 +631,18 @@ def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
         )
         values = [value for _, value in sorted(shown)]
         assert len(values) > 2 and values == sorted(values, reverse=side == "y")
-    chains(browser).move_to_element(plot).click_and_hold().move_by_offset(60, 20).release().perform()
+    chains(browser).move_to_element(plot).click_and_hold().move_by_offset(
+        60, 20
+    ).release().perform()
     moved = ask(browser, view)
-    assert moved.split()[2] == zoomed.split()[2] and float(moved.split()[0]) < float(zoomed.split()[0])
+    assert moved.split()[2] == zoomed.split()[2] and float(moved.split()[0]) < float(
+        zoomed.split()[0]
+    )
     assert not ask(browser, HASH)  # a drag is no click
     plot.send_keys("0")
-    assert [float(v) for v in ask(browser, view).split()] == [float(v) for v in whole.split()]
+    assert [float(v) for v in ask(browser, view).split()] == [
+        float(v) for v in whole.split()
+    ]
 
 
 def test_keys_of_the_browser_itself_are_left_to_it(walk):
@@ -509,10 +686,15 @@ def test_a_page_without_script_is_complete(opened, walking, browser):
     browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
     try:
         opened(walking / "branches.html")
-        assert one(browser, "#locus svg").is_displayed() and one(browser, "table.archive").is_displayed()
+        assert (
+            one(browser, "#locus svg").is_displayed()
+            and one(browser, "table.archive").is_displayed()
+        )
         assert not one(browser, ".motion").is_displayed()
     finally:
-        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+        browser.execute_cdp_cmd(
+            "Emulation.setScriptExecutionDisabled", {"value": False}
+        )
 
 
 def test_the_script_and_the_pages_are_small(walking):
@@ -525,19 +707,34 @@ def test_the_script_and_the_pages_are_small(walking):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_no_serious_accessibility_finding_while_a_gait_walks(walk, scheme):
-    axe = pytest.importorskip("axe_core_python", reason="accessibility is checked with axe-core")
-    browser = walk("branches", scheme=scheme, anchor="#walker=C&detuning=0.1&slope=0.02&stance_angle=0.27", still=True)
-    browser.execute_script((Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
+    axe = pytest.importorskip(
+        "axe_core_python", reason="accessibility is checked with axe-core"
+    )
+    browser = walk(
+        "branches",
+        scheme=scheme,
+        anchor="#walker=C&detuning=0.1&slope=0.02&stance_angle=0.27",
+        still=True,
+    )
+    browser.execute_script(
+        (Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8")
+    )
     found = browser.execute_async_script("axe.run().then(arguments[0])")
     serious = [f"{v['id']}: {v['nodes'][0]['html'][:120]}" for v in found["violations"]
                if v["impact"] in ("serious", "critical")]  # fmt: skip
     assert serious == []
 
 
-@pytest.mark.parametrize(("page", "keys"), [("map", ["slope", "R"]), ("ratios", ["slope", "foot_mass_ratio"])])
+@pytest.mark.parametrize(
+    ("page", "keys"),
+    [("map", ["slope", "R"]), ("ratios", ["slope", "foot_mass_ratio"])],
+)
 def test_sliders_over_the_keys_of_a_map_lead_to_archived_gaits(walk, page, keys):
     browser = walk(page)
-    labels = [label.text.split(" = ")[0] for label in browser.find_elements("css selector", "[data-part=keys] label")]
+    labels = [
+        label.text.split(" = ")[0]
+        for label in browser.find_elements("css selector", "[data-part=keys] label")
+    ]
     assert sorted(labels) == sorted(keys)
     for k in range(2):
         before = ask(browser, "location.hash")
@@ -550,8 +747,13 @@ def test_sliders_over_the_keys_of_a_map_lead_to_archived_gaits(walk, page, keys)
         name, value = told[0].strip().split(" = ")
         at = dict(part.split("=") for part in told[1].lstrip("#").split("&"))
         assert float(at[name]) == pytest.approx(float(value), rel=1e-3)
-        assert "polynomial of degree" in browser.find_element("css selector", "[data-part=fit]").text
-        assert browser.find_elements("css selector", "#motion .ring, .ring:not([hidden])")
+        assert (
+            "polynomial of degree"
+            in browser.find_element("css selector", "[data-part=fit]").text
+        )
+        assert browser.find_elements(
+            "css selector", "#motion .ring, .ring:not([hidden])"
+        )
 
 
 def test_a_slider_over_lines_of_one_key_leads_to_the_same_branch(walk):
@@ -561,7 +763,9 @@ def test_a_slider_over_lines_of_one_key_leads_to_the_same_branch(walk):
           seen.push([range.parentElement.textContent, document.querySelector("[data-part=title]").textContent]); }
         return seen;"""
     seen = browser.execute_script(script)
-    assert [words.strip() for words, _ in seen] == [f"foot_mass_ratio = {value}" for value in (0.02, 0.05, 0.1)]
+    assert [words.strip() for words, _ in seen] == [
+        f"foot_mass_ratio = {value}" for value in (0.02, 0.05, 0.1)
+    ]
     assert len({title.split(" gait")[0] for _, title in seen}) == 1
 
 
@@ -569,7 +773,8 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
     browser = walk("map")
     words = browser.find_element("css selector", "[data-part=fit]").text
     degree, error = re.fullmatch(
-        r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad", words
+        r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad",
+        words,
     ).groups()
     assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
     dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")

@@ -1,4 +1,6 @@
-"""A plugin of coverage: workers that are killed end by a signal at which they can still record what they reached."""
+"""A plugin of coverage: workers that are killed end by a signal at which they can still
+record what they reached.
+"""
 
 import subprocess
 from typing import Any

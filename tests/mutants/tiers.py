@@ -1,9 +1,10 @@
-"""Choose the tests of `make test`: those that the documentation names, and others that reach most in least time.
+"""Choose the tests of `make test`: those that the documentation names, and others that
+reach most in least time.
 
     python tests/mutants/tiers.py 450     # seconds of processor time they may take, as recorded
 
-Writes `tests/tiers.toml`: the files of tests, dearest first, and the tests that only `make check` runs. A test that is
-not named there, a new one say, belongs to both.
+Writes `tests/tiers.toml`: the files of tests, dearest first, and the tests that only
+`make check` runs. A test that is not named there, a new one say, belongs to both.
 """
 
 import heapq
@@ -15,7 +16,8 @@ from collections import Counter, defaultdict
 from coverage import CoverageData
 from recording import ROOT, STATE, Reach, record
 
-#: What it is worth to reach a line that no, one, two or three tests reach already: another may notice what they do not.
+#: What it is worth to reach a line that no, one, two or three tests reach already:
+#: another may notice what they do not.
 WORTH = (1.0, 0.5, 0.25, 0.125)
 QUICK = 0.1  # tests that take less are kept [s]
 DEAR = 60.0  # tests that take more are left to `make check`, whatever names them [s]
@@ -35,34 +37,52 @@ def reached(reach: Reach) -> dict[str, Lines]:
             within = path.removeprefix(f"{STATE / name}/")
             for line, contexts in data.contexts_by_lineno(path).items():
                 for context in contexts:
-                    test = re.sub(r" \((setup|call|teardown)\)$", "", context.split("|")[0])
+                    test = re.sub(
+                        r" \((setup|call|teardown)\)$", "", context.split("|")[0]
+                    )
                     if test in reach.took and reach.newest[test.split("::")[0]] == name:
                         found[test].add((within, line))
     return found
 
 
 def named(took: dict[str, float]) -> set[str]:
-    """The cheapest case of each test that the documentation names for a capability or a promise."""
-    text = "".join((ROOT / "docs" / page).read_text() for page in ("capabilities.md", "trust.md"))
-    cases = ([t for t in took if t == name or t.startswith((f"{name}[", f"{name}::"))] for name in NAMED.findall(text))
-    cheapest = {min(of_name, key=lambda test: took[test]) for of_name in cases if of_name}
+    """The cheapest case of each test that the documentation names for a capability or a
+    promise.
+    """
+    text = "".join(
+        (ROOT / "docs" / page).read_text() for page in ("capabilities.md", "trust.md")
+    )
+    cases = (
+        [t for t in took if t == name or t.startswith((f"{name}[", f"{name}::"))]
+        for name in NAMED.findall(text)
+    )
+    cheapest = {
+        min(of_name, key=lambda test: took[test]) for of_name in cases if of_name
+    }
     return {test for test in cheapest if took[test] < DEAR}
 
 
 def choose(lines: dict[str, Lines], took: dict[str, float], seconds: float) -> set[str]:
-    """Keep quick and named tests, then others by what their lines are worth per second, while there is time."""
+    """Keep quick and named tests, then others by what their lines are worth per second,
+    while there is time.
+    """
     kept = {test for test, cost in took.items() if cost < QUICK} | named(took)
     seen = Counter(line for test in kept for line in lines[test])
     left = seconds - sum(took[test] for test in kept)
 
     def worth(test: str) -> float:
-        return sum(WORTH[seen[line]] for line in lines[test] if seen[line] < len(WORTH)) / took[test]
+        return (
+            sum(WORTH[seen[line]] for line in lines[test] if seen[line] < len(WORTH))
+            / took[test]
+        )
 
     queue = [(-worth(test), test) for test in took if test not in kept]
     heapq.heapify(queue)
     while queue:
         before, test = heapq.heappop(queue)
-        if (now := -worth(test)) > before:  # others that reach the same lines have been taken since
+        if (
+            now := -worth(test)
+        ) > before:  # others that reach the same lines have been taken since
             heapq.heappush(queue, (now, test))
         elif now < 0 and took[test] <= left:
             kept.add(test)
@@ -72,11 +92,16 @@ def choose(lines: dict[str, Lines], took: dict[str, float], seconds: float) -> s
 
 
 def grouped(kept: set[str], took: dict[str, float]) -> list[str]:
-    """Tests that are not kept, a function or a file as one name if none of its tests is."""
+    """Tests that are not kept, a function or a file as one name if none of its tests
+    is.
+    """
     names = []
     for test in sorted(set(took) - kept):
         for whole in (test.split("::")[0], test.split("[")[0]):
-            if not any(other == whole or other.startswith((f"{whole}::", f"{whole}[")) for other in kept):
+            if not any(
+                other == whole or other.startswith((f"{whole}::", f"{whole}["))
+                for other in kept
+            ):
                 test = whole
                 break
         names.append(test)
@@ -89,13 +114,22 @@ def main(seconds: float) -> None:
     cost: Counter[str] = Counter()
     for test, took in reach.took.items():
         cost[test.split("::")[0]] += took
-    lists = {"dearest_first": [file for file, _ in cost.most_common()], "thorough": grouped(kept, reach.took)}
+    lists = {
+        "dearest_first": [file for file, _ in cost.most_common()],
+        "thorough": grouped(kept, reach.took),
+    }
     text = "# Written by `make tiers`. Tests that are `thorough` are left to `make check`.\n"
     for name, entries in lists.items():
-        text += f"{name} = [\n" + "".join(f"  {json.dumps(entry)},\n" for entry in entries) + "]\n"
+        text += (
+            f"{name} = [\n"
+            + "".join(f"  {json.dumps(entry)},\n" for entry in entries)
+            + "]\n"
+        )
     (ROOT / "tests" / "tiers.toml").write_text(text)
     chosen = sum(reach.took[test] for test in kept)
-    print(f"{len(kept)} of {len(reach.took)} tests, {chosen:.0f} of {sum(reach.took.values()):.0f} s")
+    print(
+        f"{len(kept)} of {len(reach.took)} tests, {chosen:.0f} of {sum(reach.took.values()):.0f} s"
+    )
 
 
 if __name__ == "__main__":

@@ -16,20 +16,35 @@ from gaitsweep.tasks.walkers.walker import Walker
 from soak.extended_reference import convert
 from soak.stress import random_walker
 
-#: Slope below which most gaits need residuals in extended precision, and references are expensive [rad].
+#: Slope below which most gaits need residuals in extended precision, and references are
+#: expensive [rad].
 SMALL = 1e-7
 #: Range of slopes [rad].
 MIN_SLOPE, MAX_SLOPE = 1e-12, 0.3
 #: Share of slopes below `SMALL`.
 SHARE = 0.03
-WANT = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "error_bound", "status")
-#: Families of random walkers in addition to the catalogue, and the number of walkers of each.
-RANDOM, EACH_FAMILY = ("point feet", "round feet", "straight, any", "straight, tuned", "kneed, near"), 6
+WANT = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "period",
+    "error_bound",
+    "status",
+)
+#: Families of random walkers in addition to the catalogue, and the number of walkers of
+#: each.
+RANDOM, EACH_FAMILY = (
+    ("point feet", "round feet", "straight, any", "straight, tuned", "kneed, near"),
+    6,
+)
 
 
 @dataclass
 class Bounds:
-    """Slope [rad], bound, error and condition number of gaits, and the precision that solved them (0: double)."""
+    """Slope [rad], bound, error and condition number of gaits, and the precision that
+    solved them (0: double).
+    """
 
     walker: list[str]
     slope: np.ndarray
@@ -61,23 +76,43 @@ class Bounds:
                     "greatest bound": float(self.bound[of].max()),
                     "median bound/error": float(np.median(ratio)),
                     "least bound/error": float(ratio.min()),
-                    "greatest error/(4e-16 condition)": float((self.error[of] / (4e-16 * self.condition[of])).max()),
+                    "greatest error/(4e-16 condition)": float(
+                        (self.error[of] / (4e-16 * self.condition[of])).max()
+                    ),
                 }
             )
         return rows
 
     def histogram(self) -> list[dict[str, float | str]]:
-        """One row per walker and decade of the slope: how often the bound lies, and how tight it is."""
-        names, decade = np.array(self.walker), np.floor(np.log10(self.slope)).astype(int)
+        """One row per walker and decade of the slope: how often the bound lies, and how
+        tight it is.
+        """
+        names, decade = (
+            np.array(self.walker),
+            np.floor(np.log10(self.slope)).astype(int),
+        )
         ratio = self.bound / np.maximum(self.error, 1e-18)
         edges = np.array([0.0, *10.0 ** np.arange(5), np.inf])
-        words = ["error above bound", *(f"{10**k} to {10 ** (k + 1)}" for k in range(4)), "above 10000"]
+        words = [
+            "error above bound",
+            *(f"{10**k} to {10 ** (k + 1)}" for k in range(4)),
+            "above 10000",
+        ]
         rows: list[dict[str, float | str]] = []
         for name in dict.fromkeys(self.walker):
             for power in np.unique(decade[names == name])[::-1]:
-                counts, _ = np.histogram(ratio[(names == name) & (decade == power)], edges)
+                counts, _ = np.histogram(
+                    ratio[(names == name) & (decade == power)], edges
+                )
                 columns = dict(zip(words, counts.astype(float).tolist(), strict=True))
-                rows.append({"walker": name, "slopes from": f"1e{power}", "gaits": float(counts.sum()), **columns})
+                rows.append(
+                    {
+                        "walker": name,
+                        "slopes from": f"1e{power}",
+                        "gaits": float(counts.sum()),
+                        **columns,
+                    }
+                )
         return rows
 
 
@@ -89,12 +124,17 @@ def bounds(
 ) -> Bounds:
     """Bounds and errors of gaits at random slopes.
 
-    A gait solved in double precision is solved again in long double, whose rounding is 2000 times finer. One that
-    needed long double is solved in 128 bits. One that needed 128 bits is compared with the same solution, which tests
-    the rounding to double alone.
+    A gait solved in double precision is solved again in long double, whose rounding is
+    2000 times finer. One that needed long double is solved in 128 bits. One that needed
+    128 bits is compared with the same solution, which tests the rounding to double
+    alone.
     """
     if walkers is None:
-        drawn = [(f, random_walker(f, 10 * seed + k)) for f in RANDOM for k in range(EACH_FAMILY)]
+        drawn = [
+            (f, random_walker(f, 10 * seed + k))
+            for f in RANDOM
+            for k in range(EACH_FAMILY)
+        ]
         walkers = [*CATALOGUE.items(), *drawn]
     random = np.random.default_rng(seed)
     rows: list[tuple[str, float, float, float, float, int]] = []
@@ -111,31 +151,51 @@ def bounds(
         )
         for branch in atlases.survey(problem):
             for index, Z, segment in branch.guesses(np.log(slope)):
-                rows += [(name, *row) for row in compared(problem, branch.known_guesses(Z, segment, slope[index]))]
+                rows += [
+                    (name, *row)
+                    for row in compared(
+                        problem, branch.known_guesses(Z, segment, slope[index])
+                    )
+                ]
         if say:
             say(f"{name}: {len(rows)} gaits so far")
     columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
     return Bounds([row[0] for row in rows], *columns)
 
 
-def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, float, float, int]]:
+def compared(
+    problem: Problem, guesses: Guesses
+) -> list[tuple[float, float, float, float, int]]:
     """Bounds of converged gaits with their errors."""
     at, slope = settle(problem, guesses), guesses.slope
     product = describe(problem, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []
     near = at.stride.y + at.stride.newton, at.stride.newton_times
-    _, values, by_unknowns = reported(problem, *near, problem.parameters(slope, at.scale))
+    _, values, by_unknowns = reported(
+        problem, *near, problem.parameters(slope, at.scale)
+    )
     by_image = sensitivity(at.stride, values, by_unknowns) / reported_sizes(values)
     condition = np.maximum(1.0, by_image.max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
-        tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
+        tier = (
+            0
+            if doubles <= extended_precision.ESCALATE
+            else 1
+            if doubles < extended_precision.ESCALATE_AGAIN
+            else 2
+        )
         near = at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
         start = extended_precision.Start(problem, lane, at.stride, *near)
-        _, times, _, start_of_step, last_step = extended_precision.solved(start, min(tier, 1))
+        _, times, _, start_of_step, last_step = extended_precision.solved(
+            start, min(tier, 1)
+        )
         if not np.isfinite(last_step):
             _, times, _, start_of_step, last_step = extended_precision.solved(start, 1)
-        state, half = convert(start_of_step, np.longdouble) * at.scale[lane], len(start_of_step) // 2
+        state, half = (
+            convert(start_of_step, np.longdouble) * at.scale[lane],
+            len(start_of_step) // 2,
+        )
         period = convert(times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit
         reference = {
@@ -147,18 +207,39 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
         }
         fastest = max(abs(rate) for rate in rates)
         error = max(
-            abs(float((np.longdouble(product[k][lane]) - x) / (fastest if k.endswith("rate") else x)))
+            abs(
+                float(
+                    (np.longdouble(product[k][lane]) - x)
+                    / (fastest if k.endswith("rate") else x)
+                )
+            )
             for k, x in reference.items()
         )
         # Without a reference no bound is shown to hold.
         error = error if np.isfinite(last_step) else np.inf
-        rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
+        rows.append(
+            (
+                float(slope[lane]),
+                float(product["error_bound"][lane]),
+                error,
+                float(condition[lane]),
+                tier,
+            )
+        )
     return rows
 
 
 def _time_unit(walker: Walker) -> np.longdouble:
     """The unit of time sqrt(leg/g), in long double."""
-    wide = {k: np.longdouble(v) for k, v in walker.table().items() if isinstance(v, float | int)}
+    wide = {
+        k: np.longdouble(v)
+        for k, v in walker.table().items()
+        if isinstance(v, float | int)
+    }
     d, sine = wide["l_s"] - wide["R"], wide["l_t"] * np.sin(wide["eps_T"])
-    leg = wide["l_t"] * np.cos(wide["eps_T"]) + np.sign(d) * np.sqrt(d * d - sine * sine) + wide["R"]
+    leg = (
+        wide["l_t"] * np.cos(wide["eps_T"])
+        + np.sign(d) * np.sqrt(d * d - sine * sine)
+        + wide["R"]
+    )
     return np.sqrt(leg / wide["g"])

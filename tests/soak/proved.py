@@ -14,16 +14,29 @@ from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.walker import Walker
 from soak.stress import random_walker
 
-STRAIGHT, KNEED = ("point feet", "round feet", "straight, any", "straight, tuned"), ("kneed, near",)
+STRAIGHT, KNEED = (
+    ("point feet", "round feet", "straight, any", "straight, tuned"),
+    ("kneed, near",),
+)
 LEAST, MOST = 1e-7, 0.3
 #: Slopes of one walker.
 SLOPES = 12
-_NAMES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
+_NAMES = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "kneestrike_time",
+    "period",
+    "error_bound",
+)
 
 
 @dataclass
 class Proved:
-    """Gaits proved: how far each lies from the numbers solved, over its bound (least, greatest); refusals by reason."""
+    """Gaits proved: how far each lies from the numbers solved, over its bound (least,
+    greatest); refusals by reason.
+    """
 
     nearest: list[float] = field(default_factory=list)
     farthest: list[float] = field(default_factory=list)
@@ -35,15 +48,29 @@ class Proved:
         return sum(x > 1 for x in self.nearest)
 
     def __str__(self) -> str:
-        worst = f", greatest distance over bound {max(self.farthest):.2g}" if self.farthest else ""
-        refused = ", ".join(f"{n} {reason}" for reason, n in self.refused.items()) or "none"
+        worst = (
+            f", greatest distance over bound {max(self.farthest):.2g}"
+            if self.farthest
+            else ""
+        )
+        refused = (
+            ", ".join(f"{n} {reason}" for reason, n in self.refused.items()) or "none"
+        )
         return f"{len(self.nearest)} gaits proved, {self.violations} bounds too small{worst}; not proved: {refused}"
 
 
-def proved(gaits: int, kneed: bool, seed: int = 5, jobs: int = 2, say: Callable[[str], None] | None = None) -> Proved:
-    """Prove random gaits, of the catalogue's walkers and of random ones, and compare their bounds with the boxes.
+def proved(
+    gaits: int,
+    kneed: bool,
+    seed: int = 5,
+    jobs: int = 2,
+    say: Callable[[str], None] | None = None,
+) -> Proved:
+    """Prove random gaits, of the catalogue's walkers and of random ones, and compare
+    their bounds with the boxes.
 
-    Balls have at least 106 bits, and a box at most a tenth of the bound, so a bound that is too small would show.
+    Balls have at least 106 bits, and a box at most a tenth of the bound, so a bound
+    that is too small would show.
     """
     outcome = Proved()
     work = Parallel(n_jobs=jobs, return_as="generator", batch_size=4)
@@ -77,7 +104,8 @@ def _drawn(gaits: int, kneed: bool, seed: int) -> Iterator[dict[str, Any]]:
         line = {"walker": walker.table(), "set": {}}
         slope = np.exp(draw.uniform(np.log(LEAST), np.log(MOST), SLOPES))
         out = solve_points.points(
-            {"line": line, "slope": slope, "want": _NAMES}, [solve_points.atlas({"line": line}, [])]
+            {"line": line, "slope": slope, "want": _NAMES},
+            [solve_points.atlas({"line": line}, [])],
         )
         for i, g in np.argwhere(out["status"] == status.CONVERGED).tolist():
             if not left:
@@ -93,7 +121,9 @@ def _drawn(gaits: int, kneed: bool, seed: int) -> Iterator[dict[str, Any]]:
 
 
 def _compared(params: dict[str, Any]) -> tuple[str, float, float]:
-    """Why a gait is not proved, or the least and greatest of its distance over its bound."""
+    """Why a gait is not proved, or the least and greatest of its distance over its
+    bound.
+    """
     from gaitsweep.tasks.proofs.records import distance, proof_of
 
     _, proof = proof_of(params)

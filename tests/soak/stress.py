@@ -1,4 +1,6 @@
-"""Counted outcomes of random walkers, slopes and initial guesses, far beyond those of the paper."""
+"""Counted outcomes of random walkers, slopes and initial guesses, far beyond those of
+the paper.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -44,7 +46,9 @@ class Accepted:
 
 @dataclass
 class Outcomes:
-    """Outcomes of random tries: counts by family and outcome, accepted gaits, and the number of steps integrated."""
+    """Outcomes of random tries: counts by family and outcome, accepted gaits, and the
+    number of steps integrated.
+    """
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
@@ -79,7 +83,8 @@ class Outcomes:
         width = max(len(str(row["outcome"])) for row in rows)
         head = " ".join(f"{name:>16}" for name in rows[0] if name != "outcome")
         body = [
-            f"{row['outcome']:<{width}} " + " ".join(f"{int(v):>16,}" for k, v in row.items() if k != "outcome")
+            f"{row['outcome']:<{width}} "
+            + " ".join(f"{int(v):>16,}" for k, v in row.items() if k != "outcome")
             for row in rows
         ]
         return "\n".join([" " * width + " " + head, *body])
@@ -116,21 +121,32 @@ def _any(random: Random, knees: bool) -> Walker:
 
 
 def _tuned(walker: Walker) -> Walker:
-    """The walker with its centres of mass moved to meet the static conditions of the paper's section 5.1."""
+    """The walker with its centres of mass moved to meet the static conditions of the
+    paper's section 5.1.
+    """
     if walker.m_s > walker.m_t:
         # A light thigh could balance a heavy shank only from several leg lengths away.
         walker = replace(walker, m_t=walker.m_s)
     w_s = float(walker.c_s * np.tan(walker.eps_S))
-    w_t = float(-np.tan(walker.eps_T) * (walker.c_t + walker.m_s * walker.l_t / walker.m_t))
+    w_t = float(
+        -np.tan(walker.eps_T) * (walker.c_t + walker.m_s * walker.l_t / walker.m_t)
+    )
     return replace(walker, w_t=w_t, w_s=w_s)
 
 
 def _near(random: Random, name: str) -> Walker:
-    """A walker at a random detuning, half of the time with keys changed by up to a fifth."""
-    walker = resolve(name, {"detuning": float(random.choice([0.0, 1.0, random.uniform(-1, 3)]))})
+    """A walker at a random detuning, half of the time with keys changed by up to a
+    fifth.
+    """
+    walker = resolve(
+        name, {"detuning": float(random.choice([0.0, 1.0, random.uniform(-1, 3)]))}
+    )
     if random.random() < 0.5:
         keys = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T")
-        walker = replace(walker, **{k: getattr(walker, k) * float(random.uniform(0.8, 1.2)) for k in keys})
+        walker = replace(
+            walker,
+            **{k: getattr(walker, k) * float(random.uniform(0.8, 1.2)) for k in keys},
+        )
     return _tuned(walker) if random.random() < 0.5 else walker
 
 
@@ -140,14 +156,24 @@ FAMILIES: dict[str, tuple[float, Callable[[Random], Walker]]] = {
     "point feet": (
         0.25,
         lambda random: replace(
-            CATALOGUE["E"], m_s=_mass(random), m_t=_mass(random) if random.random() < 0.5 else 1.0, m_h=_mass(random)
+            CATALOGUE["E"],
+            m_s=_mass(random),
+            m_t=_mass(random) if random.random() < 0.5 else 1.0,
+            m_h=_mass(random),
         ),
     ),
-    "round feet": (0.25, lambda random: replace(CATALOGUE["B"], m_s=_mass(random), R=float(random.uniform(0, 0.95)))),
+    "round feet": (
+        0.25,
+        lambda random: replace(
+            CATALOGUE["B"], m_s=_mass(random), R=float(random.uniform(0, 0.95))
+        ),
+    ),
     "straight, any": (0.15, lambda random: _any(random, False)),
     "straight, tuned": (
         0.15,
-        lambda random: _tuned(_any(random, False)) if random.random() < 0.5 else _near(random, "A"),
+        lambda random: (
+            _tuned(_any(random, False)) if random.random() < 0.5 else _near(random, "A")
+        ),
     ),
     "kneed, any": (0.05, lambda random: _any(random, True)),
     "kneed, near": (0.10, lambda random: _near(random, "C")),
@@ -175,13 +201,21 @@ def _draw(family: str, count: int, random: Random, outcomes: Outcomes) -> list[W
 
 
 def _starts(problem: Lanes, slope: np.ndarray, random: Random) -> np.ndarray:
-    """Initial guesses around the lattice of the search, one in five far from any gait; shape (m + phases, n)."""
+    """Initial guesses around the lattice of the search, one in five far from any gait;
+    shape (m + phases, n).
+    """
     n = len(slope)
     far = random.random(n) < 0.2
     period = np.where(far, random.uniform(0.05, 12, n), random.uniform(1.8, 4.2, n))
     top = np.log(np.minimum(2.5 * slope ** (1 / 3), 0.7))
-    log_angle = np.where(far, random.uniform(-30, 0, n), random.uniform(np.log(slope), top))
-    rate = np.where(far, random.normal(0, 10, n), -1.0 / np.tanh(period / 2) * random.uniform(0.8, 1.2, n))
+    log_angle = np.where(
+        far, random.uniform(-30, 0, n), random.uniform(np.log(slope), top)
+    )
+    rate = np.where(
+        far,
+        random.normal(0, 10, n),
+        -1.0 / np.tanh(period / 2) * random.uniform(0.8, 1.2, n),
+    )
     rows = [log_angle, rate]
     if problem.m == 3:
         rows.append(np.where(far, random.normal(0, 10, n), random.uniform(-1, 1, n)))
@@ -190,8 +224,12 @@ def _starts(problem: Lanes, slope: np.ndarray, random: Random) -> np.ndarray:
     return np.vstack([*rows, period])
 
 
-def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -> Outcomes:
-    """Outcomes of Newton's method, step check and error bound for random walkers and guesses, one walker per lane."""
+def lanes(
+    count: int, seed: int = 1, say: Callable[[str], None] | None = None
+) -> Outcomes:
+    """Outcomes of Newton's method, step check and error bound for random walkers and
+    guesses, one walker per lane.
+    """
     outcomes, random = Outcomes(), np.random.default_rng(seed)
     for family, (share, _) in FAMILIES.items():
         todo = round(share * count)
@@ -199,7 +237,11 @@ def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -
             walkers = _draw(family, min(BLOCK, todo - k), random, outcomes)
             structures = structures_of(walkers)
             for structure in dict.fromkeys(structures):
-                alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
+                alike = [
+                    walker
+                    for walker, other in zip(walkers, structures, strict=True)
+                    if other == structure
+                ]
                 _lanes(family, Lanes(alike, structure), random, outcomes)
         if say:
             say(f"{family}: {todo:,} lanes")
@@ -217,9 +259,17 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
     if len(converged):
         lanes, slope, w = problem.some(converged), slope[converged], w[:, converged]
         at = settle(lanes, unmeasured(lanes, w, slope))
-        ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
+        ratio, largest = (
+            gait_ratio(at.stride),
+            np.abs(multipliers(at.stride.jacobian, m)).max(axis=1),
+        )
         for i in range(len(converged)):
-            outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.leg_passes[i]), float(ratio[i]))
+            outcome = _outcome(
+                bool(at.converged[i]),
+                bool(at.step[i]),
+                int(at.leg_passes[i]),
+                float(ratio[i]),
+            )
             outcomes.add(family, outcome)
             if outcome in ("gait, long", "gait, short"):
                 walker = lanes.walker_of(i)
@@ -245,7 +295,9 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
 
 
 def _strides(problem: Lanes) -> int:
-    """Steps integrated so far with a structure's exact flow; with knees, each begins with a free one."""
+    """Steps integrated so far with a structure's exact flow; with knees, each begins
+    with a free one.
+    """
     return flow(problem.structure, problem.m, False).evaluations
 
 
@@ -255,7 +307,11 @@ def _outcome(converged: bool, step: bool, leg_passes: int, ratio: float) -> str:
     if not step:
         return "solution that is no step"
     if leg_passes != 1:
-        return f"step, legs pass {leg_passes} times" if leg_passes < 4 else "step, legs pass 4 times or more"
+        return (
+            f"step, legs pass {leg_passes} times"
+            if leg_passes < 4
+            else "step, legs pass 4 times or more"
+        )
     return "gait, long" if ratio < 0.5 else "gait, short"
 
 
@@ -263,7 +319,12 @@ def _check(outcomes: Outcomes) -> None:
     """Check that the numbers of the last accepted gait are finite and possible."""
     gait = outcomes.accepted[-1]
     numbers = (gait.angle, *gait.rates, gait.period, gait.multiplier, gait.bound)
-    if not np.isfinite(numbers).all() or gait.angle <= 0 or gait.period <= 0 or not 0 < gait.bound < 1e-3:
+    if (
+        not np.isfinite(numbers).all()
+        or gait.angle <= 0
+        or gait.period <= 0
+        or not 0 < gait.bound < 1e-3
+    ):
         outcomes.wrong.append(f"{gait}")
 
 
@@ -279,17 +340,27 @@ LINES = {
 }
 
 
-def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None] | None = None) -> Outcomes:
-    """Outcomes of random walkers' whole lines as in a study: an atlas, and points at slopes over all decades."""
+def lines(
+    count: int,
+    seed: int = 2,
+    slopes: int = 40,
+    say: Callable[[str], None] | None = None,
+) -> Outcomes:
+    """Outcomes of random walkers' whole lines as in a study: an atlas, and points at
+    slopes over all decades.
+    """
     outcomes, random = Outcomes(), np.random.default_rng(seed)
     want = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
     for family, share in LINES.items():
         for walker in _draw(family, round(share * count), random, outcomes):
-            slope = np.sort(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), slopes)))
+            slope = np.sort(
+                np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), slopes))
+            )
             line = {"walker": walker.table(), "set": {}}
             try:
                 points = solve_points.points(
-                    {"line": line, "slope": slope, "want": want}, [solve_points.atlas({"line": line}, [])]
+                    {"line": line, "slope": slope, "want": want},
+                    [solve_points.atlas({"line": line}, [])],
                 )
             except Exception as error:  # any exception is a bug
                 outcomes.add(family, "exception")
@@ -301,17 +372,27 @@ def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None
     return outcomes
 
 
-def _line(family: str, walker: Walker, slope: np.ndarray, points: dict[str, np.ndarray], outcomes: Outcomes) -> None:
+def _line(
+    family: str,
+    walker: Walker,
+    slope: np.ndarray,
+    points: dict[str, np.ndarray],
+    outcomes: Outcomes,
+) -> None:
     status = points["status"]
     names = {code: name for name, code in STATUSES.items()}
     for i, g in np.argwhere(status[:, :2] != STATUSES["converged"]):
         outcomes.add(family, names[int(status[i, g])])
     for i, g in np.argwhere(status == STATUSES["converged"]):
         outcomes.add(family, f"gait, {GAITS[g]}")
-        outcomes.accepted.append(Accepted(family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g))))
+        outcomes.accepted.append(
+            Accepted(family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g)))
+        )
         _check(outcomes)
     # There must be a number exactly where there is a gait.
-    consistent = np.isfinite(points["stance_angle"]) == (status == STATUSES["converged"])
+    consistent = np.isfinite(points["stance_angle"]) == (
+        status == STATUSES["converged"]
+    )
     if not consistent.all():
         at = slope[np.argwhere(~consistent)[0][0]]
         outcomes.wrong.append(f"values and status disagree at slope {at!r} of {walker}")

@@ -1,4 +1,6 @@
-"""Random walkers far beyond the paper's: every try ends in a status, no wrong gait is accepted, every bound holds."""
+"""Random walkers far beyond the paper's: every try ends in a status, no wrong gait is
+accepted, every bound holds.
+"""
 
 import math
 
@@ -17,27 +19,47 @@ from soak.stress import random_walker
 
 
 def off(gait):
-    """How far one step of the second derivation, with scipy's events, lands from an accepted gait, relative."""
-    model = oracle.SimplestWalker() if gait.family == "massless foot" else oracle.Oracle(gait.walker.table())
+    """How far one step of the second derivation, with scipy's events, lands from an
+    accepted gait, relative.
+    """
+    model = (
+        oracle.SimplestWalker()
+        if gait.family == "massless foot"
+        else oracle.Oracle(gait.walker.table())
+    )
     rates = np.array(gait.rates if model.knees else gait.rates[:2])
     try:
-        step = model.step(gait.angle, rates, gait.slope, rtol=1e-8, atol=1e-9 * gait.angle)
+        step = model.step(
+            gait.angle, rates, gait.slope, rtol=1e-8, atol=1e-9 * gait.angle
+        )
     except oracle.StepFailed:  # a heelstrike that all but grazes is seen closely only
         model.longest_step = 0.002
-        step = model.step(gait.angle, rates, gait.slope, rtol=1e-12, atol=1e-13 * gait.angle)
+        step = model.step(
+            gait.angle, rates, gait.slope, rtol=1e-12, atol=1e-13 * gait.angle
+        )
     size = np.abs(gait.rates).max()
     moved = np.abs(step.rates[: len(rates)] - rates).max() / size
-    return max(abs(step.theta / gait.angle - 1), moved, abs(step.period / gait.period - 1))
+    return max(
+        abs(step.theta / gait.angle - 1), moved, abs(step.period / gait.period - 1)
+    )
 
 
 def sample(found, count):
-    """Accepted gaits, as many of each family; the second derivation adds angles of one to a step's."""
+    """Accepted gaits, as many of each family; the second derivation adds angles of one
+    to a step's.
+    """
     random = np.random.default_rng(0)
     families = list(dict.fromkeys(gait.family for gait in found.accepted))
     chosen = []
     for family in families:
-        of = [gait for gait in found.accepted if gait.family == family and gait.angle > 1e-8]
-        chosen += [of[i] for i in random.permutation(len(of))[: max(1, count // len(families))]]
+        of = [
+            gait
+            for gait in found.accepted
+            if gait.family == family and gait.angle > 1e-8
+        ]
+        chosen += [
+            of[i] for i in random.permutation(len(of))[: max(1, count // len(families))]
+        ]
     return chosen
 
 
@@ -45,17 +67,27 @@ def judge(found, count):
     print(found.text())
     assert not found.wrong, found.wrong[:3]
     for gait in sample(found, count):
-        # The oracle's tolerance, carried over a stride by its derivative, and its rounding: its mass matrices hold
-        # bodies a hundred million times lighter than others.
-        light = min(m for m in (gait.walker.m_s, gait.walker.m_t, 1.0) if m) / gait.walker.total_mass
+        # The oracle's tolerance, carried over a stride by its derivative, and its
+        # rounding: its mass matrices hold bodies a hundred million times lighter than
+        # others.
+        light = (
+            min(m for m in (gait.walker.m_s, gait.walker.m_t, 1.0) if m)
+            / gait.walker.total_mass
+        )
         assert off(gait) < (1e-6 + 1e-14 / light) * max(1.0, gait.multiplier), gait
 
 
-@pytest.mark.parametrize(("count", "checked"), [(700, 5), pytest.param(1_000_000, 300, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    ("count", "checked"),
+    [(700, 5), pytest.param(1_000_000, 300, marks=pytest.mark.soak)],
+)
 def test_random_lanes_end_in_a_status_and_no_wrong_gait_is_accepted(count, checked):
     found = stress.lanes(count)
-    assert found.tries == sum(round(share * count) for share, _ in stress.FAMILIES.values())
-    # Bounded work: Newton's most iterations, the polish, the verdicts and the Lipschitz estimate.
+    assert found.tries == sum(
+        round(share * count) for share, _ in stress.FAMILIES.values()
+    )
+    # Bounded work: Newton's most iterations, the polish, the verdicts and the Lipschitz
+    # estimate.
     assert found.strides < 60 * found.tries
     judge(found, checked)
 
@@ -69,14 +101,24 @@ def test_a_random_line_of_the_product_says_what_became_of_every_point():
     walker = random_walker("round feet", 5)
     line = {"walker": walker.table(), "set": {}}
     slope = np.geomspace(1e-12, 0.3, 9)
-    found = points({"line": line, "slope": slope, "want": ("stance_angle",)}, [atlas({"line": line}, [])])
+    found = points(
+        {"line": line, "slope": slope, "want": ("stance_angle",)},
+        [atlas({"line": line}, [])],
+    )
     assert (np.isfinite(found["stance_angle"]) == (found["status"] == 0)).all()
 
 
 @pytest.mark.parametrize(
     ("each", "walkers"),
     [
-        (24, [("D", CATALOGUE["D"]), ("B", CATALOGUE["B"]), ("tuned", random_walker("straight, tuned", 34))]),
+        (
+            24,
+            [
+                ("D", CATALOGUE["D"]),
+                ("B", CATALOGUE["B"]),
+                ("tuned", random_walker("straight, tuned", 34)),
+            ],
+        ),
         pytest.param(2300, None, marks=pytest.mark.soak),
     ],
 )
@@ -134,7 +176,11 @@ def test_a_degenerate_walker_is_refused_in_one_line_or_has_finite_constants(name
             try:
                 walker = from_table({**CATALOGUE[name].table(), key: value})
             except WalkerError as refused:
-                assert refused.key in NUMBERS and len(str(refused).splitlines()) == 1 and len(str(refused)) < 200
+                assert (
+                    refused.key in NUMBERS
+                    and len(str(refused).splitlines()) == 1
+                    and len(str(refused)) < 200
+                )
             else:
                 assert all(map(math.isfinite, lump(walker).values())), (key, value)
 

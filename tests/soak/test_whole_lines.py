@@ -1,4 +1,6 @@
-"""Whole random lines: nothing is wrong with them, and whatever were wrong would be told."""
+"""Whole random lines: nothing is wrong with them, and whatever were wrong would be
+told.
+"""
 
 from dataclasses import replace
 
@@ -8,7 +10,8 @@ from gaitsweep.tasks.continuation import defining
 from soak import whole_lines as module
 from soak.whole_lines import whole_lines
 
-#: Seeds of a walker with straight legs, and of one whose special points are solved in other units too.
+#: Seeds of a walker with straight legs, and of one whose special points are solved in
+#: other units too.
 STRAIGHT, IN_OTHER_UNITS = 5, 49
 LINES = [range(k, k + 250) for k in range(0, 2500, 250)]
 
@@ -19,7 +22,10 @@ def named(seeds):
 
 @pytest.mark.parametrize(
     "seeds",
-    [range(STRAIGHT, STRAIGHT + 1), *(pytest.param(each, marks=pytest.mark.soak) for each in LINES)],
+    [
+        range(STRAIGHT, STRAIGHT + 1),
+        *(pytest.param(each, marks=pytest.mark.soak) for each in LINES),
+    ],
     ids=named,
 )
 def test_nothing_is_wrong_with_whole_lines(seeds, tell):
@@ -32,7 +38,9 @@ def test_nothing_is_wrong_with_whole_lines(seeds, tell):
 
 def test_slopes_lie_beside_folds_and_ends_at_every_distance():
     one = whole_lines([STRAIGHT])
-    assert one.beside >= 5 and one.points == 40 and one.branches >= 1 and not one.special
+    assert (
+        one.beside >= 5 and one.points == 40 and one.branches >= 1 and not one.special
+    )
 
 
 def test_special_points_are_solved_in_other_units():
@@ -51,18 +59,25 @@ def test_a_point_that_fails_is_told(monkeypatch):
 
     monkeypatch.setattr(module, "points", lost)
     ((what, at),) = whole_lines([STRAIGHT]).wrong
-    assert what == "Converged, and verified to be a step." and at.command.startswith("gaitsweep solve --walker ")
+    assert what == "Converged, and verified to be a step." and at.command.startswith(
+        "gaitsweep solve --walker "
+    )
 
 
 def test_a_bound_that_is_too_small_is_told(monkeypatch):
     original = module.hardest.__globals__["compared"]
 
     def too_small(problem, guesses):
-        return [(slope, bound, 3 * bound, *rest) for slope, bound, _, *rest in original(problem, guesses)]
+        return [
+            (slope, bound, 3 * bound, *rest)
+            for slope, bound, _, *rest in original(problem, guesses)
+        ]
 
     monkeypatch.setitem(module.hardest.__globals__, "compared", too_small)
     found = whole_lines([STRAIGHT])
-    assert {what for what, _ in found.wrong} == {"true error over bound"} and found.farthest_error > 1
+    assert {what for what, _ in found.wrong} == {
+        "true error over bound"
+    } and found.farthest_error > 1
 
 
 def test_special_points_and_gaits_that_change_with_units_are_told(monkeypatch):

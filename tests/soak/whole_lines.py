@@ -1,4 +1,6 @@
-"""Whole random lines: every point settles, bounds hold, and special points are those of the walker in other units."""
+"""Whole random lines: every point settles, bounds hold, and special points are those of
+the walker in other units.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
@@ -17,15 +19,20 @@ from gaitsweep.tasks.walkers.walker import KEYS, Walker, WalkerError
 from soak.hunt import Input, hardest
 from soak.missed import MAX_SLOPE, MIN_SLOPE, neighbour, survey_walkers
 
-#: Slopes of a line, and the most of them beside folds and ends; the others lie anywhere.
+#: Slopes of a line, and the most of them beside folds and ends; the others lie
+#: anywhere.
 _SLOPES, _BESIDE = 40, 26
-#: Powers of ten of the latter's relative distances, and the range in which they are taken [rad].
+#: Powers of ten of the latter's relative distances, and the range in which they are
+#: taken [rad].
 _DISTANCES, _RANGE = (-12, -2), (1e-6, 0.69)
-#: Interval of lines whose special points and some gaits are solved again in other units, and these units.
+#: Interval of lines whose special points and some gaits are solved again in other
+#: units, and these units.
 _IN_OTHER_UNITS, _UNITS = 7, {"length": 0.3048, "mass": 7.3, "acceleration": 1.62}
-#: By how much a walker's keys, rounded in other units, may move a slope or a gait, relatively.
+#: By how much a walker's keys, rounded in other units, may move a slope or a gait,
+#: relatively.
 _ROUNDED = 1e-9
-#: A special point farther than this from where Newton's method began, in ln slope, is another one.
+#: A special point farther than this from where Newton's method began, in ln slope, is
+#: another one.
 _ANOTHER = 1e-3
 _WANT = ("stance_angle", "stance_rate", "period", "error_bound", "status", "reason")
 _ANSWERS = [STATUSES["converged"], STATUSES["no_gait"]]
@@ -38,16 +45,19 @@ class WholeLines:
     Attributes
     ----------
     lines, points, beside : int
-        Number of lines, of points (a line's slopes), and of those beside folds and ends.
+        Number of lines, of points (a line's slopes), and of those beside folds and
+        ends.
     gaits, compared : int
         Gaits that were solved, and those that were solved again in extended precision.
     branches, lost : int
-        Branches, and ends at which they could be continued no further or failed a check.
+        Branches, and ends at which they could be continued no further or failed a
+        check.
     special, confirmed : int
-        Special points whose equations were solved in other units, and those to which Newton's method converged.
+        Special points whose equations were solved in other units, and those to which
+        Newton's method converged.
     farthest_error, farthest_special, farthest_gait : float
-        Largest error over its bound; largest relative difference of the slope of a special point in other units,
-        and of a gait.
+        Largest error over its bound; largest relative difference of the slope of a
+        special point in other units, and of a gait.
     wrong : list of (str, Input)
         What is wrong, with the gait's command.
     """
@@ -77,8 +87,12 @@ class WholeLines:
         return f"{', '.join(numbers)}, {len(self.wrong)} wrong"
 
 
-def whole_lines(seeds: Sequence[int], say: Callable[[str], None] | None = None) -> WholeLines:
-    """Solve the points of random lines, many of them beside folds and ends, and check them."""
+def whole_lines(
+    seeds: Sequence[int], say: Callable[[str], None] | None = None
+) -> WholeLines:
+    """Solve the points of random lines, many of them beside folds and ends, and check
+    them.
+    """
     outcome = WholeLines()
     drawn: list[tuple[int, str, dict[str, float], Walker]] = []
     for seed in seeds:
@@ -93,7 +107,15 @@ def whole_lines(seeds: Sequence[int], say: Callable[[str], None] | None = None) 
             alone, random = problem.alone(lane), np.random.default_rng(seed)
             slope = _check_points(outcome, random, name, changes, alone, branches)
             if seed % _IN_OTHER_UNITS == 0:
-                _check_in_other_units(outcome, name, changes, walker, alone, branches, slope[: _SLOPES - _BESIDE])
+                _check_in_other_units(
+                    outcome,
+                    name,
+                    changes,
+                    walker,
+                    alone,
+                    branches,
+                    slope[: _SLOPES - _BESIDE],
+                )
         if say:
             say(str(outcome))
     return outcome
@@ -107,9 +129,16 @@ def _check_points(
     problem: Problem,
     branches: list[Branch],
 ) -> np.ndarray:
-    """Solve the points of a line as a study does, and the hardest of its gaits again; its slopes, (n,) [rad]."""
+    """Solve the points of a line as a study does, and the hardest of its gaits again;
+    its slopes, (n,) [rad].
+    """
     beside = list(_beside(branches, random))
-    slope = np.append(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), _SLOPES - len(beside))), beside)
+    slope = np.append(
+        np.exp(
+            random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), _SLOPES - len(beside))
+        ),
+        beside,
+    )
     params = {"line": {"walker": name, "set": changes}, "slope": slope, "want": _WANT}
     out = points(params, [to_arrays(branches)])
     outcome.lines += 1
@@ -120,20 +149,29 @@ def _check_points(
     outcome.lost += sum(len(branch.lost()) for branch in branches)
     for i, g in np.argwhere(~np.isin(out["status"], _ANSWERS)).tolist():
         why = str(out["reasons"][out["reason"][i, g]])
-        outcome.wrong.append((why, Input(name, changes, float(slope[i]), np.nan, np.nan)))
+        outcome.wrong.append(
+            (why, Input(name, changes, float(slope[i]), np.nan, np.nan))
+        )
     hunted = hardest(name, changes, problem, branches, slope)
     outcome.compared += hunted.compared
     outcome.wrong += hunted.wrong
     worst = hunted.worst["true error over bound"]
-    outcome.farthest_error = max(outcome.farthest_error, *(one.value for one in worst), 0.0)
+    outcome.farthest_error = max(
+        outcome.farthest_error, *(one.value for one in worst), 0.0
+    )
     return slope
 
 
 def _beside(branches: list[Branch], random: np.random.Generator) -> Iterator[float]:
     """Slopes beside folds and ends of a line's branches, on either side [rad]."""
-    places = [branch.q[at] for branch in branches for piece in branch.pieces() for at in piece]
+    places = [
+        branch.q[at] for branch in branches for piece in branch.pieces() for at in piece
+    ]
     for at in random.integers(len(places), size=_BESIDE) if places else ():
-        slope = float(np.exp(places[at]) * (1 + random.choice([-1, 1]) * 10 ** random.uniform(*_DISTANCES)))
+        slope = float(
+            np.exp(places[at])
+            * (1 + random.choice([-1, 1]) * 10 ** random.uniform(*_DISTANCES))
+        )
         if _RANGE[0] < slope < _RANGE[1]:
             yield slope
 
@@ -147,9 +185,13 @@ def _check_in_other_units(
     branches: list[Branch],
     slope: np.ndarray,
 ) -> None:
-    """Solve gaits and special points of the same walker in other units: slopes and angles are the same, times scale."""
+    """Solve gaits and special points of the same walker in other units: slopes and
+    angles are the same, times scale.
+    """
     table = walker.table()
-    table |= {key: table[key] * _UNITS[kind] for key, kind in KEYS.items() if kind in _UNITS}
+    table |= {
+        key: table[key] * _UNITS[kind] for key, kind in KEYS.items() if kind in _UNITS
+    }
     other = Lanes(resolve_many(table, {"g": np.array([table["g"]])}))
     for branch in branches:
         for special in special_points(problem, branch):
@@ -165,14 +207,25 @@ def _check_in_other_units(
             outcome.confirmed += 1
             outcome.farthest_special = max(outcome.farthest_special, off)
             if off > special["error_bound"] + solved.error[0] + _ROUNDED:
-                outcome.wrong.append((kind, Input(name, changes, at, float(special["stance_angle"]), off)))
+                outcome.wrong.append(
+                    (
+                        kind,
+                        Input(name, changes, at, float(special["stance_angle"]), off),
+                    )
+                )
     one, two = (
-        points({"line": line, "slope": slope, "want": _WANT}, [atlas({"line": line, "coarse": True}, [])])
+        points(
+            {"line": line, "slope": slope, "want": _WANT},
+            [atlas({"line": line, "coarse": True}, [])],
+        )
         for line in ({"walker": name, "set": changes}, {"walker": table, "set": {}})
     )
     time_unit = np.sqrt(_UNITS["length"] / _UNITS["acceleration"])
     for i, g in np.argwhere((one["status"] == 0) | (two["status"] == 0)).tolist():
-        a, b = ({key: float(value[i, g]) for key, value in out.items() if key != "reasons"} for out in (one, two))
+        a, b = (
+            {key: float(value[i, g]) for key, value in out.items() if key != "reasons"}
+            for out in (one, two)
+        )
         off = max(
             abs(b["stance_angle"] / a["stance_angle"] - 1),
             abs(b["period"] / time_unit / a["period"] - 1),
@@ -180,10 +233,17 @@ def _check_in_other_units(
         )
         outcome.farthest_gait = max(outcome.farthest_gait, off)
         if not off <= a["error_bound"] + b["error_bound"] + _ROUNDED:
-            outcome.wrong.append(("in other units", Input(name, changes, float(slope[i]), a["stance_angle"], off)))
+            outcome.wrong.append(
+                (
+                    "in other units",
+                    Input(name, changes, float(slope[i]), a["stance_angle"], off),
+                )
+            )
 
 
 def _nearest(branch: Branch, place: np.ndarray) -> np.ndarray:
-    """Point of a branch's polynomials, or node of it, (c,), next to a place (ln angle, ln slope)."""
+    """Point of a branch's polynomials, or node of it, (c,), next to a place (ln angle,
+    ln slope).
+    """
     Z = np.hstack([branch.Z, *(Z for _, Z, _ in branch.guesses(place[1:]))])
     return np.asarray(Z[:, np.abs(Z[[0, -1]].T - place).max(axis=1).argmin()])

@@ -5,7 +5,8 @@ import sys
 
 from gaitsweep.tasks import registry
 
-# Lines of 200 points are long ones, whose chunks workers finish. Read when modules are imported, so set before.
+# Lines of 200 points are long ones, whose chunks workers finish. Read when modules are
+# imported, so set before.
 registry.SHORT_LINE = 100
 
 from gaitsweep.pipeline.cli import commands  # noqa: E402
@@ -23,8 +24,12 @@ TOYS = {
             int(VERSIONS.get("atlas", 1)),
             side_by_side=os.environ.get("TOY_SIDE_BY_SIDE", ""),
         ),
-        registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",)),
-        registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
+        registry.Task(
+            "points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",)
+        ),
+        registry.Task(
+            "scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)
+        ),
         registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),
         registry.Task("orbit", "toy:orbit", 1, needs=("atlas",)),
     )

@@ -44,7 +44,14 @@ def archive(folder):
 
 @pytest.mark.parametrize(
     ("given", "asked"),
-    [("1e-6", 1e-6), ("9e-7", 3e-7), ("2e-9", 1e-9), ("0.01", 1e-2), ("1e-15", 1e-15), ("3e-3", 3e-3)],
+    [
+        ("1e-6", 1e-6),
+        ("9e-7", 3e-7),
+        ("2e-9", 1e-9),
+        ("0.01", 1e-2),
+        ("1e-15", 1e-15),
+        ("3e-3", 3e-3),
+    ],
 )
 def test_an_accuracy_is_rounded_down(tmp_path, given, asked):
     assert read(written(tmp_path, given)).accuracy == asked
@@ -70,25 +77,48 @@ def test_a_wrong_accuracy_is_one_sentence(tmp_path, given, words):
 
 
 def test_only_grids_have_an_accuracy(tmp_path):
-    with pytest.raises(StudyError, match="`accuracy` is of the gaits of a grid; this study is a `branch`"):
+    with pytest.raises(
+        StudyError,
+        match="`accuracy` is of the gaits of a grid; this study is a `branch`",
+    ):
         read(written(tmp_path, options='kind = "branch"'))
 
 
 def test_what_would_have_to_be_integrated_is_left_out_unless_named(tmp_path):
     study = read(written(tmp_path))
-    assert not {"residual", "energy_imbalance", "multiplier_real", "violations"} & set(variables(study))
+    assert not {"residual", "energy_imbalance", "multiplier_real", "violations"} & set(
+        variables(study)
+    )
     assert method_of(study) is Method.INTERPOLATED
-    table = {"name": "a", "accuracy": 1e-6, "walker": "D", "axes": {"slope": {"from": 1e-3, "to": 0.02, "n": 500}}}
+    table = {
+        "name": "a",
+        "accuracy": 1e-6,
+        "walker": "D",
+        "axes": {"slope": {"from": 1e-3, "to": 0.02, "n": 500}},
+    }
     for name in ("residual", "energy_imbalance", "violations"):
         named = parse({**table, "want": {"variables": [name]}}, "", tmp_path / "a.toml")
         assert name in variables(named)
         assert method_of(named) is Method.LONG
     assert (
-        method_of(parse({**table, "want": {"variables": ["multipliers"]}}, "", tmp_path / "a.toml"))
+        method_of(
+            parse(
+                {**table, "want": {"variables": ["multipliers"]}},
+                "",
+                tmp_path / "a.toml",
+            )
+        )
         is Method.INTERPOLATED
     )
-    assert method_of(parse({**table, "accuracy": 1e-13}, "", tmp_path / "a.toml")) is Method.LONG
-    assert set(ALWAYS) <= set(variables(parse({k: v for k, v in table.items() if k != "accuracy"}, "", tmp_path)))
+    assert (
+        method_of(parse({**table, "accuracy": 1e-13}, "", tmp_path / "a.toml"))
+        is Method.LONG
+    )
+    assert set(ALWAYS) <= set(
+        variables(
+            parse({k: v for k, v in table.items() if k != "accuracy"}, "", tmp_path)
+        )
+    )
 
 
 def test_an_archive_says_its_accuracy_and_keeps_no_more_digits(archive):
@@ -112,14 +142,31 @@ def test_an_archive_says_its_accuracy_and_keeps_no_more_digits(archive):
 @pytest.mark.parametrize("options", [["--jobs", "2"], ["--jobs", "2", "--chunk", "77"]])
 def test_bytes_do_not_depend_on_how_it_is_run(archive, tmp_path, options):
     other = tmp_path / "coarse.nc"
-    assert main(["run", str(written(tmp_path)), "--archive", str(other), "--quiet", *options]) == 0
+    assert (
+        main(
+            [
+                "run",
+                str(written(tmp_path)),
+                "--archive",
+                str(other),
+                "--quiet",
+                *options,
+            ]
+        )
+        == 0
+    )
     assert other.read_bytes() == archive.read_bytes()
 
 
 def test_gaits_of_polynomials_are_not_probed(tmp_path):
     """Their jobs are large from the first: a few points cost as much time as thousands."""
-    gaitsweep.run(written(tmp_path, n=60_000), jobs=1, archive=tmp_path / "coarse.nc", quiet=True)
-    events = [json.loads(line) for line in (tmp_path / "coarse.events.jsonl").read_text().splitlines()]
+    gaitsweep.run(
+        written(tmp_path, n=60_000), jobs=1, archive=tmp_path / "coarse.nc", quiet=True
+    )
+    events = [
+        json.loads(line)
+        for line in (tmp_path / "coarse.events.jsonl").read_text().splitlines()
+    ]
     sizes = [event["points"] for event in events if event["event"] == "chunk"]
     assert sum(sizes) == 60_000
     assert len(sizes) <= 4
@@ -127,11 +174,17 @@ def test_gaits_of_polynomials_are_not_probed(tmp_path):
 
 def test_another_accuracy_solves_again_and_says_so(folder, archive, capsys):
     study = str(folder / "coarse.toml")
-    assert main(["plan", study, "--archive", str(archive), "--accuracy", "1e-8", "--json"]) == 0
+    assert (
+        main(["plan", study, "--archive", str(archive), "--accuracy", "1e-8", "--json"])
+        == 0
+    )
     (record,) = json.loads(capsys.readouterr().out)
     assert (record["changed"], record["new"]) == (2000, 0)
     before = archive.read_bytes()
-    assert main(["run", study, "--archive", str(archive), "--accuracy", "1e-8", "--quiet"]) == 0
+    assert (
+        main(["run", study, "--archive", str(archive), "--accuracy", "1e-8", "--quiet"])
+        == 0
+    )
     with netCDF4.Dataset(archive) as file:
         assert file.accuracy == 1e-8
         assert np.nanmax(file["error_bound"][:]) <= 1e-8
@@ -149,12 +202,18 @@ extended_precision.refine = lambda *args: (*refine(*args)[:-1], 2e-15)
 """
 
 
-def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys, monkeypatch):
+def test_gaits_less_accurate_than_asked_are_kept_and_told(
+    tmp_path, capsys, monkeypatch
+):
     (tmp_path / "fewer_digits.py").write_text(FEWER_DIGITS)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setitem(TASKS, "points", replace(TASKS["points"], function="fewer_digits:points"))
+    monkeypatch.setitem(
+        TASKS, "points", replace(TASKS["points"], function="fewer_digits:points")
+    )
     study = written(tmp_path, "1e-15", n=2, options="options.steps = 2", low=0.0165)
-    assert main(["run", str(study), "--archive", str(tmp_path / "a.nc"), "--quiet"]) == 1
+    assert (
+        main(["run", str(study), "--archive", str(tmp_path / "a.nc"), "--quiet"]) == 1
+    )
     out = gaitsweep.load(tmp_path / "a.nc")
     less = out.status == "less_accurate"
     assert less.any()
@@ -165,7 +224,21 @@ def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys, monk
 
 
 def test_one_point_to_an_accuracy(capsys):
-    assert main(["solve", "--walker", "D", "--slope", "0.01", "--accuracy", "1e-15", "--json"]) == 0
+    assert (
+        main(
+            [
+                "solve",
+                "--walker",
+                "D",
+                "--slope",
+                "0.01",
+                "--accuracy",
+                "1e-15",
+                "--json",
+            ]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert [gait["status"] for gait in found] == ["converged", "converged"]
     assert all(gait["error_bound"] <= 1e-15 for gait in found)
@@ -176,7 +249,10 @@ def test_one_point_to_an_accuracy(capsys):
 def test_arrays_to_an_accuracy():
     slope = np.geomspace(1e-3, 0.1, 1000)
     for n in (1000, 20):
-        coarse, best = (gaitsweep.gaits("B", slope[:n], accuracy=a, variables=["period"]) for a in (1e-5, None))
+        coarse, best = (
+            gaitsweep.gaits("B", slope[:n], accuracy=a, variables=["period"])
+            for a in (1e-5, None)
+        )
         assert (coarse.status == best.status).all()
         error = np.abs(coarse.period / best.period - 1)
         assert np.nanmax(error) < 1e-5
@@ -188,10 +264,23 @@ def test_arrays_to_an_accuracy():
 
 
 def test_short_lines_and_planes_keep_their_accuracy(tmp_path):
-    table = {"name": "p", "walker": "B", "axes": {"slope": [0.008], "R": np.linspace(0.0, 0.2, 70).tolist()}}
-    best = gaitsweep.run({**table, "want": {"variables": ["stance_angle"]}}, archive=tmp_path / "best.nc", quiet=True)
+    table = {
+        "name": "p",
+        "walker": "B",
+        "axes": {"slope": [0.008], "R": np.linspace(0.0, 0.2, 70).tolist()},
+    }
+    best = gaitsweep.run(
+        {**table, "want": {"variables": ["stance_angle"]}},
+        archive=tmp_path / "best.nc",
+        quiet=True,
+    )
     for axes in (table["axes"], {**table["axes"], "R": [0.0, 0.1, 0.2]}):
-        asked = {**table, "accuracy": 1e-4, "axes": axes, "want": {"variables": ["stance_angle"]}}
+        asked = {
+            **table,
+            "accuracy": 1e-4,
+            "axes": axes,
+            "want": {"variables": ["stance_angle"]},
+        }
         own = gaitsweep.run(asked, archive=tmp_path / "own.nc", quiet=True)
         assert (own.status == "converged").all()
         if len(axes["R"]) == 70:

@@ -1,4 +1,6 @@
-"""The archive is plain CF netCDF that any tool opens; `verify` and `diff` see what is wrong with it."""
+"""The archive is plain CF netCDF that any tool opens; `verify` and `diff` see what is
+wrong with it.
+"""
 
 import contextlib
 import errno
@@ -25,7 +27,16 @@ import xarray as xr
 
 from conftest import ROOT, STUDY, Toy
 from gaitsweep.pipeline.api.studies import load
-from gaitsweep.pipeline.archive import attributes, diff, layout, read, result_tables, structure, verify, write
+from gaitsweep.pipeline.archive import (
+    attributes,
+    diff,
+    layout,
+    read,
+    result_tables,
+    structure,
+    verify,
+    write,
+)
 from gaitsweep.pipeline.archive.points import PointWriter
 from gaitsweep.pipeline.archive.provenance import commit, stored
 from gaitsweep.pipeline.archive.unfold import dataset
@@ -63,14 +74,18 @@ def copy(made, tmp_path):
 
 
 def test_it_can_be_loaded_while_it_is_open(made):
-    """In a process of its own, which the netCDF library ends where strings are read of a file opened three times."""
+    """In a process of its own, which the netCDF library ends where strings are read of
+    a file opened three times.
+    """
     script = (
         "import sys, xarray as xr; from gaitsweep.pipeline.api.studies import load; path = sys.argv[1];"
         "held = xr.open_dataset(path), xr.open_datatree(path);"
         "one, other, _ = [load(path) for _ in range(3)]; tables = [load(path, 'fits/scaling') for _ in range(2)];"
         "print(one.identical(other), tables[0].equals(tables[1]), held[0].stance_angle.equals(one.stance_angle))"
     )
-    ended = subprocess.run([sys.executable, "-c", script, made], cwd=ROOT, capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", script, made], cwd=ROOT, capture_output=True, text=True
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "True True True\n", "")
 
 
@@ -79,29 +94,51 @@ def test_strings_are_those_that_were_written(tmp_path, values):
     with netCDF4.Dataset(tmp_path / "s.nc", "w") as file:
         file.createDimension("row", len(values))
         for name in ("one", "other"):
-            write_strings(file, name, "row", values, {"long_name": "some words", "units": "1"})
+            write_strings(
+                file, name, "row", values, {"long_name": "some words", "units": "1"}
+            )
     with netCDF4.Dataset(tmp_path / "s.nc") as file:
         assert file["one"][...].tolist() == file["other"][...].tolist() == values
         assert len(file.dimensions) == 2 and layout.dims(file["one"]) == ("row",)
-        assert layout.checksum(file["one"][...]) == layout.checksum(np.array(values, object))
+        assert layout.checksum(file["one"][...]) == layout.checksum(
+            np.array(values, object)
+        )
     with xr.open_dataset(tmp_path / "s.nc") as found:
-        assert found.one.values.tolist() == values and found.one.attrs == {"long_name": "some words", "units": "1"}
+        assert found.one.values.tolist() == values and found.one.attrs == {
+            "long_name": "some words",
+            "units": "1",
+        }
 
 
 def test_plain_xarray_opens_it(made):
     with xr.open_dataset(made) as found:
-        assert dict(found.sizes) == {"slope": 200, "w_t": 2, "gait": 2, "multiplier": 3, "reason_index": 2}
+        assert dict(found.sizes) == {
+            "slope": 200,
+            "w_t": 2,
+            "gait": 2,
+            "multiplier": 3,
+            "reason_index": 2,
+        }
         assert found.gait.values.tolist() == ["long", "short"]
         angle = found.stance_angle.sel(gait="long", w_t=0.25)
         np.testing.assert_array_equal(angle, np.cbrt(found.slope) * 1.25)
         short = found.stance_angle.sel(gait="short")
         assert (np.isfinite(short) == (found.status.sel(gait="short") == 0)).all()
-        assert found.branch.dtype == np.int16 and (found.branch.sel(gait="long") == 0).all()
-        np.testing.assert_array_equal(found.branch.sel(gait="short"), np.where(np.isfinite(short), 1, -1))
+        assert (
+            found.branch.dtype == np.int16
+            and (found.branch.sel(gait="long") == 0).all()
+        )
+        np.testing.assert_array_equal(
+            found.branch.sel(gait="short"), np.where(np.isfinite(short), 1, -1)
+        )
         reasons = found.reason_text.values[found.reason.sel(gait="short")]
-        assert set(reasons[found.slope.values > 0.1].ravel()) == {"The branch ends below this slope."}
+        assert set(reasons[found.slope.values > 0.1].ravel()) == {
+            "The branch ends below this slope."
+        }
     with xr.open_dataset(made, group="fits/scaling") as fits:
-        assert fits.walker.values.tolist() == ["E", "E"] and fits.exponent.dims == ("row",)
+        assert fits.walker.values.tolist() == ["E", "E"] and fits.exponent.dims == (
+            "row",
+        )
 
 
 def test_everything_is_described(made):
@@ -109,23 +146,45 @@ def test_everything_is_described(made):
         assert file.Conventions == "CF-1.11"
         for variable in file.variables.values():
             assert variable.long_name and variable.units
-            if variable.name not in (*file.dimensions, "status", "reason", "reason_text"):
+            if variable.name not in (
+                *file.dimensions,
+                "status",
+                "reason",
+                "reason_text",
+            ):
                 assert variable.ancillary_variables == "status reason"
-                assert variable.filters()["complevel"] == 1 and variable.filters()["fletcher32"]
+                assert (
+                    variable.filters()["complevel"] == 1
+                    and variable.filters()["fletcher32"]
+                )
             else:
                 assert "ancillary_variables" not in variable.ncattrs()
-        assert file["slope"].units == file["stance_angle"].units == "rad" and file["loss_normal"].units == "1"
-        assert not any(dimension.isunlimited() for dimension in file.dimensions.values())
-        assert file["status"].dtype == np.int8 and "worker_died" in file["status"].flag_meanings
+        assert (
+            file["slope"].units == file["stance_angle"].units == "rad"
+            and file["loss_normal"].units == "1"
+        )
+        assert not any(
+            dimension.isunlimited() for dimension in file.dimensions.values()
+        )
+        assert (
+            file["status"].dtype == np.int8
+            and "worker_died" in file["status"].flag_meanings
+        )
         assert file["violations"].flag_masks.tolist() == [1, 2, 4, 8, 16, 32, 64]
         about = json.loads(file.provenance)
-        assert about["study"].startswith('name = "toy"') and about["walkers"][0]["l_t"] and about["cpu"]
+        assert (
+            about["study"].startswith('name = "toy"')
+            and about["walkers"][0]["l_t"]
+            and about["cpu"]
+        )
         assert not any(word in file.provenance for word in ("/tmp", "/home", "jobs"))
 
 
 def test_the_checksum_of_a_chunk_is_that_of_its_corner_and_its_values_checksum():
     values = zlib.crc32(b"values")
-    assert layout.chunk_checksum(values, (3, 64)) == zlib.crc32(b"3,64" + values.to_bytes(4, "little"))
+    assert layout.chunk_checksum(values, (3, 64)) == zlib.crc32(
+        b"3,64" + values.to_bytes(4, "little")
+    )
 
 
 def test_the_commit_is_that_of_the_working_tree(tmp_path):
@@ -135,7 +194,9 @@ def test_the_commit_is_that_of_the_working_tree(tmp_path):
     ref.parent.mkdir(parents=True)
     (git / "HEAD").write_text("ref: refs/heads/main\n")
     assert commit(tmp_path) == ""
-    (git / "packed-refs").write_text("# pack-refs\n00 refs/heads/other\n01 refs/heads/main\n")
+    (git / "packed-refs").write_text(
+        "# pack-refs\n00 refs/heads/other\n01 refs/heads/main\n"
+    )
     assert commit(tmp_path) == "01"
     ref.write_text("02\n")
     assert commit(tmp_path) == "02"
@@ -152,27 +213,44 @@ def test_the_commit_is_that_of_the_working_tree(tmp_path):
 
 def test_an_archive_of_lines_says_how_each_ended(tmp_path):
     toy = Toy(tmp_path)
-    toy.write('name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.1, 0.2]\nw_t = [0.0, 0.1, 13.0]\n')
+    toy.write(
+        'name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.1, 0.2]\nw_t = [0.0, 0.1, 13.0]\n'
+    )
     said = toy("run", "toy.toml", expect=1).stderr
     reason = "The atlas of the line: it raised ValueError: no atlas here."
-    assert f"2 x {reason} First: E w_t=13.0\n" in said and "converged 4" in said and "raised 2" in said
+    assert (
+        f"2 x {reason} First: E w_t=13.0\n" in said
+        and "converged 4" in said
+        and "raised 2" in said
+    )
     with netCDF4.Dataset(tmp_path / "data" / "archive" / "toy.nc") as file:
-        assert file["status"].dimensions == file["reason"].dimensions == ("walker", "w_t")
+        assert (
+            file["status"].dimensions == file["reason"].dimensions == ("walker", "w_t")
+        )
         assert file["status"][:].tolist() == [[0, 0, STATUS["raised"]]] * 2
         sentences = file["reason_text"][:][file["reason"][:].data]
-        assert (sentences[:, 2] == reason).all() and all("followed" in each for each in sentences[:, :2].ravel())
+        assert (sentences[:, 2] == reason).all() and all(
+            "followed" in each for each in sentences[:, :2].ravel()
+        )
         assert file["orbits/w_t"][:].tolist() == [0, 0, 0.1, 0.1] * 2
 
 
 @pytest.mark.parametrize("walkers", [["E", "F"], ["F", "E"]])
 def test_a_column_that_other_lines_lack_is_missing_there(tmp_path, walkers):
     toy = Toy(tmp_path)
-    toy.write(f'name = "toy"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.1]\n')
+    toy.write(
+        f'name = "toy"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.1]\n'
+    )
     toy("run", "toy.toml")
     with netCDF4.Dataset(tmp_path / "data" / "archive" / "toy.nc") as file:
-        table = {name: np.ma.filled(file[f"orbits/{name}"][:], np.nan) for name in ("swing_rate", "period")}
+        table = {
+            name: np.ma.filled(file[f"orbits/{name}"][:], np.nan)
+            for name in ("swing_rate", "period")
+        }
         words = dict(zip(walkers, file["orbits/gait"][:].tolist(), strict=True))
-    np.testing.assert_array_equal(table["swing_rate"], [{"E": np.nan, "F": -0.1}[name] for name in walkers])
+    np.testing.assert_array_equal(
+        table["swing_rate"], [{"E": np.nan, "F": -0.1}[name] for name in walkers]
+    )
     assert words == {"E": "", "F": "long"} and table["period"].tolist() == [0.2, 0.2]
     toy("verify", "data/archive/toy.nc")
 
@@ -185,7 +263,9 @@ def test_a_column_that_other_lines_lack_is_missing_there(tmp_path, walkers):
         (RuntimeError("NetCDF: HDF error"), False, ArchiveError),
     ],
 )
-def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, monkeypatch, failure, full, error):
+def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(
+    copy, monkeypatch, failure, full, error
+):
     """The netCDF library does not say why it cannot write."""
 
     def fail(plan, draft):
@@ -194,7 +274,11 @@ def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, m
 
     before = copy.read_bytes()
     monkeypatch.setattr(write, "_write", fail)
-    monkeypatch.setattr(write, "shortage", lambda error, folder: OSError(errno.ENOSPC, "full") if full else None)
+    monkeypatch.setattr(
+        write,
+        "shortage",
+        lambda error, folder: OSError(errno.ENOSPC, "full") if full else None,
+    )
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         write.write(None, copy)
     assert raised.type is error
@@ -203,9 +287,24 @@ def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, m
 
 def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
     """HDF5 may leave out an attribute where memory is short, and report nothing."""
-    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n[want]\nfits = ["scaling"]\n')
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n[want]\nfits = ["scaling"]\n'
+    )
     path, fill, lost = tmp_path / "s.nc", PointWriter.fill, []
-    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    assert (
+        commands.main(
+            [
+                "run",
+                f"{tmp_path}/s.toml",
+                "--archive",
+                str(path),
+                "--jobs",
+                "1",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     before = path.read_bytes()
 
     def lose(writer, draft):
@@ -216,10 +315,16 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
 
     study = parse.read(tmp_path / "s.toml")
     with contextlib.closing(Store(tmp_path / "s.journal", write=False)) as journal:
-        for attribute in (("", "title"), ("status", "units"), ("fits/scaling/exponent", "long_name")):
+        for attribute in (
+            ("", "title"),
+            ("status", "units"),
+            ("fits/scaling/exponent", "long_name"),
+        ):
             lost.append(attribute)
             monkeypatch.setattr(PointWriter, "fill", lose)
-            with pytest.raises(ArchiveError, match=r"s\.nc cannot be written: it does not read back\.$"):
+            with pytest.raises(
+                ArchiveError, match=r"s\.nc cannot be written: it does not read back\.$"
+            ):
                 write.write(Plan(study, journal), path)
             assert path.read_bytes() == before
         monkeypatch.setattr(PointWriter, "fill", fill)
@@ -228,7 +333,9 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
 
 
 def never_packed(folder, name):
-    """A finished run, and the row of its only point with a piece of a variable that cannot be unpacked."""
+    """A finished run, and the row of its only point with a piece of a variable that
+    cannot be unpacked.
+    """
     (folder / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     command = ["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1"]
     assert commands.main([*command, "--quiet"]) == 0
@@ -243,16 +350,27 @@ def never_packed(folder, name):
 
 @pytest.mark.parametrize("name", ["status", "reason"])
 def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
-    """Whatever its checksum: what no repair mends, the run leaves as it is, and names the way on."""
+    """Whatever its checksum: what no repair mends, the run leaves as it is, and names
+    the way on.
+    """
     command, archive = never_packed(tmp_path, name), tmp_path / "s.nc"
     before = archive.read_bytes()
-    with contextlib.closing(Store(tmp_path / "s.journal")) as journal, pytest.raises(CorruptStoreError):
+    with (
+        contextlib.closing(Store(tmp_path / "s.journal")) as journal,
+        pytest.raises(CorruptStoreError),
+    ):
         write.write(Plan(parse.read(tmp_path / "s.toml"), journal), archive)
     capsys.readouterr()
     assert commands.main(command) == 2 and archive.read_bytes() == before
     said = capsys.readouterr().err.splitlines()
-    assert said[-1] == f"gaitsweep: {tmp_path}/s.journal cannot be repaired; run again with --fresh."
-    assert commands.main([*command, "--fresh", "--quiet"]) == 0 and archive.read_bytes() == before
+    assert (
+        said[-1]
+        == f"gaitsweep: {tmp_path}/s.journal cannot be repaired; run again with --fresh."
+    )
+    assert (
+        commands.main([*command, "--fresh", "--quiet"]) == 0
+        and archive.read_bytes() == before
+    )
 
 
 def test_an_angle_that_was_never_packed_is_found_by_verify(tmp_path):
@@ -265,24 +383,44 @@ def test_an_angle_that_was_never_packed_is_found_by_verify(tmp_path):
 
 def test_attributes_that_the_library_loses_at_once_are_missed():
     kept = {"units": "1"}
-    attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: [*kept, "long_name"]), kept)
+    attributes.put(
+        SimpleNamespace(
+            setncatts=lambda values: None, ncattrs=lambda: [*kept, "long_name"]
+        ),
+        kept,
+    )
     with pytest.raises(RuntimeError, match="attributes are lost"):
-        attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: ["long_name"]), kept)
-    failing = Mock(setncatts=Mock(side_effect=AttributeError("NetCDF: Memory allocation (malloc) failure")))
+        attributes.put(
+            SimpleNamespace(
+                setncatts=lambda values: None, ncattrs=lambda: ["long_name"]
+            ),
+            kept,
+        )
+    failing = Mock(
+        setncatts=Mock(
+            side_effect=AttributeError("NetCDF: Memory allocation (malloc) failure")
+        )
+    )
     with pytest.raises(RuntimeError, match="Memory allocation"):
         attributes.put(failing, kept)
 
 
 def test_each_line_may_have_its_own_reason(monkeypatch):
-    """Forty thousand of them, as of a study of another kind than a grid; the later ones come first."""
+    """Forty thousand of them, as of a study of another kind than a grid; the later ones
+    come first.
+    """
     n = 40_000
     ends = [("converged", f"Reason {n - i:05}.") for i in range(n)]
     monkeypatch.setattr(write._LineWriter, "_outcome", lambda _, number: ends[number])
     study = SimpleNamespace(lines=n, batches=n, batch=lambda i: np.array([i]))
-    graph = SimpleNamespace(grid=SimpleNamespace(sizes={"w_t": n}), line_keys=lambda i: i)
+    graph = SimpleNamespace(
+        grid=SimpleNamespace(sizes={"w_t": n}), line_keys=lambda i: i
+    )
     writer = write._LineWriter(SimpleNamespace(study=study, graph=graph))
     assert writer.reason.dtype == np.int32
-    assert [writer.sentences.texts[i] for i in writer.reason] == [reason for _, reason in ends]
+    assert [writer.sentences.texts[i] for i in writer.reason] == [
+        reason for _, reason in ends
+    ]
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
@@ -290,7 +428,9 @@ def test_verify_finds_nothing_wrong_with_a_whole_one(made):
 
 
 def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
-    """The sum over its boxes passes 2^32; small boxes stand in for a variable of more than 65536 points."""
+    """The sum over its boxes passes 2^32; small boxes stand in for a variable of more
+    than 65536 points.
+    """
     monkeypatch.setattr(read, "_MAX_POINTS", 32)
     with netCDF4.Dataset(copy, "a") as file:
         file.checksum_chunk = [16, 1]
@@ -298,9 +438,13 @@ def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
         sums = []
         for i, j, k in np.ndindex(13, 2, 2):
             part = np.ma.getdata(file["stance_angle"][16 * i : 16 * i + 16, j, k])
-            sums.append(layout.chunk_checksum(zlib.crc32(part.tobytes()), (16 * i, j, k)))
+            sums.append(
+                layout.chunk_checksum(zlib.crc32(part.tobytes()), (16 * i, j, k))
+            )
         assert len(some) > 10 and sum(sums) > 1 << 33
-        checksums = {name: read._checksum(file[name]) for name in json.loads(file.checksums)}
+        checksums = {
+            name: read._checksum(file[name]) for name in json.loads(file.checksums)
+        }
         assert checksums["stance_angle"] == sum(sums) % (1 << 32)
         file.checksums = json.dumps(checksums)
     assert verify.verify(copy) == []
@@ -325,9 +469,17 @@ def test_states_are_checked_box_by_box(copy, monkeypatch):
     monkeypatch.setattr(structure, "MOST_POINTS", 16)
     sizes = []
     with netCDF4.Dataset(copy, "a") as file:
-        file["status"][:2, -1, -1], file["status"][-1, -1, -1], file["reason"][-1, -1, -1] = 7, 99, -1
+        (
+            file["status"][:2, -1, -1],
+            file["status"][-1, -1, -1],
+            file["reason"][-1, -1, -1],
+        ) = 7, 99, -1
         variables = {name: _Noted(file[name], sizes) for name in ("status", "reason")}
-        found = list(structure._states(SimpleNamespace(variables=variables, dimensions=file.dimensions)))
+        found = list(
+            structure._states(
+                SimpleNamespace(variables=variables, dimensions=file.dimensions)
+            )
+        )
     assert max(sizes) <= 32 and sum(sizes) == 1600
     assert found == [
         "`status` holds values without a meaning.",
@@ -353,32 +505,59 @@ def _edit(path, change):
             lambda f: f["status"].__setitem__((0, 0, 0), 7),
             "It is not complete: 1 values of `status` are not_attempted.",
         ),
-        (lambda f: f["status"].__setitem__((0, 0, 0), 99), "`status` holds values without a meaning."),
-        (lambda f: f["reason"].__setitem__((0, 0, 0), 9), "`reason` points outside its table."),
+        (
+            lambda f: f["status"].__setitem__((0, 0, 0), 99),
+            "`status` holds values without a meaning.",
+        ),
+        (
+            lambda f: f["reason"].__setitem__((0, 0, 0), 9),
+            "`reason` points outside its table.",
+        ),
         (
             lambda f: f["stance_angle"].__setitem__((199, 0, 1), 1.0),
             "`stance_angle` has 1 values where nothing converged.",
         ),
-        (lambda f: f["stance_angle"].__setitem__((0, 0, 0), 1.0), "`stance_angle` is not as it was written."),
+        (
+            lambda f: f["stance_angle"].__setitem__((0, 0, 0), 1.0),
+            "`stance_angle` is not as it was written.",
+        ),
         (lambda f: f.renameVariable("residual", "x"), "`residual` is missing."),
         (lambda f: f.renameVariable("period", "x"), "`period` is missing."),
         (lambda f: f.renameGroup("fits", "x"), "`fits/scaling/exponent` is missing."),
-        (lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0), "`fits/scaling/exponent` is not as it was written."),
+        (
+            lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0),
+            "`fits/scaling/exponent` is not as it was written.",
+        ),
         (lambda f: f.createVariable("x", "f8", ()), "`x` is not as it was written."),
-        (lambda f: f["fits/scaling"].createVariable("x", "f8", ()), "`fits/scaling/x` is not as it was written."),
+        (
+            lambda f: f["fits/scaling"].createVariable("x", "f8", ()),
+            "`fits/scaling/x` is not as it was written.",
+        ),
         (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
         (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
         (lambda f: f.setncattr("provenance", "[1]"), "`provenance` is not JSON."),
         (lambda f: f.delncattr("checksums"), "The attribute `checksums` is missing."),
-        (lambda f: f["residual"].delncattr("long_name"), "`residual` has no long_name."),
+        (
+            lambda f: f["residual"].delncattr("long_name"),
+            "`residual` has no long_name.",
+        ),
         (
             lambda f: f["fits/scaling/exponent"].delncattr("units"),
             "`fits/scaling/exponent` has no units.",
         ),
         (lambda f: f["gait"].__setitem__(0, "brisk"), "`gait` holds unknown names."),
-        (lambda f: f["reason"].__setitem__((0, 0, 0), -1), "`reason` points outside its table."),
-        (lambda f: f.renameVariable("w_t", "x"), "The dimension `w_t` has no coordinate."),
-        (lambda f: f.createVariable("x", "f8", ("w_t", "slope")), "`x` has its dimensions in another order."),
+        (
+            lambda f: f["reason"].__setitem__((0, 0, 0), -1),
+            "`reason` points outside its table.",
+        ),
+        (
+            lambda f: f.renameVariable("w_t", "x"),
+            "The dimension `w_t` has no coordinate.",
+        ),
+        (
+            lambda f: f.createVariable("x", "f8", ("w_t", "slope")),
+            "`x` has its dimensions in another order.",
+        ),
     ],
 )
 def test_verify_sees(copy, change, said):
@@ -388,12 +567,16 @@ def test_verify_sees(copy, change, said):
 
 def test_what_an_archive_always_holds_depends_on_its_kind_and_accuracy():
     assert set(structure._required(SimpleNamespace())) == set(ALWAYS)
-    assert set(structure._required(SimpleNamespace(accuracy=1e-4))) == set(ALWAYS) - set(OF_INTEGRATION)
+    assert set(structure._required(SimpleNamespace(accuracy=1e-4))) == set(
+        ALWAYS
+    ) - set(OF_INTEGRATION)
     assert structure._required(SimpleNamespace(kind="orbit")) == ("status", "reason")
 
 
 def _flip(made, copy, at, seen, files):
-    """Archives with one bit flipped, number `at` and on, each found out or without another number."""
+    """Archives with one bit flipped, number `at` and on, each found out or without
+    another number.
+    """
     original = made.read_bytes()
     while at.value < files:
         dice, data = random.Random(at.value), bytearray(original)
@@ -409,7 +592,9 @@ def _flip(made, copy, at, seen, files):
 
 
 def test_no_flipped_byte_changes_a_number_unseen(made, copy):
-    """In processes of their own: some flips crash the netCDF library, which is seen too."""
+    """In processes of their own: some flips crash the netCDF library, which is seen
+    too.
+    """
     fork = multiprocessing.get_context("fork")
     at, seen = fork.Value("q", 0), fork.Value("q", 0)
     while at.value < 60:
@@ -422,7 +607,9 @@ def test_no_flipped_byte_changes_a_number_unseen(made, copy):
     assert seen.value > 10
 
 
-@pytest.mark.parametrize("text", [b"", b"CDF\x01", b"\x89HDF\r\n\x1a\n", b"not an archive at all"])
+@pytest.mark.parametrize(
+    "text", [b"", b"CDF\x01", b"\x89HDF\r\n\x1a\n", b"not an archive at all"]
+)
 def test_what_is_no_archive_is_refused(tmp_path, text):
     (tmp_path / "x.nc").write_bytes(text)
     with pytest.raises(ArchiveError, match="no netCDF file"):
@@ -453,18 +640,28 @@ def test_walkers_that_differ_differ(made, copy):
 def test_diff_tells_variables_and_statuses_apart(made, copy):
     def change(file):
         file["stance_angle"][3, 1, 0] *= 1 + 1e-9
-        file["multiplier_imag"][2, 0, 0, 1] += 1e-9 * file["multiplier_real"][2, 0, 0, 1]
+        file["multiplier_imag"][2, 0, 0, 1] += (
+            1e-9 * file["multiplier_real"][2, 0, 0, 1]
+        )
         file["residual"][0] += 1e-10
         file["status"][5:8, 0, 0] = 4
 
     _edit(copy, change)
     found = diff.diff(made, copy)
     assert found[-1] == "`status`: 3 were converged and are worker_died"
-    assert [f.split(":")[0] for f in found] == ["`multiplier_imag`", "`residual`", "`stance_angle`", "`status`"]
+    assert [f.split(":")[0] for f in found] == [
+        "`multiplier_imag`",
+        "`residual`",
+        "`stance_angle`",
+        "`status`",
+    ]
     assert "1 of 800 differ, by up to 1e-09 of their size" in found[2]
-    # Measures of rounding are compared with one: their values may be small and their relative differences mean nothing.
+    # Measures of rounding are compared with one: their values may be small and their
+    # relative differences mean nothing.
     assert found[1].endswith("differ, by up to 1e-10")
-    assert diff.diff(made, copy, rtol=1e-8) == ["`status`: 3 were converged and are worker_died"]
+    assert diff.diff(made, copy, rtol=1e-8) == [
+        "`status`: 3 were converged and are worker_died"
+    ]
 
 
 def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
@@ -478,15 +675,30 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
     _edit(copy, change)
 
     def differing(*tolerances):
-        code = commands.main(["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)])
+        code = commands.main(
+            ["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)]
+        )
         out, err = capsys.readouterr()
-        return code, [line.split("`")[1] for line in out.splitlines() if "`" in line], err
+        return (
+            code,
+            [line.split("`")[1] for line in out.splitlines() if "`" in line],
+            err,
+        )
 
-    # A bound or a residual is itself relative: what it may differ by is not a part of its own size.
-    assert differing("1e-8")[:2] == (1, ["error_bound", "spectral_radius", "fits/scaling/exponent"])
+    # A bound or a residual is itself relative: what it may differ by is not a part of
+    # its own size.
+    assert differing("1e-8")[:2] == (
+        1,
+        ["error_bound", "spectral_radius", "fits/scaling/exponent"],
+    )
     wide = "error_bound=0.999999999"
-    assert differing("1e-8", wide, "spectral_radius=1e-5")[:2] == (1, ["fits/scaling/exponent"])
-    assert differing("1e-8", wide, "spectral_radius=1e-5", "fits/scaling/exponent=1e-5")[:2] == (0, [])
+    assert differing("1e-8", wide, "spectral_radius=1e-5")[:2] == (
+        1,
+        ["fits/scaling/exponent"],
+    )
+    assert differing(
+        "1e-8", wide, "spectral_radius=1e-5", "fits/scaling/exponent=1e-5"
+    )[:2] == (0, [])
     assert differing("1e-8", wide, "residual=1e-12")[1][0] == "residual"
     code, _, err = differing("spectral=1e-5")
     assert code == 2 and err.count("\n") == 1 and "holds `spectral`." in err
@@ -498,9 +710,16 @@ def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     other = copy.with_name("other.nc")
     shutil.copy(copy, other)
     for path, values in ((copy, ["", ""]), (other, ["", "speed"])):
-        _edit(path, lambda file, values=values: write_strings(file["fits/scaling"], "quantity", "row", values, {}))
+        _edit(
+            path,
+            lambda file, values=values: write_strings(
+                file["fits/scaling"], "quantity", "row", values, {}
+            ),
+        )
     assert "`branch`: 3 of 800 differ" in diff.diff(made, copy, rtol=0.5)
-    assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
+    assert diff.diff(copy, other, rtol=0.5) == [
+        "`fits/scaling/quantity`: 1 of 2 differ"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -511,25 +730,40 @@ def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     ],
 )
 def test_values_that_one_archive_does_not_have_are_told(values, said):
-    found = diff.Tolerance(0.0, {}).compare("period", np.array(values), np.array([1.0, 2.0]))
+    found = diff.Tolerance(0.0, {}).compare(
+        "period", np.array(values), np.array([1.0, 2.0])
+    )
     assert found == [f"`period`: {said}"]
 
 
 def test_keys_of_a_leg_of_one_link_have_their_units_in_tables():
-    for name, kind in {"l": "length", "m": "mass", "r": "length", "R": "length"}.items():
+    for name, kind in {
+        "l": "length",
+        "m": "mass",
+        "r": "length",
+        "R": "length",
+    }.items():
         assert result_tables.meaning_of(name, "branches") == (kind, f"walker's {name}")
 
 
-def test_multipliers_differ_by_the_larger_of_their_magnitudes_whichever_archive_is_first(made, copy):
+def test_multipliers_differ_by_the_larger_of_their_magnitudes_whichever_archive_is_first(
+    made, copy
+):
     def widen(file):
         for part in ("multiplier_real", "multiplier_imag"):
             file[part][:] *= 1.105
 
     _edit(copy, widen)
     assert not [
-        said for pair in ((made, copy), (copy, made)) for said in diff.diff(*pair, rtol=0.07) if "multi" in said
+        said
+        for pair in ((made, copy), (copy, made))
+        for said in diff.diff(*pair, rtol=0.07)
+        if "multi" in said
     ]
-    assert len([said for said in diff.diff(made, copy, rtol=0.066) if "multi" in said]) == 2
+    assert (
+        len([said for said in diff.diff(made, copy, rtol=0.066) if "multi" in said])
+        == 2
+    )
 
 
 def test_values_of_which_there_are_none_do_not_differ():
@@ -541,7 +775,12 @@ def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
     other = tmp_path / "other.nc"
     shutil.copy(copy, other)
     for path, residual in ((copy, 1e-16), (other, 3e-10)):
-        _edit(path, lambda file, residual=residual: file["residual"].__setitem__((3, 1, 0), residual))
+        _edit(
+            path,
+            lambda file, residual=residual: file["residual"].__setitem__(
+                (3, 1, 0), residual
+            ),
+        )
     assert diff.diff(copy, other, rtol=1e-9) == []
     assert len(diff.diff(copy, other, rtol=1e-10)) == 1
 
@@ -549,12 +788,16 @@ def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
 def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     toy = Toy(tmp_path)
     for name, values in (("a", "[0.0, 0.25]"), ("b", "[0.0, 0.1, 0.25]")):
-        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\nw_t = {values}\n')
+        toy.write(
+            f'name = "{name}"\nkind = "orbit"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\nw_t = {values}\n'
+        )
         toy("run", "toy.toml")
     a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
     assert diff.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
     _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
-    assert diff.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
+    assert diff.diff(a, b)[1:] == [
+        "`orbits/period`: 1 of 4 differ, by up to 1 of their size"
+    ]
 
 
 def test_tables_are_compared_line_by_line_whatever_the_order_of_lines(tmp_path):
@@ -563,22 +806,30 @@ def test_tables_are_compared_line_by_line_whatever_the_order_of_lines(tmp_path):
         ("a", '["E", "F"]', "w_t = [0.0, 0.25]\nw_s = [0.3, 0.4]"),
         ("b", '["F", "E"]', "w_s = [0.4, 0.3]\nw_t = [0.25, 0.0]"),
     ):
-        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01, 0.02]\n{axes}\n')
+        toy.write(
+            f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01, 0.02]\n{axes}\n'
+        )
         toy("run", "toy.toml")
     a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
     assert diff.diff(a, b) == []
     _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
-    assert diff.diff(a, b) == ["`orbits/period`: 1 of 16 differ, by up to 1 of their size"]
+    assert diff.diff(a, b) == [
+        "`orbits/period`: 1 of 16 differ, by up to 1 of their size"
+    ]
 
 
 def test_a_walker_is_not_taken_for_one_whose_name_begins_its_own(tmp_path):
     toy = Toy(tmp_path)
     for name, walkers in (("a", '["A", "C"]'), ("b", '["A", "A-printed"]')):
-        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01]\n')
+        toy.write(
+            f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01]\n'
+        )
         toy("run", "toy.toml")
     a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
     found = diff.diff(a, b)
-    assert {f"1 of 2 values of `walker` are only in {path}" for path in (a, b)} <= set(found)
+    assert {f"1 of 2 values of `walker` are only in {path}" for path in (a, b)} <= set(
+        found
+    )
     assert not [f for f in found if "orbits" in f]
 
 
@@ -588,7 +839,11 @@ def test_axes_may_have_another_order(tmp_path):
         ("a", ("w_t = [0.0, 0.1, 0.2]", "w_s = [0.3, 0.4]")),
         ("b", ("w_s = [0.3, 0.4]", "w_t = [0.0, 0.1, 0.2]")),
     ):
-        toy.write("\n".join([f'name = "{name}"\nwalker = "E"\n[axes]\nslope = [0.1, 0.2]', *axes]))
+        toy.write(
+            "\n".join(
+                [f'name = "{name}"\nwalker = "E"\n[axes]\nslope = [0.1, 0.2]', *axes]
+            )
+        )
         toy("run", "toy.toml")
     a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
     with xr.open_dataset(a) as one, xr.open_dataset(b) as other:
@@ -604,7 +859,10 @@ def test_a_dimension_that_one_archive_has_is_told(made, tmp_path):
     toy.write(EVERYTHING.replace("w_t = [0.0, 0.25]", "w_s = [0.0]"))
     toy("run", "toy.toml")
     found = diff.diff(made, other := tmp_path / "data" / "archive" / "toy.nc")
-    assert {f"the dimension `w_t` is only in {made}", f"the dimension `w_s` is only in {other}"} <= set(found)
+    assert {
+        f"the dimension `w_t` is only in {made}",
+        f"the dimension `w_s` is only in {other}",
+    } <= set(found)
 
 
 def test_diff_aligns_by_coordinates(made, tmp_path):
@@ -613,15 +871,24 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
     toy("run", "toy.toml")
     other = tmp_path / "data" / "archive" / "toy.nc"
     found = diff.diff(made, other)
-    assert {f"1 of 2 values of `w_t` are only in {path}" for path in (made, other)} <= set(found)
-    assert not [f for f in found if (f.startswith("`") and "status" in f) or "stance" in f]
+    assert {
+        f"1 of 2 values of `w_t` are only in {path}" for path in (made, other)
+    } <= set(found)
+    assert not [
+        f for f in found if (f.startswith("`") and "status" in f) or "stance" in f
+    ]
 
 
 def test_what_cannot_be_loaded_is_called_damaged(copy):
     """The chunks of a variable that the library refuses raise an error of its own."""
     data = bytearray(copy.read_bytes())
     with netCDF4.Dataset(copy) as file:
-        lost = np.ascontiguousarray(file["stance_angle"][:20, 0, 0].data).view(np.uint8).reshape(-1, 8)[:, 1].tobytes()
+        lost = (
+            np.ascontiguousarray(file["stance_angle"][:20, 0, 0].data)
+            .view(np.uint8)
+            .reshape(-1, 8)[:, 1]
+            .tobytes()
+        )
     data[data.index(lost)] ^= 1  # bytes of the mantissa that do not compress are stored
     copy.write_bytes(data)
     with pytest.raises(ArchiveError, match=r"copy.nc is damaged: .*HDF error\.$"):
@@ -632,7 +899,10 @@ def test_what_cannot_be_loaded_is_called_damaged(copy):
 def test_text_of_an_unknown_encoding_is_damage(copy, tmp_path):
     _edit(copy, lambda file: file["reason_text"].setncattr("_Encoding", "{}"))
     for reader in (load, lambda path: pages.write([path], tmp_path / "reports")):
-        with pytest.raises(ArchiveError, match=r"copy\.nc is damaged: `reason_text` is not as it was written\.$"):
+        with pytest.raises(
+            ArchiveError,
+            match=r"copy\.nc is damaged: `reason_text` is not as it was written\.$",
+        ):
             reader(copy)
 
 
@@ -643,15 +913,22 @@ def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     monkeypatch.setattr("gaitsweep.pipeline.archive.diff._matching_rows", slip)
     assert commands.main(["diff", str(made), str(made)]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said
+    assert (
+        said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said
+    )
     # In a file that is not as it was written anything may follow from that.
     _edit(copy, lambda file: file["stance_angle"].__setitem__((0, 0, 0), 1.0))
     assert commands.main(["diff", str(copy), str(made)]) == 2
-    assert capsys.readouterr().err == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
+    assert (
+        capsys.readouterr().err
+        == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
+    )
 
 
 def test_a_fault_of_who_reads_is_not_called_damage(made):
-    """Where a table with text was read, its variables gave characters from then on, and other checksums."""
+    """Where a table with text was read, its variables gave characters from then on, and
+    other checksums.
+    """
     with pytest.raises(ZeroDivisionError), read.open_archive(made) as file:
         assert dataset(file["fits/scaling"]).load().walker.dtype.kind in "OU"
         raise ZeroDivisionError
@@ -662,7 +939,9 @@ def test_a_fault_of_who_reads_is_not_called_damage(made):
 
 def _changed(**changes):
     """Change parts of the provenance."""
-    return lambda f: f.setncattr("provenance", json.dumps({**json.loads(f.provenance), **changes}))
+    return lambda f: f.setncattr(
+        "provenance", json.dumps({**json.loads(f.provenance), **changes})
+    )
 
 
 def _without_place(file):
@@ -684,7 +963,10 @@ def _put(name, value):
         (_put("slope", 0.5), "`slope` must lie in [1e-18, 0.5) rad."),
         (_put("slope", 9e-19), "`slope` must lie in [1e-18, 0.5) rad."),
         *(
-            (lambda f, name=name: f[name].__setitem__(0, f[name][1]), f"`{name}` holds a value twice.")
+            (
+                lambda f, name=name: f[name].__setitem__(0, f[name][1]),
+                f"`{name}` holds a value twice.",
+            )
             for name in ("slope", "multiplier", "gait")
         ),
         (_put("w_t", -np.inf), "`w_t` holds values that are not finite."),
@@ -692,9 +974,18 @@ def _put(name, value):
         (lambda f: f.setncattr("R", np.nan), "The attribute R is not a finite number."),
         (lambda f: f.setncattr("R", "0"), "The attribute R is not a finite number."),
         (lambda f: f.setncattr("kind", "walk"), "`kind` is no kind of study."),
-        (lambda f: f.setncattr("accuracy", "x"), "The attribute `accuracy` is no number that it may be."),
-        (lambda f: f.setncattr("steps", "x"), "The attribute `steps` is no number that it may be."),
-        (lambda f: f["violations"].setncattr("flag_masks", "x y"), "The flags of `violations` have other meanings."),
+        (
+            lambda f: f.setncattr("accuracy", "x"),
+            "The attribute `accuracy` is no number that it may be.",
+        ),
+        (
+            lambda f: f.setncattr("steps", "x"),
+            "The attribute `steps` is no number that it may be.",
+        ),
+        (
+            lambda f: f["violations"].setncattr("flag_masks", "x y"),
+            "The flags of `violations` have other meanings.",
+        ),
         (
             lambda f: f["violations"].setncattr("flag_meanings", 3),
             "Its types are not those of an archive (AttributeError).",
@@ -704,21 +995,38 @@ def _put(name, value):
         (_changed(walkers=None), "`walkers` in `provenance` is no list."),
         (_changed(walkers=[]), "`provenance` holds no walker."),
         (_changed(walkers=[3]), "Its origins are not those of an archive (TypeError)."),
-        (_changed(walkers=[{"R": np.nan}]), "`provenance` holds a walker whose R is not a finite number."),
-        (_changed(walkers=[{"R": None}]), "`provenance` holds a walker whose R is not a finite number."),
+        (
+            _changed(walkers=[{"R": np.nan}]),
+            "`provenance` holds a walker whose R is not a finite number.",
+        ),
+        (
+            _changed(walkers=[{"R": None}]),
+            "`provenance` holds a walker whose R is not a finite number.",
+        ),
         (_changed(study=3), "`study` in `provenance` is no text."),
-        (_changed(study="x = ["), "Its origins are not those of an archive (TOMLDecodeError)."),
+        (
+            _changed(study="x = ["),
+            "Its origins are not those of an archive (TOMLDecodeError).",
+        ),
         (_changed(varied=[]), "`varied` in `provenance` is no table."),
     ],
 )
-def test_impossible_contents_are_invalid_however_right_their_checksums(made, copy, tmp_path, change, said):
+def test_impossible_contents_are_invalid_however_right_their_checksums(
+    made, copy, tmp_path, change, said
+):
     with netCDF4.Dataset(copy, "a") as file:
         change(file)
         file.set_auto_mask(False)
         names = [name for name, _ in layout.variables(file)]
-        file.checksums = json.dumps({name: read._checksum(file[name]) for name in names}, sort_keys=True)
+        file.checksums = json.dumps(
+            {name: read._checksum(file[name]) for name in names}, sort_keys=True
+        )
     assert said in verify.verify(copy)
-    for reader in (load, lambda path: pages.write([path], tmp_path / "reports"), lambda path: diff.diff(made, path)):
+    for reader in (
+        load,
+        lambda path: pages.write([path], tmp_path / "reports"),
+        lambda path: diff.diff(made, path),
+    ):
         try:
             reader(copy)
         except ArchiveError as error:
@@ -737,7 +1045,9 @@ def test_a_number_among_the_attributes_is_one(copy, name, values):
     for value in values:
         _edit(copy, lambda file, value=value: file.setncattr(name, value))
 
-        assert f"The attribute `{name}` is no number that it may be." in verify.verify(copy)
+        assert f"The attribute `{name}` is no number that it may be." in verify.verify(
+            copy
+        )
 
 
 @pytest.mark.parametrize("value", ["x", np.nan, np.arange(2), np.array([], "i8")])
@@ -751,7 +1061,9 @@ def test_chunks_of_checksums_that_are_no_numbers_are_damage(copy, value):
 
 
 class _Counted:
-    """A variable that counts how often each of its values is read, whole chunks of at most a hundred at a time."""
+    """A variable that counts how often each of its values is read, whole chunks of at
+    most a hundred at a time.
+    """
 
     def __init__(self, shape, chunk="contiguous"):
         self.shape, self.times, self.chunk = shape, np.zeros(shape, int), chunk
@@ -761,7 +1073,10 @@ class _Counted:
         assert self.times[index].size <= 100
         if self.chunk != "contiguous":
             ends = zip(index, self.chunk, self.shape, strict=True)
-            assert all(s.start % c == 0 and (s.stop % c == 0 or s.stop == n) for s, c, n in ends)
+            assert all(
+                s.start % c == 0 and (s.stop % c == 0 or s.stop == n)
+                for s, c, n in ends
+            )
         self.times[index] += 1
 
 
@@ -775,7 +1090,9 @@ def test_an_archive_that_crashes_the_library_is_not_opened_here(copy, monkeypatc
 
 
 def test_an_archive_is_loaded_in_no_other_process(copy, monkeypatch):
-    """That takes as long as ten loads; `verify` and `report` try files first that may crash the library."""
+    """That takes as long as ten loads; `verify` and `report` try files first that may
+    crash the library.
+    """
     monkeypatch.setattr(read.subprocess, "Popen", Mock(side_effect=AssertionError))
     assert load(copy).sizes["gait"]
 
@@ -793,22 +1110,32 @@ def reader(tmp_path):
 
 
 def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
-    """It and the process that reads the archive, which wakes last, stopped for longer than that may take."""
+    """It and the process that reads the archive, which wakes last, stopped for longer
+    than that may take.
+    """
     program = (
         "import sys; from pathlib import Path; from gaitsweep.pipeline.archive import read\n"
         f"sys.executable, read._TIMEOUT = {reader('exec sleep 1')!r}, 3.0; read.probe([Path('any.nc')])"
     )
     (tmp_path / "any.nc").touch()
-    process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, env={**os.environ, "PYTHONPATH": ROOT})
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": ROOT},
+    )
     while not (tmp_path / "begun").exists() and process.poll() is None:
         time.sleep(0.02)
     suspend(process.pid, 3.3)
     assert process.wait(20) == 0
 
 
-def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch, reader):
+def test_an_archive_on_which_the_library_hangs_is_damaged(
+    tmp_path, monkeypatch, reader
+):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "executable", reader("ulimit -S -t $4; while :; do :; done"))
+    monkeypatch.setattr(
+        sys, "executable", reader("ulimit -S -t $4; while :; do :; done")
+    )
     monkeypatch.setattr(read, "_TIMEOUT", 1.0)
     (tmp_path / "a.nc").touch()
     began, before = time.monotonic(), descendants(os.getpid())
@@ -818,9 +1145,15 @@ def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch,
 
 
 def test_an_archive_of_much_in_few_bytes_has_the_time_to_be_read(tmp_path, monkeypatch):
-    """One of a billion points, 433 MB of zeros for the most part, was called damaged after two minutes."""
+    """One of a billion points, 433 MB of zeros for the most part, was called damaged
+    after two minutes.
+    """
     allowed = []
-    monkeypatch.setattr(read.subprocess, "Popen", lambda command, **_: allowed.append(int(command[4])) or ended(0))
+    monkeypatch.setattr(
+        read.subprocess,
+        "Popen",
+        lambda command, **_: allowed.append(int(command[4])) or ended(0),
+    )
     (tmp_path / "a.nc").touch()
     os.truncate(tmp_path / "a.nc", 433_000_000)
     read.probe([tmp_path / "a.nc"])
@@ -828,22 +1161,29 @@ def test_an_archive_of_much_in_few_bytes_has_the_time_to_be_read(tmp_path, monke
 
 
 def test_an_archive_is_probed_in_every_value_some_at_a_time(monkeypatch):
-    """One value that crashes the library is enough, and a foreign file may be larger than the memory."""
+    """One value that crashes the library is enough, and a foreign file may be larger
+    than the memory.
+    """
     shapes = ((), (0,), (7,), (1000,), (31, 5), (10, 4, 30), (2, 101))
     inner, outer = ({str(shape): _Counted(shape) for shape in shapes} for _ in range(2))
-    # As of a long line each: rows of a hundred lines were read, and every chunk as often as a line has rows.
+    # As of a long line each: rows of a hundred lines were read, and every chunk as
+    # often as a line has rows.
     outer["chunks"] = _Counted((90, 7, 2), [20, 1, 1])
     deep = SimpleNamespace(variables=inner, groups={})
     masked = Mock()
     file = SimpleNamespace(
-        set_auto_mask=masked, variables=outer, groups={"fits": SimpleNamespace(variables={}, groups={"scaling": deep})}
+        set_auto_mask=masked,
+        variables=outer,
+        groups={"fits": SimpleNamespace(variables={}, groups={"scaling": deep})},
     )
     # One that only raises an error does not hide those after it.
     file.variables = {"no numbers": SimpleNamespace(shape=None), **outer}
     monkeypatch.setattr(read, "open_archive", lambda path: contextlib.nullcontext(file))
     monkeypatch.setattr(read, "_MAX_VALUES", 100)
     read._read_whole(Path("file.nc"))
-    assert all((variable.times == 1).all() for variable in (*inner.values(), *outer.values()))
+    assert all(
+        (variable.times == 1).all() for variable in (*inner.values(), *outer.values())
+    )
     masked.assert_called_once_with(False)
 
 
@@ -858,7 +1198,9 @@ def _junk(path, original, dice):
 
 
 def _read_many(original, path, at, files):
-    """Mangled archives number `at` and on, read and verified where a crash ends this process; `at` counts them."""
+    """Mangled archives number `at` and on, read and verified where a crash ends this
+    process; `at` counts them.
+    """
     resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
     while at.value < files:
         signal.alarm(20)
@@ -870,7 +1212,9 @@ def _read_many(original, path, at, files):
 
 @pytest.mark.parametrize("files", [300, pytest.param(100_000, marks=pytest.mark.soak)])
 def test_mangled_archives_never_end_in_a_traceback(tmp_path, capsys, files):
-    """Where the netCDF library crashes or never returns, the command says so in one line."""
+    """Where the netCDF library crashes or never returns, the command says so in one
+    line.
+    """
     toy = Toy(tmp_path)
     toy.write(STUDY.replace("n = 200", "n = 9"))
     toy("run", "toy.toml")
@@ -885,8 +1229,11 @@ def test_mangled_archives_never_end_in_a_traceback(tmp_path, capsys, files):
             continue
         assert child.exitcode < 0, f"archive {at.value} ends in a traceback"
         fatal[signal.Signals(-child.exitcode).name] += 1
-        # Intact, where an earlier archive had broken the library's memory in the process that ended here.
+        # Intact, where an earlier archive had broken the library's memory in the
+        # process that ended here.
         code, said = commands.main(["verify", str(path)]), capsys.readouterr().out
-        assert said.count("\n") == 1 and (code == 1 or (code == 0 and "is intact" in said))
+        assert said.count("\n") == 1 and (
+            code == 1 or (code == 0 and "is intact" in said)
+        )
         at.value += 1
     print(f"{files} mangled archives; of these end their reader: {dict(fatal)}")

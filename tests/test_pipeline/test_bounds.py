@@ -1,4 +1,6 @@
-"""Memory is bounded: what a run holds of a point is less than the point's results, and ten million fit in 1 GiB."""
+"""Memory is bounded: what a run holds of a point is less than the point's results, and
+ten million fit in 1 GiB.
+"""
 
 import os
 import threading
@@ -22,7 +24,9 @@ fits = ["scaling"]
 
 
 def peaks(toy, *arguments):
-    """Peak resident memory [byte] of a command and of the largest process below it, and its time [s]."""
+    """Peak resident memory [byte] of a command and of the largest process below it, and
+    its time [s].
+    """
     began, found = time.monotonic(), {}
     process = toy.start(*arguments, TOY_CHUNK="16384")
     reader = threading.Thread(target=process.communicate)
@@ -30,14 +34,23 @@ def peaks(toy, *arguments):
     while reader.is_alive():
         for pid in (process.pid, *descendants(process.pid)):
             try:
-                mark = Path(f"/proc/{pid}/status").read_text().split("VmHWM:")[1].split()[0]
+                mark = (
+                    Path(f"/proc/{pid}/status")
+                    .read_text()
+                    .split("VmHWM:")[1]
+                    .split()[0]
+                )
                 found[pid] = 1024 * int(mark)
             except (OSError, IndexError):
                 continue
         time.sleep(0.02)
     reader.join()
     assert process.returncode == 0
-    return found.pop(process.pid), max(found.values(), default=0), time.monotonic() - began
+    return (
+        found.pop(process.pid),
+        max(found.values(), default=0),
+        time.monotonic() - began,
+    )
 
 
 def test_a_point_costs_the_parent_little_memory(toy):
@@ -58,13 +71,22 @@ def test_ten_million_points_fit(toy, tell):
         toy.write(STUDY.format(n=n))
         parent, worker, took[n] = peaks(toy, "run", "toy.toml", "--fresh")
         assert parent < 1 << 30 and worker < 512 * MIB
-        sizes = [os.path.getsize(toy.folder / f"data/archive/toy.{kind}") // MIB for kind in ("journal", "nc")]
+        sizes = [
+            os.path.getsize(toy.folder / f"data/archive/toy.{kind}") // MIB
+            for kind in ("journal", "nc")
+        ]
         tell(
             f"{n:,} points run in {took[n]:.0f} s: parent {parent // MIB} MiB, workers {worker // MIB} MiB; journal"
             f" {sizes[0]} MiB, archive {sizes[1]} MiB"
         )
     assert took[10_000_000] < 13 * took[1_000_000]
-    for command in (("plan", "toy.toml"), ("run", "toy.toml"), ("verify", "data/archive/toy.nc")):
+    for command in (
+        ("plan", "toy.toml"),
+        ("run", "toy.toml"),
+        ("verify", "data/archive/toy.nc"),
+    ):
         parent, worker, seconds = peaks(toy, *command)
         assert max(parent, worker) < 1 << 30
-        tell(f"{command[0]} of it once it is there: {max(parent, worker) // MIB} MiB, {seconds:.0f} s")
+        tell(
+            f"{command[0]} of it once it is there: {max(parent, worker) // MIB} MiB, {seconds:.0f} s"
+        )

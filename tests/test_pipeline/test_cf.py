@@ -1,4 +1,6 @@
-"""Archives of every kind of study keep the CF conventions they declare, and describe all they hold."""
+"""Archives of every kind of study keep the CF conventions they declare, and describe
+all they hold.
+"""
 
 import json
 import subprocess
@@ -21,30 +23,60 @@ STUDIES = {
         "walker": "E",
         "axes": {"slope": [0.0005, 0.001, 0.002, 0.02], "foot_mass_ratio": [0.1, 0.05]},
         "want": {
-            "variables": ["stance_angle", "period", "speed", "power", "multipliers", "energy", "violations"],
+            "variables": [
+                "stance_angle",
+                "period",
+                "speed",
+                "power",
+                "multipliers",
+                "energy",
+                "violations",
+            ],
             "fits": ["scaling", "transition"],
             "figures": ["angles"],
             "claims": ["D1"],
         },
     },
-    "walkers": {"walker": ["A", "D"], "axes": {"slope": [0.01]}, "want": {"figures": ["angles"], "claims": ["D1"]}},
+    "walkers": {
+        "walker": ["A", "D"],
+        "axes": {"slope": [0.01]},
+        "want": {"figures": ["angles"], "claims": ["D1"]},
+    },
     "branch": {"walker": "D", "axes": {"slope": {"from": 0.005, "to": 0.03, "n": 4}}},
     "orbit": {
         "walker": "D",
         "axes": {"slope": [0.012, 0.019]},
         "options": {"starts": 2, "transient": 20, "steps": 60, "shown": 8},
     },
-    "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
-    "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "steps": 20}},
+    "cascade": {
+        "walker": "D",
+        "axes": {"slope": [0.012, 0.018]},
+        "options": {"periods": 2, "starts": 20},
+    },
+    "basin": {
+        "walker": "D",
+        "axes": {"slope": [0.01]},
+        "options": {"size": 8, "steps": 20},
+    },
     "curve": {
         "walker": "F",
         "axes": {"slope": [0.005, 0.05]},
-        "options": {"key": "foot_mass_ratio", "from": 0.04, "to": 0.06, "kinds": ["flip"]},
+        "options": {
+            "key": "foot_mass_ratio",
+            "from": 0.04,
+            "to": 0.06,
+            "kinds": ["flip"],
+        },
     },
     "no curve": {
         "walker": "E",
         "axes": {"slope": [0.005, 0.05]},
-        "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]},
+        "options": {
+            "key": "foot_mass_ratio",
+            "from": 0.08,
+            "to": 0.12,
+            "kinds": ["flip"],
+        },
     },
     "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
 }
@@ -77,8 +109,13 @@ def archives(tmp_path_factory):
     return {name: folder / f"{name}.nc" for name in STUDIES}
 
 
-@pytest.mark.parametrize("engine", [["--jobs", "1"], pytest.param(["--cluster", "local:1"], marks=pytest.mark.soak)])
-def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, tmp_path, engine):
+@pytest.mark.parametrize(
+    "engine",
+    [["--jobs", "1"], pytest.param(["--cluster", "local:1"], marks=pytest.mark.soak)],
+)
+def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(
+    archives, tmp_path, engine
+):
     """All kinds by one worker process, in another order, two of them with claims."""
     files = []
     for name in reversed(STUDIES):
@@ -92,7 +129,15 @@ def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, t
 
 
 def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
-    command = [sys.executable, "-W", "ignore", "-c", CHECK, str(tmp_path / "found.json"), *map(str, archives.values())]
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-c",
+        CHECK,
+        str(tmp_path / "found.json"),
+        *map(str, archives.values()),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert (tmp_path / "found.json").exists(), done.stderr
     found = json.loads((tmp_path / "found.json").read_text())
@@ -100,9 +145,15 @@ def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
     for name, checks in found.items():
         checks = checks["cf:1.11"]
         said = [check["msgs"] for check in checks["all_priorities"] if check["msgs"]]
-        assert not said and checks["scored_points"] == checks["possible_points"] > 20, (name, said)
-    # The checker takes differences of text coordinates, where it stumbles; it says so, and finds nothing by it.
-    stumbles = [line for line in done.stdout.splitlines() if line.startswith("cf:1.11.")]
+        assert not said and checks["scored_points"] == checks["possible_points"] > 20, (
+            name,
+            said,
+        )
+    # The checker takes differences of text coordinates, where it stumbles; it says so,
+    # and finds nothing by it.
+    stumbles = [
+        line for line in done.stdout.splitlines() if line.startswith("cf:1.11.")
+    ]
     assert all("strict_monotonicity" in line and "'str'" in line for line in stumbles)
 
 
@@ -112,10 +163,18 @@ def test_no_archive_differs_from_itself(archives):
 
 
 def test_a_curve_that_could_not_begin_says_so(archives):
-    with netCDF4.Dataset(archives["curve"]) as found, netCDF4.Dataset(archives["no curve"]) as none:
+    with (
+        netCDF4.Dataset(archives["curve"]) as found,
+        netCDF4.Dataset(archives["no curve"]) as none,
+    ):
         assert len(found["curves/slope"]) and "followed" in str(found["reason_text"][0])
-        assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith("No point to start")
-        assert (found["status"][...].item(), none["status"][...].item()) == (STATUSES["converged"], STATUSES["no_gait"])
+        assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith(
+            "No point to start"
+        )
+        assert (found["status"][...].item(), none["status"][...].item()) == (
+            STATUSES["converged"],
+            STATUSES["no_gait"],
+        )
 
 
 def _variables(group, path=""):
@@ -136,7 +195,10 @@ def test_every_variable_of_every_group_has_units_and_a_meaning(archives):
                 if variable.dtype.kind == "f" and variable.dimensions == ("row",):
                     assert np.isnan(variable._FillValue), name
                 # A bare name stands where nobody has written what a column means.
-                assert variable.long_name != name.rpartition("/")[2].replace("_", " ") or name == "walker", name
+                assert (
+                    variable.long_name != name.rpartition("/")[2].replace("_", " ")
+                    or name == "walker"
+                ), name
     groups = {name.rpartition("/")[0] for name in seen}
     assert groups >= {
         "",
@@ -160,39 +222,68 @@ def test_every_variable_of_every_group_has_units_and_a_meaning(archives):
 
 
 def test_tables_are_in_the_walkers_units(archives):
-    with netCDF4.Dataset(archives["walkers"]) as mixed, netCDF4.Dataset(archives["cascade"]) as counted:
-        assert mixed["trace/theta_st"].units == "rad" and mixed["trace/time"].units == "1"
+    with (
+        netCDF4.Dataset(archives["walkers"]) as mixed,
+        netCDF4.Dataset(archives["cascade"]) as counted,
+    ):
+        assert (
+            mixed["trace/theta_st"].units == "rad" and mixed["trace/time"].units == "1"
+        )
         assert mixed["trace/time"].comment.startswith("in the units of each walker")
         assert counted["cascade/period"].long_name == "steps of the periodic gait"
 
 
 @pytest.mark.parametrize(
-    ("walker", "key", "unit"), [("C", "R", "m"), ("C", "eps_T", "rad"), ("E", "R", "1"), ("C", "detuning", "1")]
+    ("walker", "key", "unit"),
+    [("C", "R", "m"), ("C", "eps_T", "rad"), ("E", "R", "1"), ("C", "detuning", "1")],
 )
 def test_values_of_a_curves_key_have_its_unit(walker, key, unit):
     options = {"key": key, "from": 0.1, "to": 0.2}
     study = studies._study(
-        {"name": "s", "kind": "curve", "walker": walker, "axes": {"slope": [0.01, 0.1]}, "options": options}
+        {
+            "name": "s",
+            "kind": "curve",
+            "walker": walker,
+            "axes": {"slope": [0.01, 0.1]},
+            "options": options,
+        }
     )
     for group in ("curves", "turnings"):
-        assert result_tables._attributes(types.SimpleNamespace(study=study), group, "value")["units"] == unit
+        assert (
+            result_tables._attributes(
+                types.SimpleNamespace(study=study), group, "value"
+            )["units"]
+            == unit
+        )
 
 
 def test_the_ranges_of_the_fitted_lines_are_slopes(archives):
     with netCDF4.Dataset(archives["grid"]) as file:
         table = file["fits/transition"]
         for name, factor in (("fitted_below", 0.1), ("fitted_above", 3.0)):
-            np.testing.assert_allclose(table[name][...], factor * table["slope_transition"][...])
+            np.testing.assert_allclose(
+                table[name][...], factor * table["slope_transition"][...]
+            )
             assert table[name].units == table["slope_transition"].units == "rad"
-            assert "slope" in table[name].long_name and "exponent" not in table[name].long_name
+            assert (
+                "slope" in table[name].long_name
+                and "exponent" not in table[name].long_name
+            )
 
 
 def test_flags_decode_with_netcdf4_alone(archives):
     with netCDF4.Dataset(archives["grid"]) as file:
         status, violations = file["status"], file["violations"]
-        words = dict(zip(status.flag_values.tolist(), status.flag_meanings.split(), strict=True))
-        assert {words[v] for v in np.unique(status[...]).tolist()} <= {"converged", "no_gait"}
+        words = dict(
+            zip(status.flag_values.tolist(), status.flag_meanings.split(), strict=True)
+        )
+        assert {words[v] for v in np.unique(status[...]).tolist()} <= {
+            "converged",
+            "no_gait",
+        }
         assert len(violations.flag_meanings.split()) == len(violations.flag_masks)
-        assert not np.any(violations[...] & ~np.bitwise_or.reduce(violations.flag_masks))
+        assert not np.any(
+            violations[...] & ~np.bitwise_or.reduce(violations.flag_masks)
+        )
         reasons = file["reason_text"][...][file["reason"][...]]
         assert all(text.endswith(".") for text in reasons.ravel())

@@ -1,4 +1,6 @@
-"""Chunks packed here are what HDF5's own filters read, and no larger than what they would write."""
+"""Chunks packed here are what HDF5's own filters read, and no larger than what they
+would write.
+"""
 
 import zlib
 
@@ -20,7 +22,9 @@ def _file(path, values, extent):
         for k, n in enumerate(values.shape):
             file.createDimension(f"d{k}", n)
         dims = tuple(f"d{k}" for k in range(values.ndim))
-        file.createVariable("v", values.dtype, dims, chunksizes=extent, fill_value=False, **PACKED)
+        file.createVariable(
+            "v", values.dtype, dims, chunksizes=extent, fill_value=False, **PACKED
+        )
     return path
 
 
@@ -43,7 +47,9 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
     shape = box_shape(sizes, MOST_POINTS)
     extent = (*shape, values.shape[2])
-    ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
+    ours, theirs = (
+        _file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc")
+    )
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
     with direct_chunks(ours) as write:
@@ -51,7 +57,9 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
             for corner, part in layout.split(values[box], box, extent):
                 packed = packing.pack_values(part, extent)
                 write("v", corner, packed.data)
-                unpacked = packing.unpack(packed.data, values.dtype.str, extent)[tuple(map(slice, part.shape))]
+                unpacked = packing.unpack(packed.data, values.dtype.str, extent)[
+                    tuple(map(slice, part.shape))
+                ]
                 np.testing.assert_array_equal(unpacked, part)
                 assert packed.checksum == zlib.crc32(part.tobytes())
     with netCDF4.Dataset(ours) as file:
@@ -80,9 +88,17 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     ],
 )
 def test_boxes_are_whole_chunks_and_cover_the_grid_once(sizes):
-    seen, chunk = np.zeros(tuple(sizes.values()), int), box_shape(sizes, MOST_POINTS // 3)
+    seen, chunk = (
+        np.zeros(tuple(sizes.values()), int),
+        box_shape(sizes, MOST_POINTS // 3),
+    )
     for box in boxes(sizes, chunk, MOST_POINTS):
         seen[box] += 1
-        assert seen[box].size <= MOST_POINTS and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
-        assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))
+        assert seen[box].size <= MOST_POINTS and all(
+            s.start % c == 0 for s, c in zip(box, chunk, strict=True)
+        )
+        assert all(
+            s.stop % c == 0 or s.stop == n
+            for s, c, n in zip(box, chunk, seen.shape, strict=True)
+        )
     assert (seen == 1).all()

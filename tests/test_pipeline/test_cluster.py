@@ -50,7 +50,10 @@ class Cluster:
     def _start(self, module, *arguments):
         quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
         return subprocess.Popen(
-            [sys.executable, "-m", module, *map(str, arguments)], env=self.environment, cwd=self.folder, **quiet
+            [sys.executable, "-m", module, *map(str, arguments)],
+            env=self.environment,
+            cwd=self.folder,
+            **quiet,
         )
 
     def add_worker(self, **environment):
@@ -89,16 +92,26 @@ def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
     toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50)
     assert toy.bytes() == whole
     (state,) = json.loads(toy("status", "--json").stdout)
-    assert 1 <= len(state["workers"]) <= 2 and all(w["memory"] > 1 << 24 for w in state["workers"])
+    assert 1 <= len(state["workers"]) <= 2 and all(
+        w["memory"] > 1 << 24 for w in state["workers"]
+    )
 
 
-@pytest.mark.parametrize("signum", [signal.SIGHUP, pytest.param(signal.SIGINT, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "signum", [signal.SIGHUP, pytest.param(signal.SIGINT, marks=pytest.mark.soak)]
+)
 def test_a_signal_ignored_from_the_start_stays_ignored_on_a_cluster(toy, whole, signum):
     """Whoever logs out ends neither the run nor the dask workers that are in its group."""
     with ignored(signum):
-        process = toy.start("run", "toy.toml", "--cluster", "local:2", "--chunk", 20, **SLOW)
+        process = toy.start(
+            "run", "toy.toml", "--cluster", "local:2", "--chunk", 20, **SLOW
+        )
     wait_for_points(toy, 2)
-    group = [pid for pid in (process.pid, *descendants(process.pid)) if os.getpgid(pid) == os.getpgid(process.pid)]
+    group = [
+        pid
+        for pid in (process.pid, *descendants(process.pid))
+        if os.getpgid(pid) == os.getpgid(process.pid)
+    ]
     for pid in group:
         os.kill(pid, signum)
     _, err = process.communicate(timeout=100)
@@ -110,11 +123,19 @@ def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
     folder = toy.folder / "data" / "archive"
     folder.mkdir(parents=True)
     for name in ("busy", "z"):
-        toy.write(STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"), f"{name}.toml")
+        toy.write(
+            STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"),
+            f"{name}.toml",
+        )
     with (folder / "busy.journal-lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        said = toy("run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5).stderr
-    assert ": converged 40; not run to the end: busy.toml" in said and (folder / "z.nc").exists()
+        said = toy(
+            "run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5
+        ).stderr
+    assert (
+        ": converged 40; not run to the end: busy.toml" in said
+        and (folder / "z.nc").exists()
+    )
 
 
 @pytest.mark.parametrize(
@@ -141,7 +162,12 @@ def test_a_script_needs_no_guard_to_run_on_workers_of_its_own(tmp_path):
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
-        [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
+        [sys.executable, script],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
     )
     assert (ended.stdout, ended.stderr) == ("converged\n", "")
 
@@ -151,24 +177,40 @@ def test_certificates_of_clients_are_looked_for(monkeypatch):
 
     for context in (None, "of ssl"):
         monkeypatch.setattr(
-            Security, "get_connection_args", lambda self, role, context=context: {"ssl_context": context}
+            Security,
+            "get_connection_args",
+            lambda self, role, context=context: {"ssl_context": context},
         )
         assert cluster_executor._has_certificates() == (context is not None)
 
 
 def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
     """Its numbers would be archived as those of the code of the run."""
-    shutil.copytree(ROOT / "gaitsweep", tmp_path / "other/gaitsweep", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "gaitsweep",
+        tmp_path / "other/gaitsweep",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     with (tmp_path / "other/gaitsweep/tasks/measures/gaits.py").open("a") as file:
         file.write("_FURTHER = 1\n")
     cluster.add_worker(PYTHONPATH=f"{tmp_path / 'other'}{os.pathsep}{TOYS}")
-    said = toy("run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3).stderr
-    assert said.count("\n") == 1 and "has code of `tasks` " in said and "; the run has " in said
+    said = toy(
+        "run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3
+    ).stderr
+    assert (
+        said.count("\n") == 1
+        and "has code of `tasks` " in said
+        and "; the run has " in said
+    )
 
 
-@pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP address")  # there may be no network
+@pytest.mark.filterwarnings(
+    "ignore:Couldn't detect a suitable IP address"
+)  # there may be no network
 def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
-    """Of eight workers one is left: what was submitted is more than it should have waiting."""
+    """Of eight workers one is left: what was submitted is more than it should have
+    waiting.
+    """
     monkeypatch.setattr(cluster_executor, "RECOUNT", 0.0)
     jobs = iter([(n,) for n in range(40)])
 
@@ -176,7 +218,11 @@ def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
         one = client.nthreads()
         counts = iter([dict.fromkeys(one, 8)])
         monkeypatch.setattr(client, "nthreads", lambda: next(counts, one))
-        found = list(cluster_executor.results(cluster_executor.Team(client), abs, lambda: next(jobs, None)))
+        found = list(
+            cluster_executor.results(
+                cluster_executor.Team(client), abs, lambda: next(jobs, None)
+            )
+        )
 
     assert sorted(found) == list(range(40))
 
@@ -190,11 +236,18 @@ def test_a_run_without_workers_ends_after_a_time_that_it_has_told(monkeypatch):
 
     with connect("local:1") as client:
         monkeypatch.setattr(client, "nthreads", dict)
-        found = cluster_executor.results(cluster_executor.Team(client), time.sleep, lambda: next(jobs, None))
-        with pytest.raises(WorkerError, match=r"The cluster has had no worker for 0.5 s\.") as ended:
+        found = cluster_executor.results(
+            cluster_executor.Team(client), time.sleep, lambda: next(jobs, None)
+        )
+        with pytest.raises(
+            WorkerError, match=r"The cluster has had no worker for 0.5 s\."
+        ) as ended:
             told.extend(found)
 
-    assert told == ["The cluster has no worker; the run waits 0.5 s for one."] and ended.value.exit_code == 3
+    assert (
+        told == ["The cluster has no worker; the run waits 0.5 s for one."]
+        and ended.value.exit_code == 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -202,7 +255,9 @@ def test_a_run_without_workers_ends_after_a_time_that_it_has_told(monkeypatch):
     [(signal.SIGTERM, 143, signal.SIGKILL), (signal.SIGINT, 130, signal.SIGSTOP)],
     ids=["gone", "stopped"],
 )
-def test_a_signal_ends_a_run_whose_only_worker_is_lost(toy, cluster, signum, code, trouble):
+def test_a_signal_ends_a_run_whose_only_worker_is_lost(
+    toy, cluster, signum, code, trouble
+):
     cluster.add_worker(**SLOW)
     process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
     wait_for_points(toy, 1)
@@ -219,29 +274,51 @@ def test_a_signal_ends_a_run_whose_only_worker_is_lost(toy, cluster, signum, cod
 def test_a_worker_that_cannot_load_gaitsweep_ends_the_run(toy, cluster, tmp_path):
     """At its first job it would end without a word, and the run wait for another."""
     (tmp_path / "other/gaitsweep").mkdir(parents=True)
-    (tmp_path / "other/gaitsweep/__init__.py").write_text("raise ImportError('nothing here')\n")
+    (tmp_path / "other/gaitsweep/__init__.py").write_text(
+        "raise ImportError('nothing here')\n"
+    )
     cluster.add_worker(PYTHONPATH=str(tmp_path / "other"))
 
-    said = toy("run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3).stderr
+    said = toy(
+        "run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3
+    ).stderr
 
-    assert said.count("\n") == 1 and " cannot load gaitsweep: " in said and "nothing here" in said
+    assert (
+        said.count("\n") == 1
+        and " cannot load gaitsweep: " in said
+        and "nothing here" in said
+    )
 
 
 def _listening(pid):
     """Sockets of a process that others can connect to over the network."""
     listens = "0A"
-    rows = [row.split() for name in ("tcp", "tcp6") for row in Path(f"/proc/{pid}/net/{name}").read_text().splitlines()]
+    rows = [
+        row.split()
+        for name in ("tcp", "tcp6")
+        for row in Path(f"/proc/{pid}/net/{name}").read_text().splitlines()
+    ]
     there = {f"socket:[{row[9]}]" for row in rows if row[3] == listens}
-    files = [os.readlink(file) for file in Path(f"/proc/{pid}/fd").iterdir() if file.is_symlink()]
+    files = [
+        os.readlink(file)
+        for file in Path(f"/proc/{pid}/fd").iterdir()
+        if file.is_symlink()
+    ]
     return there.intersection(files)
 
 
 def test_workers_of_its_own_open_no_port(toy, whole):
     """Whoever reached one, the dashboard's too, could run code as the user of the run."""
-    process = toy.start("run", "toy.toml", "--cluster", "local:2", "--chunk", 10, **SLOW)
+    process = toy.start(
+        "run", "toy.toml", "--cluster", "local:2", "--chunk", 10, **SLOW
+    )
     wait_for_points(toy, 2)
 
-    ports = [port for pid in (process.pid, *descendants(process.pid)) for port in _listening(pid)]
+    ports = [
+        port
+        for pid in (process.pid, *descendants(process.pid))
+        for port in _listening(pid)
+    ]
     process.communicate(timeout=60)
 
     assert not ports and process.returncode == 0
@@ -269,7 +346,9 @@ def test_a_bad_point_on_a_cluster_costs_one_point(toy, cluster, tell):
     cluster.add_worker(TOY_TROUBLE="segfault@0.2")
     done = toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50, expect=1)
     assert "converged 398, worker_died 2" in done.stderr
-    tell("a point that segfaults on a cluster, on two lines: worker_died 2, converged 398")
+    tell(
+        "a point that segfaults on a cluster, on two lines: worker_died 2, converged 398"
+    )
 
 
 @pytest.mark.soak
@@ -283,7 +362,9 @@ def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, tell, seed):
     for _ in range(4):
         time.sleep(dice.uniform(0.3, 1.5))
         if process.poll() is None:
-            victim = dice.choice([worker for worker in cluster.workers if worker.poll() is None])
+            victim = dice.choice(
+                [worker for worker in cluster.workers if worker.poll() is None]
+            )
             victim.send_signal(signal.SIGKILL)
             victim.wait()
             killed += 1
@@ -295,7 +376,9 @@ def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, tell, seed):
 
 
 @pytest.mark.soak
-def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(toy, whole, cluster, tell):
+def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(
+    toy, whole, cluster, tell
+):
     cluster.add_worker(**SLOW)
     cluster.add_worker()
     process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
@@ -313,14 +396,23 @@ def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(toy, whole, 
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert toy.bytes() == whole
-    tell("all workers of a cluster killed three times, and others added 3 s later: equal bytes")
+    tell(
+        "all workers of a cluster killed three times, and others added 3 s later: equal bytes"
+    )
 
 
 @pytest.mark.soak
 def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (18, 18))"
     program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
-    words = [str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet", "--cluster", "local:2"]
+    words = [
+        str(TOYS / "gaitsweep_toy.py"),
+        "run",
+        "toy.toml",
+        "--quiet",
+        "--cluster",
+        "local:2",
+    ]
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", program, *words],
         cwd=toy.folder,
@@ -328,13 +420,19 @@ def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 3 and done.stderr.count("\n") == 1 and "Too many open files" in done.stderr, done.stderr
+    assert (
+        done.returncode == 3
+        and done.stderr.count("\n") == 1
+        and "Too many open files" in done.stderr
+    ), done.stderr
 
 
 @pytest.mark.soak
 def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster, tell):
     cluster.add_worker(**SLOW)
-    process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10, **SLOW)
+    process = toy.start(
+        "run", "toy.toml", "--cluster", cluster.address, "--chunk", 10, **SLOW
+    )
     time.sleep(3)
     cluster.scheduler.kill()
     _, err = process.communicate(timeout=200)
@@ -347,10 +445,20 @@ def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster, t
 @pytest.mark.soak
 @pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("local", [True, False])
-def test_a_stopped_run_leaves_no_process_on_a_cluster(toy, whole, cluster, tell, local, signum):
+def test_a_stopped_run_leaves_no_process_on_a_cluster(
+    toy, whole, cluster, tell, local, signum
+):
     """On a cluster of someone else's its workers stay, but not what they started."""
     cluster.add_worker(**SLOW)
-    process = toy.start("run", "toy.toml", "--cluster", "local:2" if local else cluster.address, "--chunk", 10, **SLOW)
+    process = toy.start(
+        "run",
+        "toy.toml",
+        "--cluster",
+        "local:2" if local else cluster.address,
+        "--chunk",
+        10,
+        **SLOW,
+    )
     wait_for_points(toy, 2)
     ours = descendants(process.pid if local else cluster.workers[0].pid)
     assert len(ours) >= 1
@@ -371,8 +479,19 @@ def test_what_a_chunk_costs_on_a_cluster(toy, tell):
     toy.write(STUDY.replace("n = 200", "n = 10_000"))
     took = {}
     for engine in ("--jobs", "--cluster"):
-        toy("run", "toy.toml", engine, "local:2" if engine == "--cluster" else 2, "--fresh")
-        events = [json.loads(e) for e in (toy.folder / "data/archive/toy.events.jsonl").read_text().splitlines()]
+        toy(
+            "run",
+            "toy.toml",
+            engine,
+            "local:2" if engine == "--cluster" else 2,
+            "--fresh",
+        )
+        events = [
+            json.loads(e)
+            for e in (toy.folder / "data/archive/toy.events.jsonl")
+            .read_text()
+            .splitlines()
+        ]
         times = [e["time"] for e in events if e["event"] == "chunk"][-700:]
         assert len(times) == 700
         took[engine] = (times[-1] - times[0]) / (len(times) - 1)
@@ -393,6 +512,11 @@ def test_what_a_chunk_costs_on_a_cluster(toy, tell):
 def test_a_wrong_study_is_refused_before_a_cluster_is_asked(toy, wrong):
     """The same line with workers of our own and with a scheduler that is not there."""
     toy.write(f'name = "wrong"\n{wrong}', "wrong.toml")
-    said = [toy("run", "wrong.toml", *where, expect=2).stderr for where in ((), ("--cluster", "tcp://127.0.0.1:9"))]
-    assert said[0] == said[1] and said[0].count("\n") == 1 and "(wrong.toml, " in said[0]
+    said = [
+        toy("run", "wrong.toml", *where, expect=2).stderr
+        for where in ((), ("--cluster", "tcp://127.0.0.1:9"))
+    ]
+    assert (
+        said[0] == said[1] and said[0].count("\n") == 1 and "(wrong.toml, " in said[0]
+    )
     assert not (toy.folder / "data").exists()

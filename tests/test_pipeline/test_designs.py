@@ -1,4 +1,6 @@
-"""Studies of designs: many designs a job, cell by cell of a plane of keys, whatever runs them."""
+"""Studies of designs: many designs a job, cell by cell of a plane of keys, whatever
+runs them.
+"""
 
 import math
 
@@ -63,11 +65,16 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
     numbers = [study.batch(k) for k in range(batches)]
     assert sorted(np.concatenate(numbers).tolist()) == list(range(study.lines))
     for k, each in enumerate(numbers):
-        line, params = study.batch_line(k), layers.line_params(study, Method.TASK, "design", study.batch_line(k))
+        line, params = (
+            study.batch_line(k),
+            layers.line_params(study, Method.TASK, "design", study.batch_line(k)),
+        )
         for i, number in enumerate(each.tolist()):
             own = study.line(number)
             assert own["walker"] == line["walker"]
-            assert own["set"] == {key: float(values[i]) for key, values in line["set"].items()}
+            assert own["set"] == {
+                key: float(values[i]) for key, values in line["set"].items()
+            }
         assert ("plane" in params) == (study.plane is not None)
         if study.plane:
             assert len(np.unique(line["set"]["m_h"])) == 1
@@ -75,14 +82,21 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
 
 
 def test_a_plan_tells_what_designs_cost(tmp_path):
-    few, many = (read(written(tmp_path, '"B"', PLANE.format(n=n, m=20))) for n in (5, 100))
+    few, many = (
+        read(written(tmp_path, '"B"', PLANE.format(n=n, m=20))) for n in (5, 100)
+    )
     assert many.plane and not few.plane
-    each = [Graph(study).seconds("design") * study.batches / study.lines for study in (few, many)]
+    each = [
+        Graph(study).seconds("design") * study.batches / study.lines
+        for study in (few, many)
+    ]
     assert each[1] < 0.1 * each[0]
     planned = Plan(many, Store(tmp_path / "journal"))
     todo = summary(planned)
     # The slopes are a window, of which each design is one answer.
-    assert next(plan.lines(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")
+    assert next(plan.lines(planned, todo, many.path)).startswith(
+        "designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->"
+    )
     assert todo.todo["design"] == {"new": 2}
     assert todo.seconds == pytest.approx(2 * Graph(many).seconds("design"), rel=0.3)
 
@@ -98,7 +112,12 @@ def test_a_plan_of_a_billion_designs_is_made_at_once(tmp_path):
 
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory):
-    return [run(tmp_path_factory.mktemp(f"jobs{n}"), '"B"', PLANE.format(n=25, m=20), jobs=n) for n in (1, 2)]
+    return [
+        run(
+            tmp_path_factory.mktemp(f"jobs{n}"), '"B"', PLANE.format(n=25, m=20), jobs=n
+        )
+        for n in (1, 2)
+    ]
 
 
 def test_two_workers_write_the_same_bytes(archives):
@@ -124,11 +143,17 @@ def test_rows_follow_the_grid_and_hold_what_designs_hold_alone(archives, tmp_pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("at_slope = 0.5", r"`at_slope` must lie in \[1e-18, 0.5\) rad; got 0.5 \(designs.toml, options.at_slope\)"),
+        (
+            "at_slope = 0.5",
+            r"`at_slope` must lie in \[1e-18, 0.5\) rad; got 0.5 \(designs.toml, options.at_slope\)",
+        ),
         ("at_slope = 0.0", r"`at_slope` must lie in \[1e-18, 0.5\) rad; got 0.0"),
         ("at_speed = -1", r"`at_speed` must be above 0; got -1"),
         ("at_slope = 0.01\nground = 0.6", r"`ground` must lie in \[0, 0.5\]; got 0.6"),
-        ("ground = 0.1", "`ground` needs the slope at which the walker walks, `at_slope`"),
+        (
+            "ground = 0.1",
+            "`ground` needs the slope at which the walker walks, `at_slope`",
+        ),
         ("at_sloop = 0.1", "Unknown key `at_sloop`, did you mean `at_slope`"),
     ],
 )
@@ -146,9 +171,18 @@ def test_options_that_cannot_be_are_refused(tmp_path, options, message):
             "R = { from = 0.1, to = 2.0, n = 30 }\nm_s = { from = 0.03, to = 0.04, n = 30 }",
             "`R` must leave the hip above the foot's centre; got 2.0",
         ),
-        ("m_s = { from = -0.1, to = 0.1, n = 30 }\nR = [0.1, 0.2]", "`m_s` must be >= 0; got -0.1"),
-        ("detuning = { from = 0.0, to = 1.0, n = 30 }\nR = [0.1, 0.2]", "detuning.*needs walker A or C"),
-        ("R = { from = 0.1, to = 0.1, n = 1 }", "`from` must be less than `to` = 0.1; got 0.1"),
+        (
+            "m_s = { from = -0.1, to = 0.1, n = 30 }\nR = [0.1, 0.2]",
+            "`m_s` must be >= 0; got -0.1",
+        ),
+        (
+            "detuning = { from = 0.0, to = 1.0, n = 30 }\nR = [0.1, 0.2]",
+            "detuning.*needs walker A or C",
+        ),
+        (
+            "R = { from = 0.1, to = 0.1, n = 1 }",
+            "`from` must be less than `to` = 0.1; got 0.1",
+        ),
     ],
 )
 def test_planes_that_leave_the_walkers_are_refused(tmp_path, axes, message):
@@ -158,5 +192,8 @@ def test_planes_that_leave_the_walkers_are_refused(tmp_path, axes, message):
 
 def test_a_derived_key_is_not_contradicted(tmp_path):
     axes = "detuning = { from = 0.0, to = 1.0, n = 30 }\nr_t = { from = 0.1, to = 0.2, n = 30 }"
-    with pytest.raises(StudyError, match="`r_t` is set by `detuning`, which owns w_t, r_t, c_t, w_s, r_s"):
+    with pytest.raises(
+        StudyError,
+        match="`r_t` is set by `detuning`, which owns w_t, r_t, c_t, w_s, r_s",
+    ):
         read(written(tmp_path, '"A"', axes))

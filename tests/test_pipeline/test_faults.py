@@ -1,4 +1,6 @@
-"""Each call of the C library fails, once or from then on: one line, the right exit code, and the next run mends all."""
+"""Each call of the C library fails, once or from then on: one line, the right exit
+code, and the next run mends all.
+"""
 
 import contextlib
 import errno
@@ -38,7 +40,9 @@ FILES = "write truncate create mkdir sync rename unlink open read lock map"
 
 @dataclass(frozen=True)
 class Fault:
-    """Calls of these kinds fail, so many times; `codes` are right, or all. One of `part` calls is tried."""
+    """Calls of these kinds fail, so many times; `codes` are right, or all. One of
+    `part` calls is tried.
+    """
 
     kinds: str
     times: int
@@ -59,18 +63,25 @@ FAULTS = (
     Fault("map", 1, errno.ENOMEM, (0, 2, 3)),
     Fault("fork", 1, errno.EAGAIN, (0, 3)),
     Fault("thread", 1, errno.EAGAIN, (0, 3)),
-    # Where a library ends its process for want of memory, only the next run is promised to mend it.
+    # Where a library ends its process for want of memory, only the next run is promised
+    # to mend it.
     Fault("pages malloc", 1, errno.ENOMEM, (), 1000),
     Fault("pages malloc", FOREVER, errno.ENOMEM, (), 10_000),
 )
 
 
 class Trials:
-    """A tiny study computed, computed further and reported, undisturbed, and again with faults."""
+    """A tiny study computed, computed further and reported, undisturbed, and again with
+    faults.
+    """
 
     def __init__(self, faults: Faults):
         self.faults, self.folder = faults, faults.folder
-        self.commands = {"first": RUN, "further": RUN, "report": ("report", "data/archive/s.nc")}
+        self.commands = {
+            "first": RUN,
+            "further": RUN,
+            "report": ("report", "data/archive/s.nc"),
+        }
         self.wanted: dict[str, dict[str, bytes]] = {}
         self.before: dict[str, dict[str, bytes]] = {}
         self.counts: dict[str, dict[str, int]] = {}
@@ -84,7 +95,9 @@ class Trials:
                 self._restore(name)
             self.before[name] = self._outputs()
             self._run(name)
-            self.counts[name] = faults(*command).counts if name == "report" else self._run_again(name)
+            self.counts[name] = (
+                faults(*command).counts if name == "report" else self._run_again(name)
+            )
             self.wanted[name] = self._outputs()
             if name == "first":
                 (self.folder / "s.toml").write_text(LONGER)
@@ -104,38 +117,72 @@ class Trials:
 
     def _outputs(self) -> dict[str, bytes]:
         files = [*self.folder.glob("data/archive/*.nc"), *self.folder.glob("reports/*")]
-        return {file.name: file.read_bytes() for file in files if not file.name.startswith(".")}
+        return {
+            file.name: file.read_bytes()
+            for file in files
+            if not file.name.startswith(".")
+        }
 
     def cases(self) -> list[tuple[str, Fault, int]]:
-        """Command, fault, and which call of its kinds is the first to fail, in an order drawn by hash."""
+        """Command, fault, and which call of its kinds is the first to fail, in an order
+        drawn by hash.
+        """
         found = [
             (name, fault, k)
             for name, counts in self.counts.items()
             for fault in FAULTS
-            for k in range(1, 1 + sum(counts[kind] for kind in fault.kinds.split()), fault.part)
+            for k in range(
+                1, 1 + sum(counts[kind] for kind in fault.kinds.split()), fault.part
+            )
         ]
-        return sorted(found, key=lambda case: hashlib.sha256(repr(case).encode()).digest())
+        return sorted(
+            found, key=lambda case: hashlib.sha256(repr(case).encode()).digest()
+        )
 
     def problems(self, name: str, fault: Fault, first: int) -> tuple[list[str], str]:
-        """What is wrong after a fault and after the same command again; and how the fault ended."""
+        """What is wrong after a fault and after the same command again; and how the
+        fault ended.
+        """
         self._restore(name)
-        ended = self.faults(*self.commands[name], kinds=fault.kinds, first=first, times=fault.times, error=fault.error)
+        ended = self.faults(
+            *self.commands[name],
+            kinds=fault.kinds,
+            first=first,
+            times=fault.times,
+            error=fault.error,
+        )
         found, lines = [], ended.err.splitlines()
-        # HDF5 crashes if its last write, on closing a file that was flushed before, fails: the next run mends that.
-        is_last_write = ended.code == -11 and ended.what.startswith(("write", "truncate")) and "/.s.nc." in ended.what
+        # HDF5 crashes if its last write, on closing a file that was flushed before,
+        # fails: the next run mends that.
+        is_last_write = (
+            ended.code == -11
+            and ended.what.startswith(("write", "truncate"))
+            and "/.s.nc." in ended.what
+        )
         if fault.codes and ended.code not in fault.codes and not is_last_write:
             found.append(f"exit {ended.code}")
-        is_said = len(lines) <= 1 and "Traceback" not in ended.err and bool(lines) >= (ended.code > 0)
+        is_said = (
+            len(lines) <= 1
+            and "Traceback" not in ended.err
+            and bool(lines) >= (ended.code > 0)
+        )
         if not is_said and "malloc" not in fault.kinds:
             found.append(f"standard error is {ended.err!r}")
         if ended.left:
             found.append("processes are left")
-        kept = {file: data for file, data in self._outputs().items() if file.endswith(".nc")}
-        whole = [{f: d for f, d in each[name].items() if f.endswith(".nc")} for each in (self.before, self.wanted)]
+        kept = {
+            file: data for file, data in self._outputs().items() if file.endswith(".nc")
+        }
+        whole = [
+            {f: d for f, d in each[name].items() if f.endswith(".nc")}
+            for each in (self.before, self.wanted)
+        ]
         if kept not in whole and ended.code != 1:
             found.append(f"archives are neither old nor new: {list(kept)}")
         again = self.faults(*self.commands[name])
-        if ended.code == again.code == 1:  # a library met want of memory and said something else
+        if (
+            ended.code == again.code == 1
+        ):  # a library met want of memory and said something else
             again = self.faults(*self.commands[name], "--retry-failed")
         if again.code or again.err:
             found.append(f"again: exit {again.code}, {again.err!r}")
@@ -154,13 +201,17 @@ def trials(tmp_path_factory):
     library = compiled(folder)
     if not library:
         pytest.skip("there is no C compiler, or this is not Linux")
-    with started(folder / "run", library, GAITSWEEP_CACHE=str(folder / "cache")) as faults:
+    with started(
+        folder / "run", library, GAITSWEEP_CACHE=str(folder / "cache")
+    ) as faults:
         yield Trials(faults)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("n", [8, pytest.param(None, marks=pytest.mark.soak)])
-def test_whatever_call_fails_the_same_command_again_gives_the_same_bytes(trials, tell, resumed, n):
+def test_whatever_call_fails_the_same_command_again_gives_the_same_bytes(
+    trials, tell, resumed, n
+):
     cases = trials.cases()
     for k in range(n) if n else resumed(len(cases)):
         found, how = trials.problems(*cases[k])
@@ -178,7 +229,12 @@ SOLVE = (
 
 
 def _solving(cache, largest):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "GAITSWEEP_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "GAITSWEEP_CACHE": str(cache),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
 
     def limit():
@@ -186,32 +242,47 @@ def _solving(cache, largest):
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
 
     command = [sys.executable, "-W", "ignore", "-c", SOLVE]
-    return subprocess.Popen(command, env=environment, text=True, preexec_fn=limit, **pipes)
+    return subprocess.Popen(
+        command, env=environment, text=True, preexec_fn=limit, **pipes
+    )
 
 
 def _solved(cache, n=1, largest=resource.RLIM_INFINITY, said=""):
-    """What so many processes that share a compile cache give, of which all give the same; its files end at a size.
+    """What so many processes that share a compile cache give, of which all give the
+    same; its files end at a size.
 
     Nothing else is printed, but for one line that ends as `said`.
     """
     processes = [_solving(cache, largest) for _ in range(n)]
-    ends = {(*process.communicate(timeout=900), process.returncode) for process in processes}
+    ends = {
+        (*process.communicate(timeout=900), process.returncode) for process in processes
+    }
     ((out, err, code),) = ends
     assert (err.count("\n"), code) == (bool(said), 0) and err.endswith(said), err
     return out
 
 
-@pytest.mark.parametrize(("n", "damages"), [(2, 1), pytest.param(20, 60, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    ("n", "damages"), [(2, 1), pytest.param(20, 60, marks=pytest.mark.soak)]
+)
 def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
-    """Cold and shared by processes, then with a bit of its machine code flipped, or torn and damaged anyhow."""
+    """Cold and shared by processes, then with a bit of its machine code flipped, or
+    torn and damaged anyhow.
+    """
     cache = tmp_path / "cache"
     wanted = _solved(cache, n)
     with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
         db.execute("CREATE TABLE here (x)")
     assert _solved(cache) == wanted and (cache / "checksums.db").stat().st_size
     with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
-        db.execute("DROP TABLE here")  # so entries that are new have not been taken for damaged
-    files = {file: file.read_bytes() for file in cache.iterdir() if not file.name.endswith("-shm")}
+        db.execute(
+            "DROP TABLE here"
+        )  # so entries that are new have not been taken for damaged
+    files = {
+        file: file.read_bytes()
+        for file in cache.iterdir()
+        if not file.name.endswith("-shm")
+    }
     for k in range(damages):
         shutil.rmtree(cache)
         cache.mkdir()
@@ -223,10 +294,14 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
             file.write_bytes(damaged(files[file], dice))
         else:
             with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
-                number, code = dice.choice(db.execute("SELECT hash, obj FROM cache").fetchall())
+                number, code = dice.choice(
+                    db.execute("SELECT hash, obj FROM cache").fetchall()
+                )
                 code = bytearray(code)
                 code[dice.randrange(100, len(code))] ^= 1 << dice.randrange(8)
-                db.execute("UPDATE cache SET obj = ? WHERE hash = ?", (bytes(code), number))
+                db.execute(
+                    "UPDATE cache SET obj = ? WHERE hash = ?", (bytes(code), number)
+                )
                 db.commit()
         assert _solved(cache) == wanted, k
     tell(f"{n} processes share a cold cache; {damages} damaged: the same numbers")
@@ -245,14 +320,30 @@ def test_a_compile_cache_is_used_again_and_not_where_others_may_change_it(tmp_pa
     )
     folder = tmp_path / "some" / "cache"
     environment = {**os.environ, "GAITSWEEP_CACHE": str(folder)}
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     said = f"gaitsweep: The compile cache in {folder} is not used: {folder} is no plain file or folder that only"
-    assert done.returncode == 0 and [line[: len(said)] for line in done.stderr.splitlines()] == [said] * 2, done.stderr
+    assert (
+        done.returncode == 0
+        and [line[: len(said)] for line in done.stderr.splitlines()] == [said] * 2
+    ), done.stderr
 
 
-@pytest.mark.parametrize("sizes", [(200_000,), pytest.param((0, 1, 4096, 50_000, 300_000), marks=pytest.mark.soak)])
-def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_path, tell, sizes):
-    """Its disk is full at several sizes, also of one that was filled before; its folder is a file, or read only."""
+@pytest.mark.parametrize(
+    "sizes",
+    [(200_000,), pytest.param((0, 1, 4096, 50_000, 300_000), marks=pytest.mark.soak)],
+)
+def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(
+    tmp_path, tell, sizes
+):
+    """Its disk is full at several sizes, also of one that was filled before; its folder
+    is a file, or read only.
+    """
     cache, file = tmp_path / "cache", tmp_path / "file"
     wanted = _solved(cache)
     file.write_text("x")
@@ -262,10 +353,23 @@ def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_pat
         assert _solved(full) == wanted, size
     assert _solved(file) == wanted and file.read_text() == "x"
     if len(sizes) > 1:
-        assert _solved(cache, largest=0) == _solved("/proc/self") == _solved("/proc/none") == wanted
+        assert (
+            _solved(cache, largest=0)
+            == _solved("/proc/self")
+            == _solved("/proc/none")
+            == wanted
+        )
         (folder := tmp_path / "folders" / "cache.db").mkdir(parents=True)
-        assert _solved(folder.parent, said=f"{folder} is no plain file or folder that only you may change.\n") == wanted
-    tell(f"full at {len(sizes)} sizes, a file or folder in its place, a folder read only: the same numbers")
+        assert (
+            _solved(
+                folder.parent,
+                said=f"{folder} is no plain file or folder that only you may change.\n",
+            )
+            == wanted
+        )
+    tell(
+        f"full at {len(sizes)} sizes, a file or folder in its place, a folder read only: the same numbers"
+    )
 
 
 def test_who_has_no_home_has_no_compile_cache(tmp_path, monkeypatch):

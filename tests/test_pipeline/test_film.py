@@ -26,23 +26,41 @@ def test_a_film_lasts_as_long_as_its_steps(tmp_path, ending):
             picture.seek(k)
             frames.append(np.asarray(picture.convert("RGB"), int))
     assert len(frames) == 20  # 0.757 s, 25 a second
-    dark = [(frame.max(axis=2) < 100).sum() for frame in frames]  # the thin leg is drawn in each
+    dark = [
+        (frame.max(axis=2) < 100).sum() for frame in frames
+    ]  # the thin leg is drawn in each
     blue = [(frame[..., 2] - frame[..., 0] > 80).sum() for frame in frames]
-    assert min(blue) > 300 and min(dark) > 100 and np.abs(frames[0] - frames[10]).mean() > 1
+    assert (
+        min(blue) > 300
+        and min(dark) > 100
+        and np.abs(frames[0] - frames[10]).mean() > 1
+    )
 
 
 def test_poses_join_from_step_to_step_and_advance_by_the_step_length():
     found = gaits("physical", 0.036).isel(gait=0)
-    state = [float(found[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    motion, body = simulate("physical", 0.036, state, 3, motion=True), Body.of(found.attrs)
+    state = [
+        float(found[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")
+    ]
+    motion, body = (
+        simulate("physical", 0.036, state, 3, motion=True),
+        Body.of(found.attrs),
+    )
     period, angle = float(found["period"]), state[0]
-    at = np.array([0.0, period * (1 - 1e-9), period * (1 + 1e-9), 2 * period * (1 + 1e-9)])
+    at = np.array(
+        [0.0, period * (1 - 1e-9), period * (1 + 1e-9), 2 * period * (1 + 1e-9)]
+    )
     first, before, after, second = film.poses(motion, body, at)
     length = 2 * (body.length * np.sin(angle) + body.radius * angle)
-    assert after.hip == pytest.approx(before.hip, abs=1e-6) and (before.step, after.step) == (0, 1)
+    assert after.hip == pytest.approx(before.hip, abs=1e-6) and (
+        before.step,
+        after.step,
+    ) == (0, 1)
     assert after.foot - first.foot == pytest.approx(length, rel=1e-6)
     assert second.hip - first.hip == pytest.approx(2 * length, rel=1e-6)
-    assert after.stance == pytest.approx(before.thigh, abs=1e-6)  # the legs change places
+    assert after.stance == pytest.approx(
+        before.thigh, abs=1e-6
+    )  # the legs change places
 
 
 def test_the_leg_that_stands_first_is_heavy_in_every_step():
@@ -50,15 +68,32 @@ def test_the_leg_that_stands_first_is_heavy_in_every_step():
     drawn, body = [], Body.of(found.attrs)
     for step, stance in ((0, 0.2), (1, 0.2)):
         axes = film.stage(Figure(), body, 0.0, (-1, 1), (-1, 1))
-        film.draw(axes, body, film.Pose(complex(body.hip(stance)), 0.0, stance, -stance, -stance, step), 0.0)
+        film.draw(
+            axes,
+            body,
+            film.Pose(complex(body.hip(stance)), 0.0, stance, -stance, -stance, step),
+            0.0,
+        )
         heavy = max(axes.lines, key=lambda line: line.get_linewidth())
         drawn.append(heavy.get_xdata()[-1] < heavy.get_xdata()[0])
-    # Seen from the hip the first leg stands to the right; a step later it is the one that swings, to the left.
+    # Seen from the hip the first leg stands to the right; a step later it is the one
+    # that swings, to the left.
     assert drawn == [False, True]
 
 
 def test_a_film_of_a_fall_ends_on_the_ground_and_says_so(tmp_path, capsys):
-    push = ["--walker", "D", "--slope", "0.009", "--push", "0.6", "--steps", "6", "--slow", "0.5"]
+    push = [
+        "--walker",
+        "D",
+        "--slope",
+        "0.009",
+        "--push",
+        "0.6",
+        "--steps",
+        "6",
+        "--slow",
+        "0.5",
+    ]
     assert _run(tmp_path / "fall.gif", *push) == 0
     assert "fell forward" in capsys.readouterr().err
     with Image.open(tmp_path / "fall.gif") as picture:
@@ -69,9 +104,15 @@ def test_a_film_of_a_fall_ends_on_the_ground_and_says_so(tmp_path, capsys):
 
 def _fallen():
     found = gaits("D", 0.009).sel(gait="long")
-    state = [float(found[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
-    motion = simulate("D", 0.009, state, 6, motion=True, pushes={0: [0.6 * state[1]] * 2})
-    return film.poses(motion, Body.of(found.attrs), np.linspace(0, film.lengths(motion).sum(), 500))
+    state = [
+        float(found[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")
+    ]
+    motion = simulate(
+        "D", 0.009, state, 6, motion=True, pushes={0: [0.6 * state[1]] * 2}
+    )
+    return film.poses(
+        motion, Body.of(found.attrs), np.linspace(0, film.lengths(motion).sum(), 500)
+    )
 
 
 def test_a_strip_is_a_picture_that_is_the_same_each_time(tmp_path):
@@ -86,16 +127,42 @@ def test_a_strip_is_a_picture_that_is_the_same_each_time(tmp_path):
     [
         (["x.mp4", *GAIT], 2, "must end in .webp, .png, .gif; got 'x.mp4'"),
         (["x.webp", *GAIT, "--strip"], 2, "must end in .svg, .pdf, .png"),
-        (["x.webp", "--walker", "physical", "--slope", "0.001"], 1, "No long gait: none below 0.0191229 rad."),
-        (["x.webp", "--walker", "physical", "--slope", "2"], 2, "degrees? 2 degrees are 0.0349066 rad."),
-        (["x.webp", *GAIT, "--gait", "short"], 1, "No short gait: none between 0.0221901 and 0.036387 rad."),
-        (["x.webp", *GAIT, "--steps", "51"], 2, "`--steps` must lie in [1, 50]; got 51."),
-        (["x.webp", *GAIT, "--push", "nan"], 2, "`--push` must lie in [-10, 10]; got nan."),
-        (["x.webp", *GAIT, "--slow", "90"], 2, "more than 1,000: show fewer steps, or faster."),
+        (
+            ["x.webp", "--walker", "physical", "--slope", "0.001"],
+            1,
+            "No long gait: none below 0.0191229 rad.",
+        ),
+        (
+            ["x.webp", "--walker", "physical", "--slope", "2"],
+            2,
+            "degrees? 2 degrees are 0.0349066 rad.",
+        ),
+        (
+            ["x.webp", *GAIT, "--gait", "short"],
+            1,
+            "No short gait: none between 0.0221901 and 0.036387 rad.",
+        ),
+        (
+            ["x.webp", *GAIT, "--steps", "51"],
+            2,
+            "`--steps` must lie in [1, 50]; got 51.",
+        ),
+        (
+            ["x.webp", *GAIT, "--push", "nan"],
+            2,
+            "`--push` must lie in [-10, 10]; got nan.",
+        ),
+        (
+            ["x.webp", *GAIT, "--slow", "90"],
+            2,
+            "more than 1,000: show fewer steps, or faster.",
+        ),
         (["no/x.webp", *GAIT, "--steps", "1"], 2, "cannot be written"),
     ],
 )
-def test_what_cannot_be_filmed_is_said_in_a_line_and_leaves_no_file(tmp_path, monkeypatch, capsys, words, code, said):
+def test_what_cannot_be_filmed_is_said_in_a_line_and_leaves_no_file(
+    tmp_path, monkeypatch, capsys, words, code, said
+):
     monkeypatch.chdir(tmp_path)
     assert _run(*words) == code
     error = capsys.readouterr().err

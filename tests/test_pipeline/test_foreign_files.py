@@ -1,4 +1,6 @@
-"""What a run finds where it is to write: nothing of anybody else is read, waited for or written over."""
+"""What a run finds where it is to write: nothing of anybody else is read, waited for or
+written over.
+"""
 
 import contextlib
 import errno
@@ -39,7 +41,9 @@ def study(**changes):
 def opened(path, wanted=None, **options):
     """What a run into an archive says before its first byte; empty if it goes on."""
     errors = []
-    run = runner.StudyRun(wanted or study(), path, runner.Options(**options), errors.append)
+    run = runner.StudyRun(
+        wanted or study(), path, runner.Options(**options), errors.append
+    )
     with run._guarded():
         run._open()
     run.close()
@@ -60,7 +64,10 @@ def link(path):
 
 
 def unix_socket(path):
-    with contextlib.chdir(path.parent), socket.socket(socket.AF_UNIX) as made:  # its path must be short
+    with (
+        contextlib.chdir(path.parent),
+        socket.socket(socket.AF_UNIX) as made,
+    ):  # its path must be short
         made.bind(path.name)
 
 
@@ -77,7 +84,9 @@ JOURNALS = [".journal", ".journal-wal", ".journal-shm", ".journal-journal"]
 
 @pytest.mark.parametrize(("make", "kind"), KINDS)
 @pytest.mark.parametrize("suffix", [*SIDECARS, *JOURNALS])
-def test_what_stands_beside_an_archive_is_named_and_left_alone(tmp_path, suffix, make, kind):
+def test_what_stands_beside_an_archive_is_named_and_left_alone(
+    tmp_path, suffix, make, kind
+):
     precious(tmp_path / "precious")
     make(path := tmp_path / f"s{suffix}")
     before = state(path)
@@ -87,8 +96,15 @@ def test_what_stands_beside_an_archive_is_named_and_left_alone(tmp_path, suffix,
         with pytest.raises(ArchiveError) as raised:
             Store(path.with_name("s.journal"))
         said = str(raised.value)
-    assert said.startswith(f"{path} is") and kind in said and said.endswith("move it away.")
-    assert state(path) == before and {file.name for file in tmp_path.iterdir()} == {"precious", path.name}
+    assert (
+        said.startswith(f"{path} is")
+        and kind in said
+        and said.endswith("move it away.")
+    )
+    assert state(path) == before and {file.name for file in tmp_path.iterdir()} == {
+        "precious",
+        path.name,
+    }
     assert (tmp_path / "precious").read_text() == "precious" and (
         make is not precious or path.read_text() == "precious"
     )
@@ -108,13 +124,19 @@ def test_the_files_of_an_earlier_run_are_known_again(tmp_path):
     run = runner.StudyRun(study(), path, runner.Options(), Mock())
     run.is_open = True
     run.end(None)
-    (tmp_path / "s.events.jsonl").write_text('{"time": 1.5, "event": "begin", "study": "s"}\n')
-    assert {file.name for file in tmp_path.iterdir()} == {f"s{suffix}" for suffix in SIDECARS}
+    (tmp_path / "s.events.jsonl").write_text(
+        '{"time": 1.5, "event": "begin", "study": "s"}\n'
+    )
+    assert {file.name for file in tmp_path.iterdir()} == {
+        f"s{suffix}" for suffix in SIDECARS
+    }
     paths.check_sidecars(path)
 
 
 def test_a_lock_has_a_name_that_no_other_program_uses(tmp_path):
-    """`uv.lock` was emptied by the archive `uv.nc`, `package.run.json` was replaced by `package.nc`."""
+    """`uv.lock` was emptied by the archive `uv.nc`, `package.run.json` was replaced by
+    `package.nc`.
+    """
     precious(tmp_path / "uv.lock")
     with lock_archive(tmp_path / "uv.nc"):
         assert (tmp_path / "uv.lock").read_text() == "precious"
@@ -126,7 +148,10 @@ def test_a_lock_has_a_name_that_no_other_program_uses(tmp_path):
         (os.mkfifo, "{} is a named pipe, not an archive."),
         (unix_socket, "{} is a socket, not an archive."),
         (os.mkdir, "{} is a directory, not an archive."),
-        (lambda path: path.symlink_to(path.name), "{} cannot be read: Too many levels of symbolic links."),
+        (
+            lambda path: path.symlink_to(path.name),
+            "{} cannot be read: Too many levels of symbolic links.",
+        ),
         (lambda path: path.symlink_to(os.devnull), "{} is a device, not an archive."),
     ],
 )
@@ -141,7 +166,9 @@ def test_what_is_no_file_is_not_waited_for_as_an_archive(tmp_path, capsys, make,
 
 
 def test_what_the_system_says_of_a_file_is_repeated(tmp_path, monkeypatch):
-    """Who may not read an archive was told that it is no netCDF file, or that there was no run."""
+    """Who may not read an archive was told that it is no netCDF file, or that there was
+    no run.
+    """
     precious(path := tmp_path / "s.nc")
     precious(log := tmp_path / "s.events.jsonl")
 
@@ -150,7 +177,9 @@ def test_what_the_system_says_of_a_file_is_repeated(tmp_path, monkeypatch):
 
     monkeypatch.setattr("builtins.open", refused)
     for reader, file in ((read.size_of, path), (last_state, log)):
-        with pytest.raises(ArchiveError, match=rf"^{file} cannot be read: Permission denied\.$"):
+        with pytest.raises(
+            ArchiveError, match=rf"^{file} cannot be read: Permission denied\.$"
+        ):
             reader(file)
 
 
@@ -160,14 +189,22 @@ def test_a_state_is_read_of_files_only(tmp_path):
     (tmp_path / "s.events.jsonl").unlink()
     (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
     os.mkfifo(tmp_path / "s.journal-lock")
-    assert status.state_of(tmp_path / "s.nc") == {"event": "state", "over": False, "running": False}
+    assert status.state_of(tmp_path / "s.nc") == {
+        "event": "state",
+        "over": False,
+        "running": False,
+    }
 
 
 def test_a_run_that_has_not_yet_said_its_name_is_seen(tmp_path):
     (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
     with lock_archive(tmp_path / "s.nc"):
         (tmp_path / "s.journal-lock").write_text("")
-        assert status.state_of(tmp_path / "s.nc") == {"event": "state", "over": False, "running": True}
+        assert status.state_of(tmp_path / "s.nc") == {
+            "event": "state",
+            "over": False,
+            "running": True,
+        }
 
 
 @contextlib.contextmanager
@@ -181,8 +218,15 @@ def files_end_at(size):
 
 
 def test_a_limit_of_the_size_of_files_is_named(tmp_path):
-    """It was called a disk I/O error, and half of a new journal a damaged one by the next run."""
-    with files_end_at(20_000), pytest.raises(DiskFullError, match="s.journal cannot be written: File too large"):
+    """It was called a disk I/O error, and half of a new journal a damaged one by the
+    next run.
+    """
+    with (
+        files_end_at(20_000),
+        pytest.raises(
+            DiskFullError, match="s.journal cannot be written: File too large"
+        ),
+    ):
         Store(tmp_path / "s.journal")
     assert not list(tmp_path.iterdir())
     (large := tmp_path / "large").write_bytes(bytes(3 << 20))
@@ -195,15 +239,30 @@ def test_a_limit_of_the_size_of_files_is_named(tmp_path):
 def archived(path, **changes):
     """The beginning of an archive of a study: what says whose it is."""
     wanted = study(**changes)
-    record = {"commit": "", "study": wanted.text, "walkers": [check["table"] for check in wanted.checks]}
-    path.write_bytes(read._MAGIC + b"gaitsweep_schema" + json.dumps(record, sort_keys=True).encode() + b"\xff")
+    record = {
+        "commit": "",
+        "study": wanted.text,
+        "walkers": [check["table"] for check in wanted.checks],
+    }
+    path.write_bytes(
+        read._MAGIC
+        + b"gaitsweep_schema"
+        + json.dumps(record, sort_keys=True).encode()
+        + b"\xff"
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "difference"),
     [
         ({}, ""),
-        ({"axes": {"slope": [0.3], "R": [0.1, 0.2]}, "want": {"variables": ["period"]}}, ""),
+        (
+            {
+                "axes": {"slope": [0.3], "R": [0.1, 0.2]},
+                "want": {"variables": ["period"]},
+            },
+            "",
+        ),
         ({"walker": ["D", "E"]}, ""),  # walkers are an axis
         ({"walker": {"base": "E", "m_h": 0.9 * (1 + 1e-15)}}, "m_h"),
         ({"walker": "D"}, "its walker has m_t = "),
@@ -214,7 +273,11 @@ def test_another_study_does_not_replace_an_archive(tmp_path, changes, difference
     archived(path := tmp_path / "s.nc")
     before = path.read_bytes()
     said = opened(path, study(**changes))
-    assert (difference in said and "holds another study" in said) if difference else said == ""
+    assert (
+        (difference in said and "holds another study" in said)
+        if difference
+        else said == ""
+    )
     assert opened(path, study(**changes), fresh=True) == ""
     assert path.read_bytes() == before
 
@@ -223,16 +286,31 @@ def test_parameters_that_differ_by_rounding_are_those_of_the_same_walker(tmp_pat
     own = {"base": "E", "R": 0.1}
     archived(path := tmp_path / "s.nc", walker=own)
     assert opened(path, study(walker={**own, "R": 0.1 * (1 + 1e-15)})) == ""
-    assert "its walker has R = 0.1, not 0.2" in opened(path, study(walker={**own, "R": 0.2}))
+    assert "its walker has R = 0.1, not 0.2" in opened(
+        path, study(walker={**own, "R": 0.2})
+    )
 
 
-@pytest.mark.parametrize("data", [b"", b'{"commit": ', b'{"commit": "", "study": 3}', b'{"commit": "", "study": "["}'])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b'{"commit": ',
+        b'{"commit": "", "study": 3}',
+        b'{"commit": "", "study": "["}',
+    ],
+)
 def test_a_damaged_archive_may_be_replaced(tmp_path, data):
     (tmp_path / "s.nc").write_bytes(read._MAGIC + b"gaitsweep_schema" + data)
-    assert provenance.stored(tmp_path / "s.nc") == {} and opened(tmp_path / "s.nc") == ""
+    assert (
+        provenance.stored(tmp_path / "s.nc") == {} and opened(tmp_path / "s.nc") == ""
+    )
 
 
-@pytest.mark.parametrize("name", ["index.html", "ledger.html", "csv/ledger.csv", "toy.html", "csv/toy-x.csv", "csv"])
+@pytest.mark.parametrize(
+    "name",
+    ["index.html", "ledger.html", "csv/ledger.csv", "toy.html", "csv/toy-x.csv", "csv"],
+)
 @pytest.mark.parametrize(("make", "kind"), KINDS)
 def test_a_report_replaces_only_what_a_report_has_made(tmp_path, name, make, kind):
     made = {"toy": ("<!doctype html>", {"csv/toy-x.csv": "slope,period\n1,2\n"})}
@@ -244,7 +322,10 @@ def test_a_report_replaces_only_what_a_report_has_made(tmp_path, name, make, kin
         return
     with pytest.raises(ArchiveError, match=rf"{name} is.*move it away\.$") as raised:
         folder.combine(pages._environment(), tmp_path, made, only=False)
-    assert kind in str(raised.value) and {f.name for f in tmp_path.iterdir()} == {"precious", name.partition("/")[0]}
+    assert kind in str(raised.value) and {f.name for f in tmp_path.iterdir()} == {
+        "precious",
+        name.partition("/")[0],
+    }
     assert state(tmp_path / name) == before
 
 
@@ -252,7 +333,11 @@ def test_a_report_writes_no_data_through_a_link_to_another_folder(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "csv").symlink_to("elsewhere")
     with pytest.raises(ArchiveError, match="csv is a link"):
-        folder.combine(pages._environment(), tmp_path, {"toy": ("<!doctype html>", {"csv/toy-x.csv": "a\n1\n"})})
+        folder.combine(
+            pages._environment(),
+            tmp_path,
+            {"toy": ("<!doctype html>", {"csv/toy-x.csv": "a\n1\n"})},
+        )
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
@@ -262,7 +347,9 @@ def test_data_that_a_killed_report_left_are_replaced(tmp_path):
     made = {"toy": ("<!doctype html>", {"csv/toy-x.csv": "slope,period\n1,2\n"})}
     folder.combine(pages._environment(), tmp_path, made, only=False)
     assert (tmp_path / "csv" / "toy-x.csv").read_text() == "slope,period\n1,2\n"
-    folder.combine(pages._environment(), tmp_path, {}, only=False)  # index and ledger are known again
+    folder.combine(
+        pages._environment(), tmp_path, {}, only=False
+    )  # index and ledger are known again
 
 
 @pytest.fixture
@@ -272,17 +359,34 @@ def ledger(tmp_path, monkeypatch):
     (folder := tmp_path / "data" / "archive").mkdir(parents=True)
     with netCDF4.Dataset(folder / "ledger.nc", "w") as file:
         record = {"commit": "", "study": '[want]\nclaims = ["D2"]', "walkers": []}
-        file.provenance = json.dumps({**record, "tasks": {"claims": TASKS["claims"].version}}, sort_keys=True)
+        file.provenance = json.dumps(
+            {**record, "tasks": {"claims": TASKS["claims"].version}}, sort_keys=True
+        )
         file.gaitsweep_schema = np.int32(2)
         group = file.createGroup("claims")
         group.createDimension("row", 1)
-        columns = {"id": "D2", "verdict": "stored", "quotation": "q", "source": "s", "interval": "", "computed": "c"}
+        columns = {
+            "id": "D2",
+            "verdict": "stored",
+            "quotation": "q",
+            "source": "s",
+            "interval": "",
+            "computed": "c",
+        }
         for name, value in columns.items():
             write_strings(group, name, "row", [value], {"units": "1"})
-        for name, value in {"printed_value": np.nan, "printed_half_unit": 0.0, "value": 0.5}.items():
+        for name, value in {
+            "printed_value": np.nan,
+            "printed_half_unit": 0.0,
+            "value": 0.5,
+        }.items():
             group.createVariable(name, "f8", ("row",))[:] = value
             group[name].units = "1"
-    monkeypatch.setattr(claims, "ask", lambda call, params: [{"id": params["ids"][0], "verdict": "computed"}])
+    monkeypatch.setattr(
+        claims,
+        "ask",
+        lambda call, params: [{"id": params["ids"][0], "verdict": "computed"}],
+    )
     return folder / "ledger.nc"
 
 
@@ -294,7 +398,11 @@ def told(capsys):
 def test_claims_are_read_from_archives_and_the_others_computed(ledger, capsys):
     found = told(capsys)
     assert [*found] == ["D2", "D3"] and found["D3"]["verdict"] == "computed"
-    assert found["D2"]["verdict"] == "stored" and found["D2"]["printed_value"] is None and found["D2"]["value"] == 0.5
+    assert (
+        found["D2"]["verdict"] == "stored"
+        and found["D2"]["printed_value"] is None
+        and found["D2"]["value"] == 0.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -306,7 +414,9 @@ def test_claims_are_read_from_archives_and_the_others_computed(ledger, capsys):
 )
 def test_claims_of_another_version_or_record_are_computed_again(ledger, capsys, other):
     with netCDF4.Dataset(ledger, "a") as file:
-        file.provenance = json.dumps({**json.loads(file.provenance), **other}, sort_keys=True)
+        file.provenance = json.dumps(
+            {**json.loads(file.provenance), **other}, sort_keys=True
+        )
     assert told(capsys)["D2"]["verdict"] == "computed"
 
 
@@ -316,7 +426,9 @@ def test_each_claim_is_printed_as_soon_as_it_is_known(tmp_path, monkeypatch, cap
 
     def ask(call, params):
         seen.append(capsys.readouterr().out)
-        blank = dict.fromkeys(("quotation", "source", "computed"), "") | dict.fromkeys(("printed_value", "value"))
+        blank = dict.fromkeys(("quotation", "source", "computed"), "") | dict.fromkeys(
+            ("printed_value", "value")
+        )
         return [{"id": params["ids"][0], "verdict": "proved", **blank}]
 
     monkeypatch.setattr(claims, "ask", ask)
@@ -325,4 +437,7 @@ def test_each_claim_is_printed_as_soon_as_it_is_known(tmp_path, monkeypatch, cap
 
 
 def test_kinds_of_files_are_told_by_their_mode():
-    assert paths.kind_of(stat.S_IFBLK | 0o600) == "a device" and paths.kind_of(stat.S_IFREG | 0o600) == ""
+    assert (
+        paths.kind_of(stat.S_IFBLK | 0o600) == "a device"
+        and paths.kind_of(stat.S_IFREG | 0o600) == ""
+    )

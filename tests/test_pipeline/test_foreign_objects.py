@@ -1,4 +1,6 @@
-"""Archives that lead to other files, or take far more to read than they hold, are refused before anything is read."""
+"""Archives that lead to other files, or take far more to read than they hold, are
+refused before anything is read.
+"""
 
 import re
 import shutil
@@ -70,9 +72,14 @@ def virtual(file, source, folder):
 
 
 def virtual_of_files_by_a_pattern(file, folder):
-    made, space = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5s.create_simple((100,), (h5py.h5s.UNLIMITED,))
+    made, space = (
+        h5py.h5p.create(h5py.h5p.DATASET_CREATE),
+        h5py.h5s.create_simple((100,), (h5py.h5s.UNLIMITED,)),
+    )
     space.select_hyperslab((0,), (h5py.h5s.UNLIMITED,), (100,), (100,))
-    made.set_virtual(space, str(folder / "%b.nc").encode(), b"slope", h5py.h5s.create_simple((100,)))
+    made.set_virtual(
+        space, str(folder / "%b.nc").encode(), b"slope", h5py.h5s.create_simple((100,))
+    )
     h5py.h5d.create(file.id, b"more", h5py.h5t.NATIVE_DOUBLE, space, made)
 
 
@@ -120,7 +127,9 @@ def packed_by_a_library_to_be_loaded(file, folder):
     made.set_chunk((30,))
     made.set_filter(32015, h5py.h5z.FLAG_OPTIONAL, (3,))
     space = h5py.h5s.create_simple((30,))
-    h5py.h5d.create(file["fits/scaling"].id, b"more", h5py.h5t.NATIVE_DOUBLE, space, made)
+    h5py.h5d.create(
+        file["fits/scaling"].id, b"more", h5py.h5t.NATIVE_DOUBLE, space, made
+    )
 
 
 def its_own_parent(file, folder):
@@ -184,41 +193,109 @@ def dimensions_of_another_number(file, folder):
 
 
 ATTACKS = {
-    "external storage": (lambda file, folder: external(file, "reason_text", folder), "/reason_text", "another file"),
+    "external storage": (
+        lambda file, folder: external(file, "reason_text", folder),
+        "/reason_text",
+        "another file",
+    ),
     "external storage in a group": (
         lambda file, folder: external(file, "fits/scaling/quantity", folder),
         "/fits/scaling/quantity",
         "another file",
     ),
     "external storage that is absent": (external_and_absent, "/period", "another file"),
-    "external link to a group": (lambda file, _: linked_elsewhere(file, "fits"), "/fits", "link to another file"),
-    "external link to a variable": (lambda file, _: linked_elsewhere(file, "slope"), "/slope", "link to another file"),
+    "external link to a group": (
+        lambda file, _: linked_elsewhere(file, "fits"),
+        "/fits",
+        "link to another file",
+    ),
+    "external link to a variable": (
+        lambda file, _: linked_elsewhere(file, "slope"),
+        "/slope",
+        "link to another file",
+    ),
     "external link in a group": (
         lambda file, _: linked_elsewhere(file, "fits/scaling/exponent"),
         "/fits/scaling/exponent",
         "link to another file",
     ),
-    "virtual": (lambda file, folder: virtual(file, str(folder / "other.nc"), folder), "/w_t", "other variables"),
-    "virtual of itself": (lambda file, folder: virtual(file, ".", folder), "/w_t", "other variables"),
-    "virtual of files by a pattern": (virtual_of_files_by_a_pattern, "/more", "other variables"),
-    "soft link to itself": (lambda file, _: soft(file, "more", "/more"), "/more", "is a link"),
-    "soft link to nothing": (lambda file, _: soft(file, "fits/more", "/nothing"), "/fits/more", "is a link"),
-    "soft link to a group": (lambda file, _: soft(file, "fits/scaling/more", "/"), "/fits/scaling/more", "is a link"),
+    "virtual": (
+        lambda file, folder: virtual(file, str(folder / "other.nc"), folder),
+        "/w_t",
+        "other variables",
+    ),
+    "virtual of itself": (
+        lambda file, folder: virtual(file, ".", folder),
+        "/w_t",
+        "other variables",
+    ),
+    "virtual of files by a pattern": (
+        virtual_of_files_by_a_pattern,
+        "/more",
+        "other variables",
+    ),
+    "soft link to itself": (
+        lambda file, _: soft(file, "more", "/more"),
+        "/more",
+        "is a link",
+    ),
+    "soft link to nothing": (
+        lambda file, _: soft(file, "fits/more", "/nothing"),
+        "/fits/more",
+        "is a link",
+    ),
+    "soft link to a group": (
+        lambda file, _: soft(file, "fits/scaling/more", "/"),
+        "/fits/scaling/more",
+        "is a link",
+    ),
     "committed type": (committed, "/kind", "type of its own"),
-    "attribute of a committed type": (committed_of_an_attribute, "/slope", "has a type"),
+    "attribute of a committed type": (
+        committed_of_an_attribute,
+        "/slope",
+        "has a type",
+    ),
     "variable of a committed type": (committed_and_used, "/period", "has a type"),
-    "compound": (variable_of(np.dtype([("a", "f8"), ("b", "i4")])), "/fits/scaling/more", "has a type"),
+    "compound": (
+        variable_of(np.dtype([("a", "f8"), ("b", "i4")])),
+        "/fits/scaling/more",
+        "has a type",
+    ),
     "opaque": (variable_of(np.dtype("V16")), "/fits/scaling/more", "has a type"),
-    "enumeration": (variable_of(h5py.enum_dtype({"a": 1})), "/fits/scaling/more", "has a type"),
+    "enumeration": (
+        variable_of(h5py.enum_dtype({"a": 1})),
+        "/fits/scaling/more",
+        "has a type",
+    ),
     "references": (variable_of(h5py.ref_dtype), "/fits/scaling/more", "has a type"),
     "lists": (variable_of(h5py.vlen_dtype("f8")), "/fits/scaling/more", "has a type"),
-    "text of varying length": (variable_of(h5py.string_dtype()), "/fits/scaling/more", "has a type"),
-    "attribute of an enumeration": (attribute_of(h5py.enum_dtype({"a": 0})), "/status", "has a type"),
-    "attribute of a compound": (attribute_of(np.dtype([("a", "f8")])), "/status", "has a type"),
+    "text of varying length": (
+        variable_of(h5py.string_dtype()),
+        "/fits/scaling/more",
+        "has a type",
+    ),
+    "attribute of an enumeration": (
+        attribute_of(h5py.enum_dtype({"a": 0})),
+        "/status",
+        "has a type",
+    ),
+    "attribute of a compound": (
+        attribute_of(np.dtype([("a", "f8")])),
+        "/status",
+        "has a type",
+    ),
     "filter": (packed, "/more", "by a filter"),
-    "filter of another library": (packed_by_a_library_to_be_loaded, "/fits/scaling/more", "by a filter"),
+    "filter of another library": (
+        packed_by_a_library_to_be_loaded,
+        "/fits/scaling/more",
+        "by a filter",
+    ),
     "hard link to the parent": (its_own_parent, "/fits/scaling/again", "second name"),
-    "hard link to the root": (its_own_grandparent, "/fits/scaling/again", "second name"),
+    "hard link to the root": (
+        its_own_grandparent,
+        "/fits/scaling/again",
+        "second name",
+    ),
     "hard link to itself": (itself, "/fits/again", "second name"),
     "variable of two names": (two_names, "/more", "second name"),
     "groups of two names": (groups_of_groups, "/more/a", "in more than|second name"),
@@ -227,7 +304,11 @@ ATTACKS = {
     "many attributes": (many_attributes, "/more", "more than 1,024 attributes"),
     "texts repeated": (texts_repeated, "/fits", "more than 16 texts"),
     "huge chunk": (huge_chunk, "/more", "chunks larger"),
-    "dimensions of another number": (dimensions_of_another_number, "/status", "another number of dimensions"),
+    "dimensions of another number": (
+        dimensions_of_another_number,
+        "/status",
+        "another number of dimensions",
+    ),
 }
 
 
@@ -241,7 +322,11 @@ def test_what_no_archive_holds_is_refused_before_it_is_read(copy, name):
         pass
 
     sentence = str(raised.value)
-    assert sentence.startswith(f"{copy} ") and f"`{place}" in sentence and re.search(said, sentence)
+    assert (
+        sentence.startswith(f"{copy} ")
+        and f"`{place}" in sentence
+        and re.search(said, sentence)
+    )
     assert "\n" not in sentence and len(sentence) < 400
 
 
@@ -252,22 +337,30 @@ def huge(file):
 
 def huge_in_chunks(file):
     file.createDimension("n", 2**20)
-    file["fits/scaling"].createVariable("more", "i1", ("n", "n"), zlib=True, chunksizes=(128, 128))
+    file["fits/scaling"].createVariable(
+        "more", "i1", ("n", "n"), zlib=True, chunksizes=(128, 128)
+    )
 
 
 def huge_because_its_dimension_grew(file):
-    """Of the second variable nothing is stored: the library fills it as far as the first goes."""
+    """Of the second variable nothing is stored: the library fills it as far as the
+    first goes.
+    """
     file.createDimension("n", None)
     file.createVariable("more", "f8", ("n",), chunksizes=(1024,))[2**40] = 1.0
     file.createVariable("filled", "f8", ("n",), chunksizes=(1024,))
 
 
-@pytest.mark.parametrize("attack", [huge, huge_in_chunks, huge_because_its_dimension_grew])
+@pytest.mark.parametrize(
+    "attack", [huge, huge_in_chunks, huge_because_its_dimension_grew]
+)
 def test_what_is_declared_larger_than_its_file_can_hold_is_refused(copy, attack):
     with netCDF4.Dataset(copy, "a") as file:
         attack(file)
 
-    with pytest.raises(ArchiveError, match=rf"^{copy} .*`[a-z/]*more` is larger than") as raised:
+    with pytest.raises(
+        ArchiveError, match=rf"^{copy} .*`[a-z/]*more` is larger than"
+    ) as raised:
         load(copy)
 
     assert "\n" not in str(raised.value)
@@ -278,9 +371,13 @@ def test_no_more_objects_are_met_than_an_archive_holds(made):
 
 
 def resumed(path, folder):
-    """A run that publishes its archive from time to time first asks whether a whole one is there."""
+    """A run that publishes its archive from time to time first asks whether a whole one
+    is there.
+    """
     if read.not_attempted(path) is None:
-        raise ArchiveError(f"{path} is not an archive of gaitsweep: `/fits` is a link to another file.")
+        raise ArchiveError(
+            f"{path} is not an archive of gaitsweep: `/fits` is a link to another file."
+        )
 
 
 ENTRIES = {
@@ -315,7 +412,9 @@ def test_no_function_follows_a_link_to_another_file(copy, entry):
         ("hard link to the root", ["prove", "copy.nc", "--sample", "1"], 2),
     ],
 )
-def test_commands_say_in_a_line_what_is_wrong_within_little_time_and_memory(copy, name, words, code):
+def test_commands_say_in_a_line_what_is_wrong_within_little_time_and_memory(
+    copy, name, words, code
+):
     attack, place, _ = ATTACKS[name]
     with h5py.File(copy, "a") as file:
         attack(file, copy.parent)
@@ -326,11 +425,18 @@ def test_commands_say_in_a_line_what_is_wrong_within_little_time_and_memory(copy
     )
 
     done = subprocess.run(
-        [sys.executable, "-c", program, *GAITSWEEP, *words], cwd=copy.parent, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program, *GAITSWEEP, *words],
+        cwd=copy.parent,
+        capture_output=True,
+        text=True,
+        check=True,
     )
 
     *said, numbers = f"{done.stderr}{done.stdout}".splitlines()
-    assert len(said) == 1 and f"copy.nc is not an archive of gaitsweep: `{place}" in said[0]
+    assert (
+        len(said) == 1
+        and f"copy.nc is not an archive of gaitsweep: `{place}" in said[0]
+    )
     assert SECRET not in said[0] and not (copy.parent / "reports").exists()
     ended, seconds, kibibytes = map(float, numbers.split())
     assert ended == code and seconds < 6 and kibibytes < 300 << 10

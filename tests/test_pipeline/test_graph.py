@@ -29,7 +29,12 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture
 def make():
     def make(slope=(0.01, 0.02), **changes):
-        table = {"name": "s", "walker": "E", "axes": {"slope": list(slope), "foot_mass_ratio": [0.1, 0.05]}, **changes}
+        table = {
+            "name": "s",
+            "walker": "E",
+            "axes": {"slope": list(slope), "foot_mass_ratio": [0.1, 0.05]},
+            **changes,
+        }
         return parse.parse(table, "", Path("s.toml"))
 
     return make
@@ -41,11 +46,15 @@ def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     assert variables(found) == ("period", *registry.ALWAYS)
     found = make(want={"variables": ["period"], "fits": ["transition"]})
     assert list(Graph(found).layers) == ["atlas", "points", "transition"]
-    assert "stance_angle" in variables(found) and "multiplier_real" not in variables(found)
+    assert "stance_angle" in variables(found) and "multiplier_real" not in variables(
+        found
+    )
 
 
 @pytest.mark.parametrize("kind", ["grid", "branch"])
-def test_a_signal_ends_a_plan_between_chunks_and_lines_and_an_archive(make, tmp_path, kind):
+def test_a_signal_ends_a_plan_between_chunks_and_lines_and_an_archive(
+    make, tmp_path, kind
+):
     """A million chunks take a minute."""
     study = make(slope=np.linspace(0.001, 0.02, 40_001), kind=kind)
     with contextlib.closing(Store(tmp_path / "j")) as store:
@@ -62,13 +71,18 @@ def test_a_signal_ends_a_plan_between_chunks_and_lines_and_an_archive(make, tmp_
 
 
 def test_a_chunk_that_is_packed_in_another_way_has_another_key(make):
-    """The last chunk of a line is as large as the others, padded; that of its slopes alone is smaller."""
+    """The last chunk of a line is as large as the others, padded; that of its slopes
+    alone is smaller.
+    """
     slopes = np.linspace(0.001, 0.02, 40_001)
     whole = Graph(make(slope=slopes))
     last = whole.grid.chunk(whole.grid.chunks - 1)
     assert last.shape.sizes < last.shape.extent
     alone = Graph(make(slope=slopes[last.slopes]))
-    key, other = whole.chunk_node(last).key, alone.chunk_node(alone.grid.chunk(alone.grid.chunks - 1)).key
+    key, other = (
+        whole.chunk_node(last).key,
+        alone.chunk_node(alone.grid.chunk(alone.grid.chunks - 1)).key,
+    )
     assert key.kin == other.kin and key.key != other.key
     # A dimension more, of one value, moves none.
     both = Graph(make(slope=slopes, walker=["E", "F"]))
@@ -95,7 +109,12 @@ def test_a_task_over_the_study_reads_evenly_spaced_slopes(make, tmp_path, monkey
         monkeypatch.setattr(
             lines,
             "_chunk",
-            lambda k: Points({name: np.tile(slopes[grid.chunk(k).slopes][:, None], 4) for name in lines.names}),
+            lambda k: Points(
+                {
+                    name: np.tile(slopes[grid.chunk(k).slopes][:, None], 4)
+                    for name in lines.names
+                }
+            ),
         )
         found = lines.line(1)
     assert np.array_equal(found["slope"], slopes[:: lines.step])
@@ -103,33 +122,55 @@ def test_a_task_over_the_study_reads_evenly_spaced_slopes(make, tmp_path, monkey
 
 
 def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
-    study = make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]})
+    study = make(
+        want={
+            "variables": ["period"],
+            "fits": ["scaling", "landmarks"],
+            "claims": ["E2"],
+        }
+    )
     with contextlib.closing(Store(tmp_path / "j")) as store:
         after = _seconds_after(Plan(study, store))
     seconds = {name: Graph(study).seconds(name) for name in Graph(study).layers}
-    assert after["points"] == max(seconds["scaling"], seconds["claims"]) and after["claims"] == 0
-    assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
+    assert (
+        after["points"] == max(seconds["scaling"], seconds["claims"])
+        and after["claims"] == 0
+    )
+    assert after["atlas"] == max(
+        seconds["points"] + after["points"], seconds["landmarks"]
+    )
 
 
 def expand(study):
     """The graph in Dask's form: key -> task, parameters, keys of inputs."""
     graph = Graph(study)
-    nodes = [graph.node(name, i) for i in range(study.batches) for name in graph.line_tasks]
+    nodes = [
+        graph.node(name, i) for i in range(study.batches) for name in graph.line_tasks
+    ]
     nodes += [graph.chunk_node(graph.grid.chunk(k)) for k in range(graph.grid.chunks)]
     nodes += map(graph.node, graph.study_tasks)
-    return {node.key.key: (node.task, graph.params(node), list(node.needs)) for node in nodes}
+    return {
+        node.key.key: (node.task, graph.params(node), list(node.needs))
+        for node in nodes
+    }
 
 
 @pytest.mark.parametrize("kind", ["orbit", "basin", "cascade"])
 def test_the_motion_over_a_step_does_not_depend_on_how_many_an_orbit_has(make, kind):
     study = make(kind=kind, want={"figures": ["angles"]}, options={"steps": 30})
     nodes = expand(study).values()
-    assert {name: parameters.get("steps") for name, parameters, _ in nodes} == {"atlas": None, kind: 30, "trace": None}
+    assert {name: parameters.get("steps") for name, parameters, _ in nodes} == {
+        "atlas": None,
+        kind: 30,
+        "trace": None,
+    }
 
 
 def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
     """As of a run that was killed between the two."""
-    study = make(want={"variables": ["period"], "fits": ["landmarks"], "claims": ["E2"]})  # of long lines
+    study = make(
+        want={"variables": ["period"], "fits": ["landmarks"], "claims": ["E2"]}
+    )  # of long lines
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
         graph = plan.graph
@@ -143,25 +184,38 @@ def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
 
 
 def test_a_line_whose_own_result_is_known_needs_no_atlas(make, tmp_path):
-    """It is lost with its row of a damaged journal, or another study of the command has brought that result."""
+    """It is lost with its row of a damaged journal, or another study of the command has
+    brought that result.
+    """
     study = make(kind="branch")
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
         for k in range(2):
-            key, columns = plan.graph.line_keys(k)["branch"], {"branches/slope": np.array([0.01])}
+            key, columns = (
+                plan.graph.line_keys(k)["branch"],
+                {"branches/slope": np.array([0.01])},
+            )
             store.put_result(key, Outcome("ok", ""), serialize.dump(columns))
-        assert not [*plan.nodes()] and write.write(plan, tmp_path / "s.nc").counts == {"converged": 2}
+        assert not [*plan.nodes()] and write.write(plan, tmp_path / "s.nc").counts == {
+            "converged": 2
+        }
 
 
 def test_a_plan_says_of_tasks_over_the_study_what_runs(make, tmp_path):
-    """Landmarks need branches alone: points that are computed again, with another variable, do not concern them."""
+    """Landmarks need branches alone: points that are computed again, with another
+    variable, do not concern them.
+    """
     study = make(
-        np.linspace(0.01, 0.02, 300).tolist(), want={"variables": ["period"], "fits": ["landmarks", "scaling"]}
+        np.linspace(0.01, 0.02, 300).tolist(),
+        want={"variables": ["period"], "fits": ["landmarks", "scaling"]},
     )
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
         graph = plan.graph
-        for key in (*(graph.line_keys(k)["atlas"] for k in range(2)), *graph.study_keys.values()):
+        for key in (
+            *(graph.line_keys(k)["atlas"] for k in range(2)),
+            *graph.study_keys.values(),
+        ):
             store.put_result(key, Outcome("ok", ""), serialize.dump({}))
         said = {name for name in graph.study_tasks if summary(plan).todo[name]}
         chunk = graph.chunk_node(graph.grid.chunk(0))
@@ -169,13 +223,19 @@ def test_a_plan_says_of_tasks_over_the_study_what_runs(make, tmp_path):
         assert said == {node.task for node in plan.over_study()} == {"scaling"}
 
 
-PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml")) if "claims" in path.read_text()]
+PAPER = [
+    path
+    for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml"))
+    if "claims" in path.read_text()
+]
 
 
 @pytest.mark.parametrize("path", PAPER, ids=lambda path: path.stem)
 def test_the_atlases_of_claims_are_those_that_they_compute_without_a_study(path):
     study = parse.read(path)
-    atlases = [parameters for task, parameters, _ in expand(study).values() if task == "atlas"]
+    atlases = [
+        parameters for task, parameters, _ in expand(study).values() if task == "atlas"
+    ]
     assert study.claims and (atlases or study.kind == "census")
     assert not any(parameters["coarse"] for parameters in atlases)
     without = dataclasses.replace(study, claims=())
@@ -192,21 +252,48 @@ def test_claims_want_atlases_that_are_not_coarse_whatever_the_accuracy(make):
 def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):
     """Chaos, its cascade and the claims on it read the same tables."""
     studies = [
-        make(kind="orbit", walker=["C", "C-printed"], axes={"slope": [0.07, 0.08, 0.1]}, want={"fits": ["crises"]}),
-        make(kind="cascade", walker=["C-printed"], axes={"slope": [0.07, 0.1]}, want={"claims": ["K1", "K2"]}),
+        make(
+            kind="orbit",
+            walker=["C", "C-printed"],
+            axes={"slope": [0.07, 0.08, 0.1]},
+            want={"fits": ["crises"]},
+        ),
+        make(
+            kind="cascade",
+            walker=["C-printed"],
+            axes={"slope": [0.07, 0.1]},
+            want={"claims": ["K1", "K2"]},
+        ),
     ]
-    keys = [{key for key in expand(study) if not key.startswith(("crises", "claims"))} for study in studies]
-    assert sorted(key.partition("-")[0] for key in keys[0] & keys[1]) == ["atlas", "cascade", "corners"]
-    assert {key.partition("-")[0] for key in keys[0] - keys[1]} == {"atlas", "orbit", "cascade", "corners"}
+    keys = [
+        {key for key in expand(study) if not key.startswith(("crises", "claims"))}
+        for study in studies
+    ]
+    assert sorted(key.partition("-")[0] for key in keys[0] & keys[1]) == [
+        "atlas",
+        "cascade",
+        "corners",
+    ]
+    assert {key.partition("-")[0] for key in keys[0] - keys[1]} == {
+        "atlas",
+        "orbit",
+        "cascade",
+        "corners",
+    }
     others = expand(make(want={"fits": ["crises"]})).values()
-    assert [len(parameters["slope"]) for name, parameters, _ in others if name == "cascade"] == [0, 0]
+    assert [
+        len(parameters["slope"]) for name, parameters, _ in others if name == "cascade"
+    ] == [0, 0]
 
 
 def test_the_graph_is_plain_data_and_whole(make):
     nodes = expand(make(want={"fits": ["scaling", "transition"]}))
     assert [key.split("-")[0] for key in nodes] == ["points", "scaling", "transition"]
     for task, params, needs in nodes.values():
-        plain = {name: vars(value) if isinstance(value, Lines) else value for name, value in params.items()}
+        plain = {
+            name: vars(value) if isinstance(value, Lines) else value
+            for name, value in params.items()
+        }
         serialize.dump([task, plain, needs])
     for _, _, inputs in nodes.values():
         assert set(inputs) <= set(nodes)
@@ -215,19 +302,33 @@ def test_the_graph_is_plain_data_and_whole(make):
 def test_keys_depend_on_slopes_where_points_do_and_on_no_wishes(make):
     long = np.linspace(0.01, 0.1, 300)
     one = expand(make(slope=long))
-    two = expand(make(slope=long, want={"variables": ["period"]}, limits={"seconds": 3}))
+    two = expand(
+        make(slope=long, want={"variables": ["period"]}, limits={"seconds": 3})
+    )
     assert set(one) == set(two) and len(one) == 4
     three = expand(make(slope=long + 1e-3))
     assert {key.split("-")[0] for key in set(one) & set(three)} == {"atlas"}
-    fitted, other = (expand(make(want={"fits": ["scaling"]}, slope=s)) for s in ((0.01, 0.02), (0.01, 0.03)))
-    assert not set(fitted) & set(other)  # of lines side by side, the points are all that is kept
+    fitted, other = (
+        expand(make(want={"fits": ["scaling"]}, slope=s))
+        for s in ((0.01, 0.02), (0.01, 0.03))
+    )
+    assert not set(fitted) & set(
+        other
+    )  # of lines side by side, the points are all that is kept
 
 
 def test_a_version_is_in_the_keys_of_its_dependents(make, monkeypatch):
     before = expand(make(want={"fits": ["scaling"]}))
-    monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
+    monkeypatch.setitem(
+        registry.TASKS,
+        "points",
+        dataclasses.replace(registry.TASKS["points"], version=99),
+    )
     after = expand(make(want={"fits": ["scaling"]}))
-    assert {key.split("-")[0] for key in set(before) - set(after)} == {"points", "scaling"}
+    assert {key.split("-")[0] for key in set(before) - set(after)} == {
+        "points",
+        "scaling",
+    }
 
 
 @pytest.mark.parametrize("n", [2, 40_001])
@@ -235,7 +336,11 @@ def test_a_chunk_of_another_version_is_known_by_its_kin(make, monkeypatch, n):
     """Of lines side by side, and of a long line."""
     before = Graph(make(slope=np.linspace(0.001, 0.02, n)))
     key = before.chunk_node(before.grid.chunk(0)).key
-    monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
+    monkeypatch.setitem(
+        registry.TASKS,
+        "points",
+        dataclasses.replace(registry.TASKS["points"], version=99),
+    )
     after = Graph(make(slope=np.linspace(0.001, 0.02, n)))
     other = after.chunk_node(after.grid.chunk(0)).key
     assert other.kin == key.kin and other.key != key.key
@@ -243,8 +348,14 @@ def test_a_chunk_of_another_version_is_known_by_its_kin(make, monkeypatch, n):
 
 def test_keys_hold_the_exact_numbers():
     task = registry.TASKS["atlas"]
-    one, two = ({"line": {"walker": "E", "set": {"R": value}}} for value in (0.1, np.nextafter(0.1, 1)))
+    one, two = (
+        {"line": {"walker": "E", "set": {"R": value}}}
+        for value in (0.1, np.nextafter(0.1, 1))
+    )
     assert task_key(task, one)[0] != task_key(task, two)[0]
-    assert task_key(task, one).key.startswith("atlas-") and len(task_key(task, one).key) == 70
+    assert (
+        task_key(task, one).key.startswith("atlas-")
+        and len(task_key(task, one).key) == 70
+    )
     backwards = {"line": dict(reversed(one["line"].items()))}
     assert task_key(task, one) == task_key(task, backwards)

@@ -11,8 +11,15 @@ from gaitsweep.pipeline.study.parse import parse
 
 def grid(slope=(0.01, 0.1, 100_000), walker="D", **changes):
     low, high, n = slope
-    axes = {"slope": {"from": low, "to": high, "n": n, "spacing": "log"}, **changes.pop("axes", {})}
-    return Grid(parse({"name": "s", "walker": walker, "axes": axes, **changes}, "", Path("s.toml")))
+    axes = {
+        "slope": {"from": low, "to": high, "n": n, "spacing": "log"},
+        **changes.pop("axes", {}),
+    }
+    return Grid(
+        parse(
+            {"name": "s", "walker": walker, "axes": axes, **changes}, "", Path("s.toml")
+        )
+    )
 
 
 def test_points_that_take_longer_are_fewer_in_a_chunk():
@@ -27,7 +34,9 @@ def test_points_that_take_longer_are_fewer_in_a_chunk():
             {"want": {"variables": ["proofs"]}},
         )
     ]
-    assert extents == sorted(extents, reverse=True) and len(set(extents)) == len(extents)
+    assert extents == sorted(extents, reverse=True) and len(set(extents)) == len(
+        extents
+    )
     assert 10_000 < extents[0] <= 16384 and extents[3] <= 512 and extents[-1] == 4
 
 
@@ -44,7 +53,11 @@ def test_points_that_take_longer_are_fewer_in_a_chunk():
 def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is_first):
     """Wherever the slope stands among the axes."""
     slope = {"slope": {"from": 0.01, "to": 0.02, "n": slopes}}
-    table = {"name": "s", "walker": ["B", "E"], "axes": {**slope, **axes} if is_first else {**axes, **slope}}
+    table = {
+        "name": "s",
+        "walker": ["B", "E"],
+        "axes": {**slope, **axes} if is_first else {**axes, **slope},
+    }
     found = Grid(parse(table, "", Path("s.toml")))
     seen = np.zeros(tuple(found.sizes.values()), int)
     of_line = {line: [] for line in range(found.study.lines)}
@@ -53,7 +66,11 @@ def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is
         box = tuple(chunk.spans.values())
         seen[box] += 1
         assert lines is None or len(chunk.numbers) == lines
-        assert chunk.points == seen[box].size == chunk.shape.unfold(np.arange(chunk.points)).size
+        assert (
+            chunk.points
+            == seen[box].size
+            == chunk.shape.unfold(np.arange(chunk.points)).size
+        )
         for line in chunk.numbers.tolist():
             of_line[line].append(k)
         # The first point of its last line, in the grid.
@@ -62,9 +79,16 @@ def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is
         place = np.argwhere(last == chunk.points - n)[0] + [span.start for span in box]
         at = dict(zip(found.sizes, place.tolist(), strict=True))
         own = found.study.line(int(chunk.numbers[-1]))
-        assert own["walker"] == found.study.walkers[at["walker"]] and at["slope"] == chunk.slopes.start
+        assert (
+            own["walker"] == found.study.walkers[at["walker"]]
+            and at["slope"] == chunk.slopes.start
+        )
         assert all(
-            own["set"][axis.name] == axis.values[at[axis.name]] for axis in found.study.axes if axis.name != "slope"
+            own["set"][axis.name] == axis.values[at[axis.name]]
+            for axis in found.study.axes
+            if axis.name != "slope"
         )
     assert (seen == 1).all()
-    assert all(list(found.chunks_of_line(line)) == numbers for line, numbers in of_line.items())
+    assert all(
+        list(found.chunks_of_line(line)) == numbers for line, numbers in of_line.items()
+    )

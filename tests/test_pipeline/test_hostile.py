@@ -1,4 +1,6 @@
-"""Hostile texts and files by the thousand: one line each, no traceback, no hang, little memory, nothing executed."""
+"""Hostile texts and files by the thousand: one line each, no traceback, no hang, little
+memory, nothing executed.
+"""
 
 import contextlib
 import json
@@ -36,7 +38,14 @@ from processes import damaged
 SECONDS, GROWTH = 10, 1 << 30  # what one text or file may take [s], [byte]
 BATCH = 500  # cases of one child
 #: Events of the interpreter that mean that something was executed.
-EXECUTED = ("exec", "pickle.find_class", "os.system", "os.exec", "os.posix_spawn", "subprocess.Popen")
+EXECUTED = (
+    "exec",
+    "pickle.find_class",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "subprocess.Popen",
+)
 STUDIES = [
     re.sub(r"[./]+walkers/[\w-]+\.toml", "w.toml", file.read_text())
     for file in sorted(ROOT.glob("data/studies/*/*.toml"))
@@ -84,7 +93,14 @@ HOSTILE = [
         '"""\n"""',
         "[0.01, 'a']",
     ),
-    *("[" * 40 + "]" * 40, "[" * 3000, "{ a = " * 40 + "1" + " }" * 40, "[[0.01], [0.02]]", "[nan]", "[1e-300, 1e300]"),
+    *(
+        "[" * 40 + "]" * 40,
+        "[" * 3000,
+        "{ a = " * 40 + "1" + " }" * 40,
+        "[[0.01], [0.02]]",
+        "[nan]",
+        "[1e-300, 1e300]",
+    ),
     "{ from = 1e-300, to = 1e300, n = 200, spacing = 'log' }",
     "{ from = 0, to = 1, n = 1000000000000 }",
     "{ from = 1, to = 1, n = 1 }",
@@ -105,17 +121,28 @@ def mutated_text(dice, texts):
         elif how == 2:
             lines.insert(at, dice.choice(dice.choice(texts).splitlines()))
         elif how == 3:
-            numbers = list(re.finditer(r"(?<![\w.])-?\d[\w.+-]*|\"[^\"]*\"|\[[^\[\]]*\]|\{[^{}]*\}", lines[at]))
+            numbers = list(
+                re.finditer(
+                    r"(?<![\w.])-?\d[\w.+-]*|\"[^\"]*\"|\[[^\[\]]*\]|\{[^{}]*\}",
+                    lines[at],
+                )
+            )
             if numbers:
                 place = dice.choice(numbers)
-                lines[at] = lines[at][: place.start()] + dice.choice(HOSTILE) + lines[at][place.end() :]
+                lines[at] = (
+                    lines[at][: place.start()]
+                    + dice.choice(HOSTILE)
+                    + lines[at][place.end() :]
+                )
         elif how == 4:
             lines[at] = f"{lines[at].partition('=')[0]} = {dice.choice(HOSTILE)}"
         elif how == 5:
             lines[at] = f"{dice.choice(HOSTILE)} = {lines[at].partition('=')[2]}"
         elif how == 6:
             words = re.findall(r"\w+", dice.choice(texts)) or ["x"]
-            lines[at] = re.sub(r"\w+", dice.choice(words), lines[at], count=dice.choice([1, 2]))
+            lines[at] = re.sub(
+                r"\w+", dice.choice(words), lines[at], count=dice.choice([1, 2])
+            )
         else:
             line = bytearray(lines[at].encode("utf-8", "surrogateescape") or b"x")
             line[dice.randrange(len(line))] = dice.randrange(256)
@@ -141,10 +168,13 @@ def read_all(folder):
     (folder / "w.toml").write_text(WALKERS[0])
     for text in STUDIES:
         (folder / "s.toml").write_text(text)
-        summary(Plan(parse.read(folder / "s.toml"), Store(folder / "none", write=False)))
+        summary(
+            Plan(parse.read(folder / "s.toml"), Store(folder / "none", write=False))
+        )
 
 
-#: Journals with a chunk of a line, with lines side by side, and with tables of another kind.
+#: Journals with a chunk of a line, with lines side by side, and with tables of another
+#: kind.
 RUNS = {
     "chunk": 'walker = "D"\n[axes]\nslope = { from = 0.004, to = 0.016, n = 300 }\n[want]\nfits = ["scaling"]\n',
     "lines": 'walker = "E"\n[axes]\nslope = [0.01, 0.02]\nR = [0.0, 0.1]\n[want]\nvariables = ["multipliers"]\n',
@@ -156,9 +186,22 @@ def run_all(folder):
     """Archives and journals of real runs."""
     for name, text in RUNS.items():
         (folder / f"{name}.toml").write_text(f'name = "{name}"\n{text}')
-    code = "import sys; from gaitsweep.pipeline.cli.commands import main; sys.exit(main())"
-    command = [sys.executable, "-W", "ignore", "-c", code, "run", "--quiet", *(f"{name}.toml" for name in RUNS)]
-    subprocess.run(command, cwd=folder, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    code = (
+        "import sys; from gaitsweep.pipeline.cli.commands import main; sys.exit(main())"
+    )
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-c",
+        code,
+        "run",
+        "--quiet",
+        *(f"{name}.toml" for name in RUNS),
+    ]
+    subprocess.run(
+        command, cwd=folder, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
     for k in range(30):
         for case in (crafted, stored):
             with contextlib.suppress(Exception):
@@ -196,7 +239,9 @@ ATTRIBUTES = [
 
 
 def crafted(folder, dice):
-    """An archive of valid HDF5 whose attributes, values or names are not as gaitsweep writes them; checksums are."""
+    """An archive of valid HDF5 whose attributes, values or names are not as gaitsweep
+    writes them; checksums are.
+    """
     name, path = dice.choice([*RUNS]), folder / "crafted.nc"
     original = folder / "data" / "archive" / f"{name}.nc"
     shutil.copy(original, path)
@@ -232,7 +277,9 @@ def _craft(file, dice):
     variables, how = [*group.variables.values()], dice.randrange(6)
     owner = dice.choice([group, *variables])
     value = dice.choice(ATTRIBUTES)
-    with contextlib.suppress(AttributeError, TypeError, ValueError, IndexError, RuntimeError, OverflowError):
+    with contextlib.suppress(
+        AttributeError, TypeError, ValueError, IndexError, RuntimeError, OverflowError
+    ):
         if how == 0:
             owner.setncattr(dice.choice(owner.ncattrs()), value)
         elif how == 1:
@@ -242,15 +289,28 @@ def _craft(file, dice):
             here = tuple(dice.randrange(n) for n in variable.shape)
             is_text = variable.dtype == "S1"
             variable[here] = (
-                str(value)[:1].encode() if is_text else dice.choice([-1, 0, 7, 127, 1e300, np.nan, -np.inf])
+                str(value)[:1].encode()
+                if is_text
+                else dice.choice([-1, 0, 7, 127, 1e300, np.nan, -np.inf])
             )
         elif how == 3:
-            group.renameVariable(dice.choice([*group.variables]), dice.choice(["x", "slope2", "status", "a/b", "💥"]))
+            group.renameVariable(
+                dice.choice([*group.variables]),
+                dice.choice(["x", "slope2", "status", "a/b", "💥"]),
+            )
         elif how == 4:
             variable = dice.choice(variables)
-            variable[...] = str(value)[:1].encode() if variable.dtype == "S1" else dice.choice([-1, 0, 99])
+            variable[...] = (
+                str(value)[:1].encode()
+                if variable.dtype == "S1"
+                else dice.choice([-1, 0, 99])
+            )
         else:
-            group.createVariable(dice.choice(["y", "stance_angle2", "status"]), dice.choice(["f8", "i1", str]), ())
+            group.createVariable(
+                dice.choice(["y", "stance_angle2", "status"]),
+                dice.choice(["f8", "i1", str]),
+                (),
+            )
 
 
 def _mend_checksums(file):
@@ -260,9 +320,11 @@ def _mend_checksums(file):
 
 
 def stored(folder, dice):
-    """A journal with faults, in bytes or in rows with right checksums: planned, repaired and archived.
+    """A journal with faults, in bytes or in rows with right checksums: planned,
+    repaired and archived.
 
-    Of a row that somebody made, whose values can be unpacked and mean nothing, the command may say "Internal error".
+    Of a row that somebody made, whose values can be unpacked and mean nothing, the
+    command may say "Internal error".
     """
     name, path = dice.choice([*RUNS]), folder / "stored.journal"
     for suffix in ("", "-wal", "-shm"):
@@ -274,7 +336,9 @@ def stored(folder, dice):
     if is_made:
         _change_row(path, dice)
     else:
-        target = dice.choice([found for found in folder.glob("stored.journal*") if found.stat().st_size])
+        target = dice.choice(
+            [found for found in folder.glob("stored.journal*") if found.stat().st_size]
+        )
         target.write_bytes(damaged(target.read_bytes(), dice))
     study = parse.read(folder / f"{name}.toml")
     for _ in range(3):
@@ -301,17 +365,44 @@ def stored(folder, dice):
 def _change_row(path, dice):
     """Change one value of a row, and its checksums."""
     db = sqlite3.connect(path)
-    number, *row = dice.choice(db.execute("SELECT id, key, kin, head, payload FROM records").fetchall())
+    number, *row = dice.choice(
+        db.execute("SELECT id, key, kin, head, payload FROM records").fetchall()
+    )
     at = dice.randrange(len(row))
     old = row[at]
     if isinstance(old, bytes) and old and dice.random() < 0.9:
         row[at] = damaged(old, dice)
     else:
-        row[at] = dice.choice([None, "", b"", -1, 0, 2**62, 1e300, math.nan, "x" * 1000, "ok", b"junk", 17, 0.01])
+        row[at] = dice.choice(
+            [
+                None,
+                "",
+                b"",
+                -1,
+                0,
+                2**62,
+                1e300,
+                math.nan,
+                "x" * 1000,
+                "ok",
+                b"junk",
+                17,
+                0.01,
+            ]
+        )
     with contextlib.suppress(TypeError, sqlite3.Error, OverflowError):
         key, kin, head, payload = row
-        changed = number, key, kin, *file.sums(number, key, kin, head, payload), head, payload
-        db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", changed)
+        changed = (
+            number,
+            key,
+            kin,
+            *file.sums(number, key, kin, head, payload),
+            head,
+            payload,
+        )
+        db.execute(
+            "INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", changed
+        )
     db.commit()
     db.close()
 
@@ -321,18 +412,28 @@ def _memory():
 
 
 def _is_ours(event, arguments, folder):
-    """Whether a program or library is executed, as on import, or a tuple is given the names of a table."""
+    """Whether a program or library is executed, as on import, or a tuple is given the
+    names of a table.
+    """
     if event != "exec":
         return False
     code = arguments[0]
-    inner = [constant for constant in code.co_consts if hasattr(constant, "co_varnames")]
-    is_file = os.path.isabs(code.co_filename) and not code.co_filename.startswith(str(folder))
+    inner = [
+        constant for constant in code.co_consts if hasattr(constant, "co_varnames")
+    ]
+    is_file = os.path.isabs(code.co_filename) and not code.co_filename.startswith(
+        str(folder)
+    )
     return is_file or (len(inner) == 1 and inner[0].co_varnames[:1] == ("_cls",))
 
 
 def _watched(case, folder, first, last, place, found):
-    """In a child: cases, each under a watch; the number of the present one is kept in shared memory."""
-    resource.setrlimit(resource.RLIMIT_AS, (_virtual() + GROWTH, resource.RLIM_INFINITY))
+    """In a child: cases, each under a watch; the number of the present one is kept in
+    shared memory.
+    """
+    resource.setrlimit(
+        resource.RLIMIT_AS, (_virtual() + GROWTH, resource.RLIM_INFINITY)
+    )
     executed, counts = [], Counter()
 
     def watch(event, arguments):
@@ -361,7 +462,9 @@ def _virtual():
 
 
 def survived(case, folder, first, last):
-    """Try a batch of cases in a child; how they ended, and what went wrong with the one that ended it, if any."""
+    """Try a batch of cases in a child; how they ended, and what went wrong with the one
+    that ended it, if any.
+    """
     place, found, said = mmap.mmap(-1, 8), folder / "found.json", folder / "said"
     child = os.fork()
     if not child:
@@ -376,7 +479,10 @@ def survived(case, folder, first, last):
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     (k,) = struct.unpack("<Q", place[:8])
     if code:
-        return {}, f"{case.__name__} {k}: {said.read_text() if code == 1 else signal.Signals(-code).name}"
+        return (
+            {},
+            f"{case.__name__} {k}: {said.read_text() if code == 1 else signal.Signals(-code).name}",
+        )
     return json.loads(found.read_text()), ""
 
 
@@ -392,8 +498,12 @@ def survived(case, folder, first, last):
         for n, marks in ((short, ()), (long, pytest.mark.soak))
     ],
 )
-def test_hostile_input_is_refused_or_read(tmp_path, monkeypatch, tell, resumed, prepare, case, n):
-    """Of the archives that crash the netCDF library, which a process of its own tries, see `test_archive.py`."""
+def test_hostile_input_is_refused_or_read(
+    tmp_path, monkeypatch, tell, resumed, prepare, case, n
+):
+    """Of the archives that crash the netCDF library, which a process of its own tries,
+    see `test_archive.py`.
+    """
     monkeypatch.setattr(read, "probe", lambda paths: None)
     prepare(tmp_path)
     batch = min(BATCH, n)

@@ -1,4 +1,6 @@
-"""`from gaitsweep import load, run, solve`: the command line's results as Datasets and tables."""
+"""`from gaitsweep import load, run, solve`: the command line's results as Datasets and
+tables.
+"""
 
 import contextlib
 import json
@@ -30,7 +32,10 @@ STUDY = {
     "name": "mine",
     "walker": {"base": "E", "l_t": 0.6},
     "axes": {"slope": np.geomspace(0.004, 0.05, 4), "foot_mass_ratio": [0.1, 0.05]},
-    "want": {"variables": ["stance_angle", "period", "violations", "multipliers"], "fits": ["scaling"]},
+    "want": {
+        "variables": ["stance_angle", "period", "violations", "multipliers"],
+        "fits": ["scaling"],
+    },
 }
 
 
@@ -43,17 +48,32 @@ def mine(tmp_path_factory):
 
 def test_a_sweep_in_three_lines_is_tidy(mine):
     found, path = mine
-    assert dict(found.sizes) == {"slope": 4, "foot_mass_ratio": 2, "gait": 2, "multiplier": 3, "violation": 7}
+    assert dict(found.sizes) == {
+        "slope": 4,
+        "foot_mass_ratio": 2,
+        "gait": 2,
+        "multiplier": 3,
+        "violation": 7,
+    }
     np.testing.assert_array_equal(found.slope, STUDY["axes"]["slope"])
     assert found.identical(gaitsweep.load(path))
-    assert found.attrs["tables"] == ["fits/scaling"] and found.stance_angle.units == "rad"
+    assert (
+        found.attrs["tables"] == ["fits/scaling"] and found.stance_angle.units == "rad"
+    )
 
 
-@pytest.mark.parametrize("stream", [None, types.SimpleNamespace(write=len, flush=int)], ids=["closed", "an object"])
+@pytest.mark.parametrize(
+    "stream",
+    [None, types.SimpleNamespace(write=len, flush=int)],
+    ids=["closed", "an object"],
+)
 def test_a_run_needs_no_standard_error(mine, monkeypatch, capsys, stream):
     found, path = mine
     monkeypatch.setattr(sys, "stderr", stream)
-    assert found.identical(gaitsweep.run(STUDY, jobs=1, archive=path)) and capsys.readouterr().out == ""
+    assert (
+        found.identical(gaitsweep.run(STUDY, jobs=1, archive=path))
+        and capsys.readouterr().out == ""
+    )
 
 
 def test_flags_are_words_and_multipliers_complex(mine):
@@ -61,9 +81,14 @@ def test_flags_are_words_and_multipliers_complex(mine):
     assert set(np.unique(found.status)) <= {"converged", "no_gait"}
     assert (np.isfinite(found.stance_angle) == (found.status == "converged")).all()
     assert all(text.endswith(".") for text in found.reason.values.ravel())
-    # Legs of a point-foot walker scuff when they are parallel, at small slopes by less than the limit.
+    # Legs of a point-foot walker scuff when they are parallel, at small slopes by less
+    # than the limit.
     scuff = found.violations.sel(violation="scuff")
-    assert scuff.dtype == bool and not scuff.isel(slope=0).any() and scuff.isel(slope=-1).any()
+    assert (
+        scuff.dtype == bool
+        and not scuff.isel(slope=0).any()
+        and scuff.isel(slope=-1).any()
+    )
     radius = np.abs(found.multipliers).max("multiplier")
     np.testing.assert_array_equal(radius.fillna(-1), found.spectral_radius.fillna(-1))
 
@@ -71,14 +96,18 @@ def test_flags_are_words_and_multipliers_complex(mine):
 def test_gaits_of_two_steps_at_one_point():
     found = gaitsweep.solve("D", 0.016, steps=2)
     alone = gaitsweep.gaits("D", 0.016, steps=2).isel(gait=0)
-    assert list(found.gait) == ["long"] and list(found.columns) == list(gaitsweep.solve("D", 0.009).columns)
+    assert list(found.gait) == ["long"] and list(found.columns) == list(
+        gaitsweep.solve("D", 0.009).columns
+    )
     for name in ("stance_angle", "period", "speed", "error_bound"):
         assert found[name][0] == alone[name].item()
     none = gaitsweep.solve("D", 0.014, steps=2)
     assert none.empty and none.attrs["search"][0].startswith(
         "No gait of period 2 at this slope: the branches found span"
     )
-    with pytest.raises(StudyError, match=r"`steps` must be a whole number from 1 to 64; got 65"):
+    with pytest.raises(
+        StudyError, match=r"`steps` must be a whole number from 1 to 64; got 65"
+    ):
         gaitsweep.solve("D", 0.014, steps=65)
 
 
@@ -87,15 +116,22 @@ def test_a_loaded_grid_can_be_written(mine, tmp_path):
     found, _path = mine
     found.isel(slope=[0, 1]).to_netcdf(tmp_path / "part.nc")
     part = xr.load_dataset(tmp_path / "part.nc")
-    assert "multipliers" not in part and part.multiplier_imag.equals(found.multiplier_imag[:2])
+    assert "multipliers" not in part and part.multiplier_imag.equals(
+        found.multiplier_imag[:2]
+    )
     assert (part.status == found.status[:2]).all() and part.violations.dtype == bool
-    found.sel(gait="long").to_netcdf(tmp_path / "long.nc")  # a shorter string, without a warning
+    found.sel(gait="long").to_netcdf(
+        tmp_path / "long.nc"
+    )  # a shorter string, without a warning
     assert xr.load_dataset(tmp_path / "long.nc").gait == "long"
 
 
 def test_a_loaded_grid_calls_itself_a_dataset(mine):
     found, _path = mine
-    assert repr(found).startswith("<xarray.Dataset>") and "xarray.Dataset" in found._repr_html_()
+    assert (
+        repr(found).startswith("<xarray.Dataset>")
+        and "xarray.Dataset" in found._repr_html_()
+    )
 
 
 def test_a_report_of_one_archive_is_its_page(mine, tmp_path):
@@ -104,12 +140,20 @@ def test_a_report_of_one_archive_is_its_page(mine, tmp_path):
     assert page == tmp_path / "pages" / "mine.html" and page.exists()
     other = tmp_path / "other.nc"
     other.write_bytes(path.read_bytes())
-    assert gaitsweep.report([path, str(other)], str(tmp_path / "pages"), only=True) == tmp_path / "pages" / "index.html"
+    assert (
+        gaitsweep.report([path, str(other)], str(tmp_path / "pages"), only=True)
+        == tmp_path / "pages" / "index.html"
+    )
     with pytest.raises(ArchiveError, match=r"^There is no archive .*none.nc\.$"):
         gaitsweep.report(tmp_path / "none.nc", tmp_path / "pages")
     (tmp_path / "data" / "archive").mkdir(parents=True)
     (tmp_path / "data" / "archive" / "near.nc").touch()
-    with contextlib.chdir(tmp_path), pytest.raises(ArchiveError, match=r"near; did you mean data/archive/near\.nc\?$"):
+    with (
+        contextlib.chdir(tmp_path),
+        pytest.raises(
+            ArchiveError, match=r"near; did you mean data/archive/near\.nc\?$"
+        ),
+    ):
         gaitsweep.report("near", tmp_path / "pages")
     with pytest.raises(ArchiveError, match="^An archive must be a file; got int"):
         gaitsweep.report([1], tmp_path / "pages")
@@ -119,12 +163,20 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
     _, path = mine
     figure = gaitsweep.figure(path, "loglog")
     svg = figure._repr_svg_()
-    assert svg.startswith("<?xml") and "fill: #ffffff" in svg and "var(--" not in svg and "slope" in svg
+    assert (
+        svg.startswith("<?xml")
+        and "fill: #ffffff" in svg
+        and "var(--" not in svg
+        and "slope" in svg
+    )
     figure.savefig(tmp_path / "loglog.png")
-    with pytest.raises(StudyError, match=r"^Unknown figure `loglgo`, did you mean `loglog`\?$"):
+    with pytest.raises(
+        StudyError, match=r"^Unknown figure `loglgo`, did you mean `loglog`\?$"
+    ):
         gaitsweep.figure(path, "loglgo")
     with pytest.raises(
-        ArchiveError, match=r"mine.nc has no figure basin: the archive holds nothing to draw it from\.$"
+        ArchiveError,
+        match=r"mine.nc has no figure basin: the archive holds nothing to draw it from\.$",
     ):
         gaitsweep.figure(path, "basin")
 
@@ -132,7 +184,9 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
 def test_a_figure_is_drawn_with_its_own_settings(mine, tmp_path):
     """Whatever a `matplotlibrc` of the current folder says."""
     _, path = mine
-    (tmp_path / "matplotlibrc").write_text("figure.dpi: nonsense\naxes.grid: nonsense\n")
+    (tmp_path / "matplotlibrc").write_text(
+        "figure.dpi: nonsense\naxes.grid: nonsense\n"
+    )
     code = f"import gaitsweep; print(gaitsweep.figure({str(path)!r}, 'loglog')._repr_svg_()[:5])"
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code],
@@ -148,9 +202,14 @@ def test_an_error_in_a_notebook_has_one_line_of_the_caller_and_a_sentence():
     with pytest.raises(StudyError) as caught:
         gaitsweep.gaits("E", 0.7)
     place, sentence = caught.value._render_traceback_()
-    assert place.endswith('    gaitsweep.gaits("E", 0.7)\n') and place.count("File") == 1 and __file__ in place
     assert (
-        sentence == "StudyError: `slope` must lie in [1e-18, 0.5) rad; got 0.7: degrees? 0.7 degrees are 0.0122173 rad."
+        place.endswith('    gaitsweep.gaits("E", 0.7)\n')
+        and place.count("File") == 1
+        and __file__ in place
+    )
+    assert (
+        sentence
+        == "StudyError: `slope` must lie in [1e-18, 0.5) rad; got 0.7: degrees? 0.7 degrees are 0.0122173 rad."
     )
     assert StudyError("Nowhere.")._render_traceback_() == ["StudyError: Nowhere."]
 
@@ -158,35 +217,56 @@ def test_an_error_in_a_notebook_has_one_line_of_the_caller_and_a_sentence():
 def test_a_sweep_and_a_single_solve_agree(mine):
     found, _ = mine
     slope = float(found.slope[2])
-    alone = gaitsweep.solve(STUDY["walker"], slope, foot_mass_ratio=0.05).set_index("gait")
+    alone = gaitsweep.solve(STUDY["walker"], slope, foot_mass_ratio=0.05).set_index(
+        "gait"
+    )
     there = found.isel(slope=2).sel(foot_mass_ratio=0.05)
     assert list(alone.index) == ["long", "short"]
     for name in ("stance_angle", "period"):
-        np.testing.assert_allclose(alone[name], there[name].sel(gait=["long", "short"]), rtol=1e-12)
-    assert alone.multipliers["long"][0] == pytest.approx(complex(there.multipliers.sel(gait="long")[0]), rel=1e-9)
+        np.testing.assert_allclose(
+            alone[name], there[name].sel(gait=["long", "short"]), rtol=1e-12
+        )
+    assert alone.multipliers["long"][0] == pytest.approx(
+        complex(there.multipliers.sel(gait="long")[0]), rel=1e-9
+    )
     assert alone.attrs["search"] and np.isnan(alone.kneestrike_time).all()
 
 
 def test_solve_gives_what_the_command_gives(capsys):
     table = gaitsweep.solve("D", 0.009)
     assert commands.main(["solve", "--walker", "D", "--slope", "0.009", "--json"]) == 0
-    for row, gait in zip(table.to_dict("records"), json.loads(capsys.readouterr().out), strict=True):
-        assert row["period"] == gait["period"] and row["violations"] == tuple(gait["violations"])
+    for row, gait in zip(
+        table.to_dict("records"), json.loads(capsys.readouterr().out), strict=True
+    ):
+        assert row["period"] == gait["period"] and row["violations"] == tuple(
+            gait["violations"]
+        )
         assert [[z.real, z.imag] for z in row["multipliers"]] == gait["multipliers"]
 
 
 def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
     found = gaitsweep.solve("physical", 1e-4)
-    assert list(found.columns) == list(gaitsweep.solve("E", 0.01).columns) and "stance_angle" in found
-    assert found.empty and any("initial guesses" in sentence for sentence in found.attrs["search"])
+    assert (
+        list(found.columns) == list(gaitsweep.solve("E", 0.01).columns)
+        and "stance_angle" in found
+    )
+    assert found.empty and any(
+        "initial guesses" in sentence for sentence in found.attrs["search"]
+    )
 
 
 def test_a_table_is_a_frame_with_units(mine):
     _, path = mine
     table = gaitsweep.load(path, "fits/scaling")
     assert {"gait", "exponent", "foot_mass_ratio"} <= set(table.columns)
-    assert table.attrs["units"]["slope"] == "rad" if "slope" in table else table.attrs["units"]["exponent"] == "1"
-    with pytest.raises(ArchiveError, match=r"mine.nc has no table branches; it has fits/scaling\.$"):
+    assert (
+        table.attrs["units"]["slope"] == "rad"
+        if "slope" in table
+        else table.attrs["units"]["exponent"] == "1"
+    )
+    with pytest.raises(
+        ArchiveError, match=r"mine.nc has no table branches; it has fits/scaling\.$"
+    ):
         gaitsweep.load(path, "branches")
 
 
@@ -203,16 +283,25 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
             text,
             {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}},
             {"name": "s", "walker": "E", "axes": {"slope": xr.DataArray([0.01, 0.02])}},
-            {"name": "s", "walker": "E", "axes": {"slope": pd.Series([0.01, 0.02], index=[7, 3])}},
+            {
+                "name": "s",
+                "walker": "E",
+                "axes": {"slope": pd.Series([0.01, 0.02], index=[7, 3])},
+            },
         )
     ]
-    assert len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read}) == 1
+    assert (
+        len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read})
+        == 1
+    )
 
 
 @pytest.mark.parametrize("name", ["😀.toml", "é\x7f\t.toml", 'a "b" \\ c.toml'])
 def test_a_walker_file_of_a_mapping_may_have_any_name(tmp_path, name):
     (tmp_path / name).write_text('[walker]\nbase = "E"\nR = 0.0\n')
-    study = studies._study({"name": "s", "walker": str(tmp_path / name), "axes": {"slope": [0.01]}})
+    study = studies._study(
+        {"name": "s", "walker": str(tmp_path / name), "axes": {"slope": [0.01]}}
+    )
     assert study.walkers[0]["base"] == "E"
 
 
@@ -258,7 +347,9 @@ def test_a_wrong_point_is_one_sentence(arguments, keys, said):
 
 @pytest.mark.parametrize("jobs", [0, -1, 1001, "2", None, True])
 def test_a_wrong_number_of_workers_is_one_sentence(jobs):
-    with pytest.raises(StudyError, match=f"`jobs` must be a whole number from 1 to 1,000; got {jobs!r}"):
+    with pytest.raises(
+        StudyError, match=f"`jobs` must be a whole number from 1 to 1,000; got {jobs!r}"
+    ):
         gaitsweep.run(STUDY, jobs=jobs)
 
 
@@ -268,7 +359,9 @@ def test_no_path_is_one_sentence():
 
 
 def test_calls_from_threads_take_turns(monkeypatch):
-    """Compiled integrators hold one state, as the HDF5 library does; a run that ends closes all worker processes."""
+    """Compiled integrators hold one state, as the HDF5 library does; a run that ends
+    closes all worker processes.
+    """
     inside, most = [], []
 
     def slow(*_):
@@ -282,9 +375,18 @@ def test_calls_from_threads_take_turns(monkeypatch):
     monkeypatch.setattr("gaitsweep.pipeline.archive.read.size_of", slow)
     with ThreadPoolExecutor(8) as pool:
         calls = [
-            *(pool.submit(function, walker, 0.01) for function in (gaitsweep.gaits, gaitsweep.solve) * 2),
-            *(pool.submit(gaitsweep.step_map, walker, 0.01, (0.1, 0, 0)) for _ in range(2)),
-            *(pool.submit(gaitsweep.simulate, walker, 0.01, (0.1, 0, 0), 2) for _ in range(2)),
+            *(
+                pool.submit(function, walker, 0.01)
+                for function in (gaitsweep.gaits, gaitsweep.solve) * 2
+            ),
+            *(
+                pool.submit(gaitsweep.step_map, walker, 0.01, (0.1, 0, 0))
+                for _ in range(2)
+            ),
+            *(
+                pool.submit(gaitsweep.simulate, walker, 0.01, (0.1, 0, 0), 2)
+                for _ in range(2)
+            ),
             *(pool.submit(gaitsweep.load, __file__) for _ in range(2)),
             *(pool.submit(gaitsweep.run, walker) for _ in range(2)),
         ]
@@ -303,7 +405,10 @@ class _Handle:
 
 def _in_a_notebook(monkeypatch, shell):
     handle = _Handle()
-    interactive, shown = types.ModuleType("IPython"), types.ModuleType("IPython.display")
+    interactive, shown = (
+        types.ModuleType("IPython"),
+        types.ModuleType("IPython.display"),
+    )
     interactive.get_ipython = lambda: shell
 
     def display(content, **_):
@@ -318,8 +423,13 @@ def _in_a_notebook(monkeypatch, shell):
 
 def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
     handle = _in_a_notebook(monkeypatch, types.SimpleNamespace(kernel=True))
-    gaitsweep.run({**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc")
-    assert handle.seen[0] == {"text/plain": "", "text/html": '<progress max="1"></progress>'}
+    gaitsweep.run(
+        {**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc"
+    )
+    assert handle.seen[0] == {
+        "text/plain": "",
+        "text/html": '<progress max="1"></progress>',
+    }
     assert '<progress value="1.0000"' in handle.seen[-1]["text/html"]
     assert "2 of 2 points (100 %)" in handle.seen[-1]["text/plain"]
     assert "mine: 2 points" in capsys.readouterr().err
@@ -349,23 +459,56 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     layers = {name: Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
     grid = types.SimpleNamespace(extent=(300,), sizes={"slope": 900})
     study = types.SimpleNamespace(points=900, slope=np.arange(900), lines=1)
-    graph = types.SimpleNamespace(layers=layers, grid=grid, method="long", seconds=lambda name: 2.0)
+    graph = types.SimpleNamespace(
+        layers=layers, grid=grid, method="long", seconds=lambda name: 2.0
+    )
     plan = types.SimpleNamespace(study=study, graph=graph)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
-    shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True, engine=Engine(3))
-    assert progress.sentence(shown.state()).endswith(", 10.1 min to go")  # (8 + 900) x 2 s / 3
+    shown = progress.Progress(
+        plan, todo, tmp_path / "log", quiet=True, engine=Engine(3)
+    )
+    assert progress.sentence(shown.state()).endswith(
+        ", 10.1 min to go"
+    )  # (8 + 900) x 2 s / 3
     shown.start -= 1000  # seconds without a first result: the plan's estimate is wrong
-    assert progress.sentence(progress.total([shown.state()])).endswith(", longer than planned")
+    assert progress.sentence(progress.total([shown.state()])).endswith(
+        ", longer than planned"
+    )
     for _ in range(2):
         shown("task", {"task": "atlas", "seconds": 5.25})
-    shown("chunk", {"task": "points", "seconds": 1.0, "points": 100, "place": 0, "counts": {"converged": 90}})
-    shown("chunk", {"task": "points", "seconds": 5.0, "points": 100, "place": 600, "counts": {"converged": 100}})
+    shown(
+        "chunk",
+        {
+            "task": "points",
+            "seconds": 1.0,
+            "points": 100,
+            "place": 0,
+            "counts": {"converged": 90},
+        },
+    )
+    shown(
+        "chunk",
+        {
+            "task": "points",
+            "seconds": 5.0,
+            "points": 100,
+            "place": 600,
+            "counts": {"converged": 100},
+        },
+    )
     shown("task", {"task": "orbit", "seconds": 1.0, "lost": 10, "outcome": "timed_out"})
     state = shown.state()
     shown.file.close()
-    assert (state["done"], state["counts"]) == (210, {"converged": 190, "timed_out": 10})
-    # A point takes 0.01, sqrt(0.01 x 0.05) and 0.05 s; 200, 300 and 200 of them are left, and 690 altogether.
-    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.5, "points": 6.1}
+    assert (state["done"], state["counts"]) == (
+        210,
+        {"converged": 190, "timed_out": 10},
+    )
+    # A point takes 0.01, sqrt(0.01 x 0.05) and 0.05 s; 200, 300 and 200 of them are
+    # left, and 690 altogether.
+    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {
+        "atlas": 10.5,
+        "points": 6.1,
+    }
     assert state["eta"] == 16.6
 
 
@@ -376,15 +519,30 @@ def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):
 
 
 def test_laws_are_fitted_to_the_wanted_gaits_only(tmp_path, monkeypatch):
-    """Those that an earlier run has stored were fitted too: another archive than that of a fresh run."""
+    """Those that an earlier run has stored were fitted too: another archive than that
+    of a fresh run.
+    """
     monkeypatch.chdir(tmp_path)
     slope = {"from": 1e-4, "to": 0.05, "n": 260, "spacing": "log"}
-    study = {"name": "one", "walker": "E", "axes": {"slope": slope}, "want": {"variables": ["stance_angle"]}}
+    study = {
+        "name": "one",
+        "walker": "E",
+        "axes": {"slope": slope},
+        "want": {"variables": ["stance_angle"]},
+    }
     study["want"]["fits"] = ["scaling"]
     gaitsweep.run(study, jobs=1, quiet=True)
     long = study | {"gaits": ["long"]}
     gaitsweep.run(long, jobs=1, quiet=True)
     gaitsweep.run(long, jobs=1, quiet=True, fresh=True, archive="fresh.nc")
-    resumed, fresh = (pathlib.Path(name).read_bytes() for name in ("data/archive/one.nc", "fresh.nc"))
+    resumed, fresh = (
+        pathlib.Path(name).read_bytes() for name in ("data/archive/one.nc", "fresh.nc")
+    )
     assert resumed == fresh
-    assert gaitsweep.load("fresh.nc", "fits/scaling").set_index("gait").exponent["short"].isna().all()
+    assert (
+        gaitsweep.load("fresh.nc", "fits/scaling")
+        .set_index("gait")
+        .exponent["short"]
+        .isna()
+        .all()
+    )

@@ -1,4 +1,6 @@
-"""`solve`, which surveys for one slope, and `gaits`, which surveys for many, give one answer at every slope."""
+"""`solve`, which surveys for one slope, and `gaits`, which surveys for many, give one
+answer at every slope.
+"""
 
 import numpy as np
 import pytest
@@ -13,30 +15,48 @@ from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Rates at the start of a step, whose errors count over the largest of them.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
-#: Exponents of the stance angle in the slope at vanishing slopes, long and short; D's short gaits have feet of no mass.
-LAWS = {"A": (1 / 3, 1), "B": (1 / 3, 1), "C": (1, 1), "D": (1 / 3, 1 / 3), "E": (1 / 3, 1), "F": (1 / 3, 1)}
-#: Cases of the long test by walker, and slopes of each: so many that their branches are finer than those of `solve`.
+#: Exponents of the stance angle in the slope at vanishing slopes, long and short; D's
+#: short gaits have feet of no mass.
+LAWS = {
+    "A": (1 / 3, 1),
+    "B": (1 / 3, 1),
+    "C": (1, 1),
+    "D": (1 / 3, 1 / 3),
+    "E": (1 / 3, 1),
+    "F": (1 / 3, 1),
+}
+#: Cases of the long test by walker, and slopes of each: so many that their branches are
+#: finer than those of `solve`.
 CASES, AT_ONCE = 4, 300
 
 
 def drawn(seed, n):
-    """Slopes over all that can be asked for, half of them in ln slope, half among the largest."""
+    """Slopes over all that can be asked for, half of them in ln slope, half among the
+    largest.
+    """
     random = np.random.default_rng(seed)
     low = np.exp(random.uniform(*np.log(SLOPES), n - n // 2))
     return np.sort(np.append(low, random.uniform(1e-3, SLOPES[1], n // 2)))
 
 
 def differences(walker, slopes):
-    """What `solve` and `gaits` answer differently, and the number of gaits with the farthest distance over bounds."""
+    """What `solve` and `gaits` answer differently, and the number of gaits with the
+    farthest distance over bounds.
+    """
     found = gaitsweep.gaits(walker, slopes)
     names = {code: name for name, code in STATUSES.items()}
     different, count, farthest = [], 0, 0.0
     for k, slope in enumerate(slopes.tolist()):
         one, at = (
-            {gait["gait"]: gait for gait in solve_one({"walker": walker, "slope": slope})["gaits"]},
+            {
+                gait["gait"]: gait
+                for gait in solve_one({"walker": walker, "slope": slope})["gaits"]
+            },
             found.isel(slope=k),
         )
-        status = {g: names[int(s)] for g, s in zip(GAITS, at.status.values, strict=True)}
+        status = {
+            g: names[int(s)] for g, s in zip(GAITS, at.status.values, strict=True)
+        }
         expected = {g: s for g, s in status.items() if s != "no_gait"}
         if {g: gait["status"] for g, gait in one.items()} != expected:
             different.append((walker, slope, list(one), expected))
@@ -44,7 +64,10 @@ def differences(walker, slopes):
         for label, gait in one.items():
             other = at.isel(gait=GAITS.index(label))
             size = np.abs([gait[name] for name in RATES]).max()
-            off = [abs(gait[name] - float(other[name])) / gait[name] for name in ("stance_angle", "period")]
+            off = [
+                abs(gait[name] - float(other[name])) / gait[name]
+                for name in ("stance_angle", "period")
+            ]
             off += [abs(gait[name] - float(other[name])) / size for name in RATES]
             ratio = max(off) / (gait["error_bound"] + float(other.error_bound))
             count, farthest = count + 1, max(farthest, ratio)
@@ -74,9 +97,13 @@ def test_solve_and_gaits_answer_alike_down_to_the_least_slope(walker, one_survey
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, resumed, monkeypatch):
+def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(
+    one_survey, tell, resumed, monkeypatch
+):
     # Half of the time of one `solve` goes into violations, which are not compared.
-    wanted = tuple(name for name in solve_at_slope._WANT if VARIABLES[name].group != "violations")
+    wanted = tuple(
+        name for name in solve_at_slope._WANT if VARIABLES[name].group != "violations"
+    )
     monkeypatch.setattr(solve_at_slope, "_WANT", wanted)
     walkers = sorted(CATALOGUE)
     for case in resumed(CASES * len(walkers)):
@@ -84,7 +111,9 @@ def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, r
         different, count, farthest = differences(walker, drawn(case, AT_ONCE))
         resumed.found["gaits"] += count
         resumed.found["slopes"] += AT_ONCE
-        resumed.found["thousandths"] = max(resumed.found["thousandths"], round(1000 * farthest))
+        resumed.found["thousandths"] = max(
+            resumed.found["thousandths"], round(1000 * farthest)
+        )
         tell(f"{resumed.state}: {dict(resumed.found)}")
         assert not different, different
 
@@ -95,7 +124,9 @@ def test_gaits_down_to_the_least_slope_follow_the_laws(walker):
     found = gaitsweep.gaits(walker, slopes)
     for label, law in zip(GAITS, LAWS[walker], strict=False):
         gait = found.sel(gait=label)
-        assert (gait.status == STATUSES["converged"]).all() and gait.error_bound.max() < 1e-11
+        assert (
+            gait.status == STATUSES["converged"]
+        ).all() and gait.error_bound.max() < 1e-11
         exponent = np.diff(np.log(gait.stance_angle.values)) / np.diff(np.log(slopes))
         # The next term of the laws is smaller by slope^(2/3).
         np.testing.assert_allclose(exponent, law, rtol=1e-8)
@@ -115,8 +146,12 @@ def test_a_slope_below_the_least_is_refused_by_every_entry_in_one_sentence():
         lambda: gaitsweep.gaits("D", below),
         lambda: gaitsweep.step_map("D", below, state),
         lambda: gaitsweep.simulate("D", below, state, 1),
-        lambda: gaitsweep.run({"name": "s", "walker": "D", "axes": {"slope": [0.1, below]}}),
+        lambda: gaitsweep.run(
+            {"name": "s", "walker": "D", "axes": {"slope": [0.1, below]}}
+        ),
     ]
     for each in asked:
-        with pytest.raises(StudyError, match=r"`slope` must lie in \[1e-18, 0.5\) rad; got 9e-19"):
+        with pytest.raises(
+            StudyError, match=r"`slope` must lie in \[1e-18, 0.5\) rad; got 9e-19"
+        ):
             each()

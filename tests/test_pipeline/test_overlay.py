@@ -1,4 +1,6 @@
-"""The user's own measurements: read, refused in one line, archived, and compared with the curves."""
+"""The user's own measurements: read, refused in one line, archived, and compared with
+the curves.
+"""
 
 import shutil
 from types import SimpleNamespace
@@ -35,7 +37,9 @@ def refuse(tmp_path):
     def ask(text, walker="physical"):
         (tmp_path / "s.toml").write_text(STUDY.format(walker=walker))
         if text is not None:
-            (tmp_path / "measured.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+            (tmp_path / "measured.csv").write_bytes(
+                text if isinstance(text, bytes) else text.encode()
+            )
         with pytest.raises(StudyError) as caught:
             parse.read(tmp_path / "s.toml")
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
@@ -50,15 +54,39 @@ def refuse(tmp_path):
         (None, "There is no file measured.csv (s.toml, figures.overlay.file)."),
         ("", "must have a heading and 1 to 20,000 rows; it has 0"),
         (HEAD, "must have a heading and 1 to 20,000 rows; it has 0"),
-        (HEAD + "0.03,abc\n", "`period` must be a number; got 'abc' (measured.csv, row 2)"),
+        (
+            HEAD + "0.03,abc\n",
+            "`period` must be a number; got 'abc' (measured.csv, row 2)",
+        ),
         (HEAD + "0.03,inf\n", "`period` must be a number; got 'inf'"),
-        ("slope [rad],periode [s]\n0.03,1\n", "Unknown column of measured.csv `periode`, did you mean `period`?"),
-        ("slope [rad],period [ms]\n0.03,1\n", "The column `period [ms]` of measured.csv must be `period [s]`"),
-        ("slope [rad],stance_angle\n0.03,1\n", "column `stance_angle` of measured.csv must be `stance_angle [rad]`"),
-        ("slope [m],period [s]\n0.03,1\n", "The column `slope [m]` of measured.csv must be `slope [rad]`"),
-        ("slope [rad],period [s],period [s]\n0.03,1,1\n", "measured.csv has two columns `period`"),
-        ("slope [rad],period [s],period_error [s]\n0.03,1,-1\n", "`period_error` must be at least 0; got '-1'"),
-        ("slope [rad],period [s],gait\n0.03,1,medium\n", "`gait` must be one of long, short, other1, other2"),
+        (
+            "slope [rad],periode [s]\n0.03,1\n",
+            "Unknown column of measured.csv `periode`, did you mean `period`?",
+        ),
+        (
+            "slope [rad],period [ms]\n0.03,1\n",
+            "The column `period [ms]` of measured.csv must be `period [s]`",
+        ),
+        (
+            "slope [rad],stance_angle\n0.03,1\n",
+            "column `stance_angle` of measured.csv must be `stance_angle [rad]`",
+        ),
+        (
+            "slope [m],period [s]\n0.03,1\n",
+            "The column `slope [m]` of measured.csv must be `slope [rad]`",
+        ),
+        (
+            "slope [rad],period [s],period [s]\n0.03,1,1\n",
+            "measured.csv has two columns `period`",
+        ),
+        (
+            "slope [rad],period [s],period_error [s]\n0.03,1,-1\n",
+            "`period_error` must be at least 0; got '-1'",
+        ),
+        (
+            "slope [rad],period [s],gait\n0.03,1,medium\n",
+            "`gait` must be one of long, short, other1, other2",
+        ),
         ("period [s]\n1\n", "needs the column `slope`, an axis with several values"),
         ("slope [rad]\n0.03\n", "has no measured variable"),
         ("slope [rad],period [s],walker\n0.03,1,Z\n", "Unknown walker `Z`"),
@@ -83,7 +111,9 @@ def test_a_study_may_name_nothing_else_there(tmp_path):
         '[figures.overlay]\nfile = "/etc/passwd"\n': relative,
     }
     for text, said in wrong.items():
-        (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n' + text)
+        (tmp_path / "s.toml").write_text(
+            'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n' + text
+        )
         with pytest.raises(StudyError, match=said):
             parse.read(tmp_path / "s.toml")
 
@@ -96,25 +126,51 @@ def archive(tmp_path_factory):
     heading = "slope [rad],period [s],period_error [s],stance_angle [deg],gait\n"
     (folder / "measured.csv").write_text(heading + rows)
     path = folder / "own.nc"
-    assert commands.main(["run", f"{folder}/own.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    assert (
+        commands.main(
+            [
+                "run",
+                f"{folder}/own.toml",
+                "--archive",
+                str(path),
+                "--jobs",
+                "1",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     return path
 
 
 def test_measurements_are_archived_with_units(archive):
     with xr.open_dataset(archive, group="overlay") as overlay:
-        assert overlay["period"].attrs["units"] == overlay["period_error"].attrs["units"] == "s"
+        assert (
+            overlay["period"].attrs["units"]
+            == overlay["period_error"].attrs["units"]
+            == "s"
+        )
         assert overlay["stance_angle"].attrs["units"] == "rad"
         assert overlay["stance_angle"].values[0] == pytest.approx(np.radians(10.5))
-        assert list(overlay["gait"].values) == ["long", "", ""] and np.isnan(overlay["stance_angle"].values[2])
+        assert list(overlay["gait"].values) == ["long", "", ""] and np.isnan(
+            overlay["stance_angle"].values[2]
+        )
     assert commands.main(["verify", str(archive)]) == 0
 
 
-def test_measurements_that_change_are_archived_though_nothing_is_solved(archive, tmp_path):
+def test_measurements_that_change_are_archived_though_nothing_is_solved(
+    archive, tmp_path
+):
     for name in ("own.toml", "measured.csv", "own.nc", "own.journal"):
         shutil.copy(archive.with_name(name), tmp_path)
     (tmp_path / "measured.csv").write_text(HEAD + "0.03,0.8\n")
     path = str(tmp_path / "own.nc")
-    assert commands.main(["run", f"{tmp_path}/own.toml", "--archive", path, "--jobs", "1", "--quiet"]) == 0
+    assert (
+        commands.main(
+            ["run", f"{tmp_path}/own.toml", "--archive", path, "--jobs", "1", "--quiet"]
+        )
+        == 0
+    )
     with xr.open_dataset(path, group="overlay") as overlay:
         assert overlay["period"].values.tolist() == [0.8]
 
@@ -123,22 +179,38 @@ def test_residuals_are_those_from_the_nearest_gait_or_the_one_named(archive):
     left = measured.residuals(read_archive(archive))
     period = left[left["variable"] == "period (s)"].set_index("slope")
     assert list(period.index) == [0.025, 0.036, 0.09]
-    # The period of figure 3's gait, 0.756985 s, is known: the interpolation leaves less than 1e-4.
+    # The period of figure 3's gait, 0.756985 s, is known: the interpolation leaves less
+    # than 1e-4.
     assert abs(period.loc[0.036, "residual"]) < 1e-4
-    assert period.loc[0.025, "residual"] == pytest.approx(0.83 - period.loc[0.025, "computed"])
-    assert period.loc[0.025, "over_error"] == pytest.approx(period.loc[0.025, "residual"] / 0.02)
-    assert np.isnan(period.loc[0.09, "computed"]) and np.isnan(period.loc[0.09, "residual"])
+    assert period.loc[0.025, "residual"] == pytest.approx(
+        0.83 - period.loc[0.025, "computed"]
+    )
+    assert period.loc[0.025, "over_error"] == pytest.approx(
+        period.loc[0.025, "residual"] / 0.02
+    )
+    assert np.isnan(period.loc[0.09, "computed"]) and np.isnan(
+        period.loc[0.09, "residual"]
+    )
     assert len(left) == 5
 
 
 def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     pages.write([archive], tmp_path)
     text = (tmp_path / "own.html").read_text()
-    assert "Residuals of the measurements" in text and ">measured<" in text and 'id="measured"' in text
-    assert "<code>measured.csv</code>" in text  # to be saved beside the study
-    largest = measured.residuals(read_archive(archive)).groupby("variable")["residual"].agg(lambda r: r.abs().max())
     assert (
-        f">The largest residual of period (s) is {largest['period (s)']:.3g}; the largest" in text
+        "Residuals of the measurements" in text
+        and ">measured<" in text
+        and 'id="measured"' in text
+    )
+    assert "<code>measured.csv</code>" in text  # to be saved beside the study
+    largest = (
+        measured.residuals(read_archive(archive))
+        .groupby("variable")["residual"]
+        .agg(lambda r: r.abs().max())
+    )
+    assert (
+        f">The largest residual of period (s) is {largest['period (s)']:.3g}; the largest"
+        in text
         and ">γ (rad)" in text
     )
 
@@ -148,20 +220,39 @@ def _archived(tmp_path, study, measurements):
     (tmp_path / "s.toml").write_text(study + '[figures.overlay]\nfile = "m.csv"\n')
     (tmp_path / "m.csv").write_text(measurements)
     path = tmp_path / "s.nc"
-    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    assert (
+        commands.main(
+            [
+                "run",
+                f"{tmp_path}/s.toml",
+                "--archive",
+                str(path),
+                "--jobs",
+                "1",
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     return path
 
 
-def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_computed_value(tmp_path):
+def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_computed_value(
+    tmp_path,
+):
     study = (
         'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nfoot_mass_ratio = [0.01, 0.02]\n'
         '[want]\nvariables = ["stance_angle", "period"]\n'
     )
     # The period is measured nowhere: a column of empty cells.
     heading = "slope [rad],foot_mass_ratio,stance_angle [rad],period\n"
-    path = _archived(tmp_path, study, heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n")
+    path = _archived(
+        tmp_path, study, heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n"
+    )
     left = measured.residuals(read_archive(path))
-    assert left["foot_mass_ratio"].tolist() == [0.01, 0.015] and left["computed"].isna().tolist() == [False, True]
+    assert left["foot_mass_ratio"].tolist() == [0.01, 0.015] and left[
+        "computed"
+    ].isna().tolist() == [False, True]
     pages.write([_archived(tmp_path, study, heading + "0.002,0.01,,\n")], tmp_path)
     assert "own measurements" in (tmp_path / "s.html").read_text()
 
@@ -171,18 +262,26 @@ def test_a_branch_study_compares_between_folds(tmp_path):
         'name = "b"\nkind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'
         '[want]\nfigures = ["locus"]\n'
     )
-    path = _archived(tmp_path, study, "slope [rad],stance_angle [rad]\n0.045,0.28\n0.045,0.22\n")
+    path = _archived(
+        tmp_path, study, "slope [rad],stance_angle [rad]\n0.045,0.28\n0.045,0.22\n"
+    )
     computed = measured.residuals(read_archive(path))["computed"].to_numpy()
-    assert computed[0] > 0.27 and computed[1] < 0.24  # on either side of the fold at 0.053
+    assert (
+        computed[0] > 0.27 and computed[1] < 0.24
+    )  # on either side of the fold at 0.053
 
 
-def test_a_measurement_on_a_line_without_branches_is_not_compared_with_another_line(tmp_path):
+def test_a_measurement_on_a_line_without_branches_is_not_compared_with_another_line(
+    tmp_path,
+):
     """Walker A detuned to the physical one does not walk on slopes as small as these."""
     study = (
         'name = "b"\nkind = "branch"\nwalker = "A"\n[axes]\nslope = { from = 0.0015, to = 0.003, n = 8 }\n'
         "detuning = [0.0, 1.0]\n"
     )
-    measurements = "slope [rad],detuning,stance_angle [rad]\n0.002,0.0,0.126\n0.002,1.0,0.126\n"
+    measurements = (
+        "slope [rad],detuning,stance_angle [rad]\n0.002,0.0,0.126\n0.002,1.0,0.126\n"
+    )
     path = _archived(tmp_path, study, measurements)
     computed = measured.residuals(read_archive(path)).set_index("detuning")["computed"]
     assert computed[0.0] == pytest.approx(0.1256, rel=1e-3) and np.isnan(computed[1.0])
@@ -194,14 +293,24 @@ def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
         '[want]\nvariables = ["stance_angle"]\n'
     )
     heading = "slope [rad],foot_mass_ratio,stance_angle [rad]\n"
-    path = _archived(tmp_path, study, heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n")
+    path = _archived(
+        tmp_path,
+        study,
+        heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n",
+    )
     left = measured.residuals(read_archive(path))
-    assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left["measured"].tolist() == [0.128, 0.126, 0.127]
+    assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left[
+        "measured"
+    ].tolist() == [0.128, 0.126, 0.127]
 
 
 def test_rows_that_a_page_leaves_out_are_counted(monkeypatch):
     rows = pd.DataFrame({"task": ["trace"] * 130, "residual": np.zeros(130)})
     monkeypatch.setattr(measured, "residuals", lambda source: rows)
-    assert html_tables.residuals(None)[0].note.endswith("118 more rows are in the CSV file.")
-    failed = html_tables.failed_tasks(SimpleNamespace(table=lambda name: {"failed_tasks": rows}.get(name)))
+    assert html_tables.residuals(None)[0].note.endswith(
+        "118 more rows are in the CSV file."
+    )
+    failed = html_tables.failed_tasks(
+        SimpleNamespace(table=lambda name: {"failed_tasks": rows}.get(name))
+    )
     assert len(failed.rows) == 12 and failed.note == "118 more rows are in the archive."

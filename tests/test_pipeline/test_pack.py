@@ -1,4 +1,6 @@
-"""Plain data and arrays go to bytes and come back; junk is refused and can do nothing else."""
+"""Plain data and arrays go to bytes and come back; junk is refused and can do nothing
+else.
+"""
 
 import numpy as np
 import pytest
@@ -9,12 +11,19 @@ from hypothesis.extra import numpy as hnp
 from gaitsweep.pipeline import serialize
 
 _ARRAYS = hnp.arrays(
-    st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]), hnp.array_shapes(max_dims=3, min_side=0, max_side=4)
+    st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]),
+    hnp.array_shapes(max_dims=3, min_side=0, max_side=4),
 )
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.dictionaries(st.text(min_size=1, max_size=5), _ARRAYS | st.integers(-9, 9) | st.text(max_size=5), max_size=4))
+@given(
+    st.dictionaries(
+        st.text(min_size=1, max_size=5),
+        _ARRAYS | st.integers(-9, 9) | st.text(max_size=5),
+        max_size=4,
+    )
+)
 def test_what_goes_in_comes_out(tree):
     data = serialize.dump(tree)
     found = serialize.load(data)

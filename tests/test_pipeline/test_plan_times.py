@@ -1,4 +1,6 @@
-"""Plans: the work that is told beforehand against the processor time of the run, and the record for machines."""
+"""Plans: the work that is told beforehand against the processor time of the run, and
+the record for machines.
+"""
 
 import json
 import os
@@ -19,9 +21,11 @@ LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n =
 #: Studies of every sort that a plan's time is promised for.
 STUDIES = {
     "a line": LINE,
-    "a hundred lines": LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.3, n = 100 }\n",
+    "a hundred lines": LINE.replace('"D"', '"E"')
+    + "R = { from = 0.0, to = 0.3, n = 100 }\n",
     "1e5 points": LINE.replace("n = 20", "n = 100000"),
-    "a plane": LINE.replace('"D"', '"E"').replace("n = 20", "n = 8") + "R = { from = 0.0, to = 0.1, n = 150 }\n",
+    "a plane": LINE.replace('"D"', '"E"').replace("n = 20", "n = 8")
+    + "R = { from = 0.0, to = 0.1, n = 150 }\n",
     "a kneed line": LINE.replace('"D"', '"C"'),
     "cascade": 'name = "s"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n',
     "basin": 'name = "s"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.009]\n',
@@ -33,7 +37,9 @@ STUDIES = {
 def processor_time(folder, *arguments):
     """Processor time of a command and all its processes [s]."""
     command = [sys.executable, "-m", "gaitsweep", *arguments]
-    process = subprocess.Popen(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    process = subprocess.Popen(
+        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
@@ -41,7 +47,9 @@ def processor_time(folder, *arguments):
 
 
 def slowness():
-    """Processor time of a fixed piece of work, over that on the core of the plan's costs."""
+    """Processor time of a fixed piece of work, over that on the core of the plan's
+    costs.
+    """
     begun = time.process_time()
     numbers = np.random.default_rng(1).random(200_000)
     for _ in range(10):
@@ -57,16 +65,24 @@ def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, caps
     if name not in STUDIES:  # a few points, which took as long as the start of a worker
         (tmp_path / "s.toml").write_text(LINE.replace("n = 20", "n = 4"))
         processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
-    (tmp_path / "s.toml").write_text(STUDIES.get(name, LINE.replace("n = 20", "n = 200")))
+    (tmp_path / "s.toml").write_text(
+        STUDIES.get(name, LINE.replace("n = 20", "n = 200"))
+    )
     assert commands.main(["plan", "s.toml", "--json"]) == 0
     (plan,) = json.loads(capsys.readouterr().out)
     taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
-    for _ in range(3):  # the first run may compile, and the machine may be slow or fast for half a minute
+    for _ in range(
+        3
+    ):  # the first run may compile, and the machine may be slow or fast for half a minute
         if not 1 / 3 < plan["seconds"] / taken < 3:
             before = slowness()
-            taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh")
+            taken = processor_time(
+                tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh"
+            )
             taken /= (before + slowness()) / 2
-    assert 1 / 3 < plan["seconds"] / taken < 3, f"{plan['seconds']:.2f} s planned, {taken:.2f} s taken"
+    assert 1 / 3 < plan["seconds"] / taken < 3, (
+        f"{plan['seconds']:.2f} s planned, {taken:.2f} s taken"
+    )
 
 
 def test_costs_grow_with_what_is_asked(tmp_path):
@@ -75,12 +91,16 @@ def test_costs_grow_with_what_is_asked(tmp_path):
         return Graph(read(tmp_path / "s.toml")).seconds(name)
 
     orbits = STUDIES["orbits"]
-    one, twice = (seconds(orbits + f"[options]\ntransient = {n}\nsteps = {n}\n", "orbit") for n in (1000, 2000))
+    one, twice = (
+        seconds(orbits + f"[options]\ntransient = {n}\nsteps = {n}\n", "orbit")
+        for n in (1000, 2000)
+    )
     assert twice == pytest.approx(2 * one)
     basin = STUDIES["basin"]
     many = seconds(basin.replace("[0.009]", "[0.009, 0.01]"), "basin")
     assert many == pytest.approx(2 * seconds(basin, "basin"))
-    # Charts over two keys cost twice as much as over one, and few lines beside them are surveyed.
+    # Charts over two keys cost twice as much as over one, and few lines beside them are
+    # surveyed.
     plane = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
     two = plane + "m_h = { from = 0.0, to = 0.1, n = 20 }\n"
     assert 20 * seconds(two, "charts") == pytest.approx(2 * seconds(plane, "charts"))
@@ -95,27 +115,50 @@ def test_costs_grow_with_what_is_asked(tmp_path):
         by_charts, by_lines = seconds_over_plane(study)
         return str(method_of(study)), by_charts < by_lines
 
-    # Charts are made where they take less than lines one by one: more slopes, or knees, make them pay for fewer lines.
+    # Charts are made where they take less than lines one by one: more slopes, or knees,
+    # make them pay for fewer lines.
     assert method(20) == ("short", False) and method(40) == ("plane", True)
-    assert method(20, 200) == ("plane", True) and method(16, 20, "C") == ("short", False)
-    assert method(24, 20, "C") == ("plane", True) and method(11, 200, "C") == ("short", False)
-    assert method(100, 300) == ("plane", True) and method(100, 10_000) == ("long", False)
-    # A list counts by its length; a study of a straight and a kneed walker is their mean.
-    assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
-        2 * seconds(STUDIES["cascade"], "cascade")
+    assert method(20, 200) == ("plane", True) and method(16, 20, "C") == (
+        "short",
+        False,
     )
-    straight, kneed, both = (seconds(LINE.replace('"D"', w), "points") for w in ('"D"', '"C"', '["D", "C"]'))
+    assert method(24, 20, "C") == ("plane", True) and method(11, 200, "C") == (
+        "short",
+        False,
+    )
+    assert method(100, 300) == ("plane", True) and method(100, 10_000) == (
+        "long",
+        False,
+    )
+    # A list counts by its length; a study of a straight and a kneed walker is their
+    # mean.
+    assert seconds(
+        STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade"
+    ) == pytest.approx(2 * seconds(STUDIES["cascade"], "cascade"))
+    straight, kneed, both = (
+        seconds(LINE.replace('"D"', w), "points") for w in ('"D"', '"C"', '["D", "C"]')
+    )
     assert both == pytest.approx((straight + kneed) / 2) and kneed > straight
     # Violations and proofs cost more than the gaits; longer gaits are searched for.
-    dear = [seconds(LINE + f'[want]\nvariables = ["{v}"]\n', "points") for v in ("period", "violations")]
+    dear = [
+        seconds(LINE + f'[want]\nvariables = ["{v}"]\n', "points")
+        for v in ("period", "violations")
+    ]
     assert dear[0] == pytest.approx(straight) and dear[1] > dear[0]
-    atlas = [seconds(LINE + f"[options]\nsteps = {n}\n", "atlas") for n in (1, 2, 3, 4, 8)]
-    assert sorted(set(atlas)) != atlas[:1] and atlas[1] < atlas[2] == atlas[3] < atlas[4]
+    atlas = [
+        seconds(LINE + f"[options]\nsteps = {n}\n", "atlas") for n in (1, 2, 3, 4, 8)
+    ]
+    assert (
+        sorted(set(atlas)) != atlas[:1] and atlas[1] < atlas[2] == atlas[3] < atlas[4]
+    )
 
 
 def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
     (tmp_path / "s.toml").write_text(STUDY)
-    (tmp_path / "o.toml").write_text(STUDIES["orbits"].replace('"s"', '"o"') + "[options]\nstarts = 1\ntransient = 5\n")
+    (tmp_path / "o.toml").write_text(
+        STUDIES["orbits"].replace('"s"', '"o"')
+        + "[options]\nstarts = 1\ntransient = 5\n"
+    )
     monkeypatch.chdir(tmp_path)
 
     def plan(*arguments):
@@ -124,22 +167,58 @@ def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
 
     study, orbits = plan("s.toml", "o.toml")
     points = read(tmp_path / "s.toml").points
-    keys = ["study", "archive", "points", "new", "changed", "cached", "not_wanted", "flown", "seconds", "tasks"]
+    keys = [
+        "study",
+        "archive",
+        "points",
+        "new",
+        "changed",
+        "cached",
+        "not_wanted",
+        "flown",
+        "seconds",
+        "tasks",
+    ]
     assert list(study) == list(orbits) == keys
-    assert (study["points"], study["new"], study["changed"], study["cached"]) == (points, points, 0, 0)
-    assert study["archive"].endswith("data/archive/toy.nc") or study["archive"].endswith(f"{study['study']}.nc")
+    assert (study["points"], study["new"], study["changed"], study["cached"]) == (
+        points,
+        points,
+        0,
+        0,
+    )
+    assert study["archive"].endswith("data/archive/toy.nc") or study[
+        "archive"
+    ].endswith(f"{study['study']}.nc")
     assert study["flown"] == points and orbits["flown"] == 0 and orbits["new"] == 1
-    assert {"violations", "proofs", "claims"} <= set(study["not_wanted"]) and "violations" not in orbits["not_wanted"]
+    assert {"violations", "proofs", "claims"} <= set(
+        study["not_wanted"]
+    ) and "violations" not in orbits["not_wanted"]
     assert commands.main(["run", "s.toml", "--quiet", "--jobs", "1"]) == 0
     (done,) = plan("s.toml")
-    assert (done["new"], done["cached"], done["flown"], done["seconds"]) == (0, points, 0, 0.0)
+    assert (done["new"], done["cached"], done["flown"], done["seconds"]) == (
+        0,
+        points,
+        0,
+        0.0,
+    )
 
 
 def test_what_is_not_wanted_is_one_short_line(tmp_path, monkeypatch, capsys):
-    (tmp_path / "s.toml").write_text(LINE + '[want]\nvariables = ["period", "violations"]\nfits = ["scaling"]\n')
+    (tmp_path / "s.toml").write_text(
+        LINE + '[want]\nvariables = ["period", "violations"]\nfits = ["scaling"]\n'
+    )
     monkeypatch.chdir(tmp_path)
     assert commands.main(["plan", "s.toml"]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if "not wanted" in line]
+    (line,) = [
+        line for line in capsys.readouterr().out.splitlines() if "not wanted" in line
+    ]
     names = line.removeprefix("  not wanted: ").split(", ")
-    assert names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"] and len(line) < 260
-    assert {"multipliers", "energy", "proofs"} < set(names) and not {"violations", "scaling", "orbit"} & set(names)
+    assert (
+        names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"]
+        and len(line) < 260
+    )
+    assert {"multipliers", "energy", "proofs"} < set(names) and not {
+        "violations",
+        "scaling",
+        "orbit",
+    } & set(names)

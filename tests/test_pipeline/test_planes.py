@@ -1,4 +1,6 @@
-"""Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
+"""Studies over a plane of keys: divided into cells, each computed as a whole, whatever
+runs them.
+"""
 
 import contextlib
 import json
@@ -64,29 +66,45 @@ def run(folder, text, **options):
 
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("one"), STUDY.format(walker="B", axes=AXES), jobs=1)
+    return run(
+        tmp_path_factory.mktemp("one"), STUDY.format(walker="B", axes=AXES), jobs=1
+    )
 
 
 def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     """Those of each value of a third key, and of each walker, have their own."""
     axes = AXES + "\ng = [1.0, 2.0]"
-    study = read(written(tmp_path, STUDY.format(walker="B", axes=axes).replace('"B"', '["B", "E"]')))
+    study = read(
+        written(
+            tmp_path, STUDY.format(walker="B", axes=axes).replace('"B"', '["B", "E"]')
+        )
+    )
     assert study.plane.lines == 288 and study.lines == 4 * 288
     graph = Graph(study)
     chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
-    assert sorted(np.concatenate([chunk.numbers for chunk in chunks])) == list(range(4 * 288))
+    assert sorted(np.concatenate([chunk.numbers for chunk in chunks])) == list(
+        range(4 * 288)
+    )
     charts = {}
     for chunk in chunks:
         node = graph.chunk_node(chunk)
         params, (line, *_) = graph.params(node), graph.params(node)["lines"]
         (charted,) = graph.charts_of(chunk, lambda _: [])
         made = graph.params(charted)
-        assert made["plane"]["keys"] == params["plane"]["keys"] == ["R", "m_s"] and params["plane"]["high"] == [
+        assert made["plane"]["keys"] == params["plane"]["keys"] == [
+            "R",
+            "m_s",
+        ] and params["plane"]["high"] == [
             0.2,
             0.12,
         ]
-        assert made["line"] == {"walker": line["walker"], "set": {"g": line["set"]["g"]}}
-        assert {(one["walker"], one["set"]["g"]) for one in params["lines"]} == {(line["walker"], line["set"]["g"])}
+        assert made["line"] == {
+            "walker": line["walker"],
+            "set": {"g": line["set"]["g"]},
+        }
+        assert {(one["walker"], one["set"]["g"]) for one in params["lines"]} == {
+            (line["walker"], line["set"]["g"])
+        }
         charts[charted.key.key] = line["walker"], line["set"]["g"]
     assert sorted(charts.values()) == [("B", 1.0), ("B", 2.0), ("E", 1.0), ("E", 2.0)]
 
@@ -97,8 +115,12 @@ def test_charts_are_made_once_and_kept(tmp_path):
 
     def run_and_count(text):
         run(tmp_path, text, jobs=1)
-        with contextlib.closing(Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"), write=False)) as store:
-            made.append(sorted(store.number(key) for key in store if key.startswith("charts-")))
+        with contextlib.closing(
+            Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"), write=False)
+        ) as store:
+            made.append(
+                sorted(store.number(key) for key in store if key.startswith("charts-"))
+            )
 
     text = STUDY.format(walker="B", axes=AXES)
     run_and_count(text)
@@ -110,19 +132,30 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path):
     text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }")
     graph = Graph(read(written(tmp_path, text)))
     assert graph.method is Method.PLANE
-    with contextlib.closing(Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"))) as store:
-        store.put_result(graph.line_keys(0)["charts"], Outcome("raised", "It raised."), b"")
+    with contextlib.closing(
+        Store(paths.sidecar_path(tmp_path / "plane.nc", ".journal"))
+    ) as store:
+        store.put_result(
+            graph.line_keys(0)["charts"], Outcome("raised", "It raised."), b""
+        )
     archive = run(tmp_path, text, jobs=1)
     assert (gaitsweep.load(archive).status.sel(gait=BOTH) == "converged").all()
     # Told once, not by each of the lines that share them.
     failed = xr.load_dataset(archive, group="failed_tasks")
-    assert failed.task.values.tolist() == ["charts"] and failed.reason.values.tolist() == ["It raised."]
+    assert failed.task.values.tolist() == [
+        "charts"
+    ] and failed.reason.values.tolist() == ["It raised."]
 
 
 def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
-    """Its charts depend on the sides of the plane and about how many lines it has; a line has all its slopes."""
+    """Its charts depend on the sides of the plane and about how many lines it has; a
+    line has all its slopes.
+    """
     assert [about(n) for n in (1, 181, 182, 362, 363)] == [1, 128, 256, 256, 512]
-    other_sides, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 18", "n = 35")
+    other_sides, other_lines = (
+        AXES.replace("to = 0.2", "to = 0.22"),
+        AXES.replace("n = 18", "n = 35"),
+    )
     spread = AXES.replace("n = 16", 'n = 16, spacing = "log"')
     digests = []
     whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
@@ -136,20 +169,43 @@ def test_the_digest_of_a_line_tells_its_plane_and_slopes(tmp_path):
         study = read(written(tmp_path / name, text.format(walker="B", axes=axes)))
         graph = Graph(study)
         assert graph.method is Method.PLANE
-        first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
+        first = [
+            i
+            for i in range(study.lines)
+            if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}
+        ]
         digests.append(graph.digests(np.array(first)).tolist())
     assert all(one not in digests[:k] for k, one in enumerate(digests))
 
 
 @pytest.mark.parametrize(
     ("m_h", "R", "slopes", "lines"),
-    [(40, 20, 12, 64), (20, 15, 1, 300), (100, 100, 1, 25**2), (1000, 1000, 1, 4096), (60, 20, 100, 36)],
+    [
+        (40, 20, 12, 64),
+        (20, 15, 1, 300),
+        (100, 100, 1, 25**2),
+        (1000, 1000, 1, 4096),
+        (60, 20, 100, 36),
+    ],
 )
-def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(m_h, R, slopes, lines):
-    """As many lines as fill registers, and points as pay for a job; no more than take a quarter of a second."""
-    axes = {"slope": np.linspace(0.01, 0.02, slopes).tolist(), "m_h": np.linspace(0, 5, m_h).tolist()}
+def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(
+    m_h, R, slopes, lines
+):
+    """As many lines as fill registers, and points as pay for a job; no more than take a
+    quarter of a second.
+    """
+    axes = {
+        "slope": np.linspace(0.01, 0.02, slopes).tolist(),
+        "m_h": np.linspace(0, 5, m_h).tolist(),
+    }
     study = parse(
-        {"name": "plane", "walker": "A", "axes": {**axes, "R": np.linspace(0.1, 0.3, R).tolist()}}, "", Path()
+        {
+            "name": "plane",
+            "walker": "A",
+            "axes": {**axes, "R": np.linspace(0.1, 0.3, R).tolist()},
+        },
+        "",
+        Path(),
     )
     grid = Graph(study).grid
     each = [len(grid.chunk(k).numbers) for k in range(grid.chunks)]
@@ -157,9 +213,13 @@ def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(m_h, R, 
 
 
 def test_a_grid_with_a_few_other_lines_keeps_its_charts(tmp_path):
-    journal = paths.sidecar_path(run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=1), ".journal")
+    journal = paths.sidecar_path(
+        run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=1), ".journal"
+    )
     refined = STUDY.format(walker="B", axes=AXES.replace("n = 18", "n = 21"))
-    todo = summary(Plan(read(written(tmp_path, refined)), Store(journal, write=False))).todo
+    todo = summary(
+        Plan(read(written(tmp_path, refined)), Store(journal, write=False))
+    ).todo
     assert not todo["charts"]
     # Both have the least and the largest R.
     assert sum(todo["points"].values()) == 2 * 16 * (21 - 2)
@@ -172,11 +232,16 @@ def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
         axes = f"R = {R}\nm_s = {{ from = 0.08, to = 0.12, n = 16 }}"
         study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
         graph = Graph(study)
-        digests.append(graph.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2))
+        digests.append(
+            graph.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2)
+        )
     assert np.array_equal(digests[0], digests[1][::-1])
 
 
-@pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 11 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
+@pytest.mark.parametrize(
+    "axes",
+    ["R = { from = 0.0, to = 0.2, n = 11 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"],
+)
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
 
@@ -193,9 +258,16 @@ variables = ["stance_angle", "period"]
 
 
 def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
-    """A is tuned within: its plane is halved there without a survey, and a chunk waits for the boxes that it meets."""
+    """A is tuned within: its plane is halved there without a survey, and a chunk waits
+    for the boxes that it meets.
+    """
     archive = run(tmp_path, HALVED, jobs=2)
-    events = [json.loads(line) for line in paths.sidecar_path(archive, ".events.jsonl").read_text().splitlines()]
+    events = [
+        json.loads(line)
+        for line in paths.sidecar_path(archive, ".events.jsonl")
+        .read_text()
+        .splitlines()
+    ]
     charted = [event["charted"] for event in events if event.get("task") == "charts"]
     assert charted[0] == 0 and len(charted) == 2 * charted.count(0) + 1
     state = next(event for event in reversed(events) if event["event"] == "state")
@@ -204,35 +276,64 @@ def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
     with contextlib.closing(Store(paths.sidecar_path(archive, ".journal"))) as store:
         graph = Graph(read(tmp_path / "plane.toml"))
         needed = [
-            [node.key.key for node in graph.charts_of(graph.grid.chunk(k), partial(halves_in, store))]
+            [
+                node.key.key
+                for node in graph.charts_of(
+                    graph.grid.chunk(k), partial(halves_in, store)
+                )
+            ]
             for k in range(graph.grid.chunks)
         ]
-        assert set().union(*needed) == {key for key in store if key.startswith("charts-")}
-    assert min(map(len, needed)) < len(charted) and len({keys[0] for keys in needed}) == 1
+        assert set().union(*needed) == {
+            key for key in store if key.startswith("charts-")
+        }
+    assert (
+        min(map(len, needed)) < len(charted) and len({keys[0] for keys in needed}) == 1
+    )
     # In memory they are made one after the other.
     with xr.open_dataset(archive) as stored:
-        found = gaitsweep.gaits("A", slope=stored.slope, detuning=stored.detuning, variables=["stance_angle", "period"])
+        found = gaitsweep.gaits(
+            "A",
+            slope=stored.slope,
+            detuning=stored.detuning,
+            variables=["stance_angle", "period"],
+        )
         for name in ("stance_angle", "period", "status"):
             own = found[name].sel(gait=stored.gait).transpose(*stored[name].dims)
             np.testing.assert_array_equal(own, stored[name])
 
 
 def test_a_plan_knows_which_halves_of_a_plane_are_missing(tmp_path):
-    """Those of a run that was interrupted, and of them only what chunks that are missing need."""
+    """Those of a run that was interrupted, and of them only what chunks that are
+    missing need.
+    """
     text = HALVED.replace("-0.05", "0.0").replace("n = 200", "n = 201")
     low, high = {"low": [0.0], "high": [0.25]}, {"low": [0.25], "high": [0.5]}
     graph, parts = Graph(read(written(tmp_path, text))), dict[str, Node]()
     for chunk in map(graph.grid.chunk, range(graph.grid.chunks)):
-        for node in graph.charts_of(chunk, lambda node: [] if node.box else [low, high]):
-            parts["plane" if node.box is None else "low" if node.box["low"] == [0.0] else "high"] = node
+        for node in graph.charts_of(
+            chunk, lambda node: [] if node.box else [low, high]
+        ):
+            parts[
+                "plane"
+                if node.box is None
+                else "low"
+                if node.box["low"] == [0.0]
+                else "high"
+            ] = node
     plane, first, second = (parts[name] for name in ("plane", "low", "high"))
     with contextlib.closing(Store(tmp_path / "j")) as store:
         halved = {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
         store.put_result(plane.key, Outcome("ok", ""), serialize.dump(halved))
         store.put_result(first.key, Outcome("ok", ""), serialize.dump({}))
         plan = Plan(graph.study, store)
-        counts, charts = summary(plan), [node for node in plan.nodes() if node.task == "charts"]
-    assert [node.key for node in charts] == [second.key] and graph.charted(first) + 1 == graph.charted(second) == 101
+        counts, charts = (
+            summary(plan),
+            [node for node in plan.nodes() if node.task == "charts"],
+        )
+    assert [node.key for node in charts] == [second.key] and graph.charted(
+        first
+    ) + 1 == graph.charted(second) == 101
     assert counts.todo["charts"] == {"new": 101} and counts.cached["charts"] == 100
 
 
@@ -248,7 +349,9 @@ def test_charts_that_were_never_packed_are_damage(tmp_path):
 
 def test_damage_met_when_a_result_is_copied_ends_that_study_alone(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as store:
-        jobs = Jobs(Plan(read(written(tmp_path, HALVED)), store), Engine(1), lambda *_: None)
+        jobs = Jobs(
+            Plan(read(written(tmp_path, HALVED)), store), Engine(1), lambda *_: None
+        )
         charts, _ = jobs.take()
         jobs.copy(charts, b"\xff" * 20)
         assert charts.task == "charts" and isinstance(jobs.error, CorruptStoreError)
@@ -261,27 +364,43 @@ def halves_in(store, node):
 def test_gaits_of_several_steps_have_no_charts(tmp_path):
     text = STUDY.format(walker="B", axes=AXES).replace(', "loss_normal"', "")
     assert max(seconds_over_plane(read(written(tmp_path, text)))) < math.inf
-    assert seconds_over_plane(read(written(tmp_path, text + "[options]\nsteps = 2\n"))) == (math.inf, math.inf)
+    assert seconds_over_plane(
+        read(written(tmp_path, text + "[options]\nsteps = 2\n"))
+    ) == (math.inf, math.inf)
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("gaitsweep.pipeline.engine.runner._MIN_BYTES", 10**12)
-    with pytest.raises(DiskFullError, match=r"^576 points need 5,184,000.0 GB at least; in \S+ [\d,.]+ are free\.$"):
+    with pytest.raises(
+        DiskFullError,
+        match=r"^576 points need 5,184,000.0 GB at least; in \S+ [\d,.]+ are free\.$",
+    ):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
 
 
 def test_what_the_disk_can_hold_is_not_refused(tmp_path, monkeypatch):
-    """Of a coarse sweep 8,157,867 bytes were measured, of which its slopes take 8e6; windows have no points."""
+    """Of a coarse sweep 8,157,867 bytes were measured, of which its slopes take 8e6;
+    windows have no points.
+    """
     monkeypatch.setattr(
-        "gaitsweep.pipeline.engine.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000)
+        "gaitsweep.pipeline.engine.runner.shutil.disk_usage",
+        lambda path: SimpleNamespace(free=8_200_000),
     )
     million = 'name = "s"\nwalker = "D"\ngaits = ["long"]\n[axes]\nslope = { from = 0.001, to = 0.01, n = 1000000 }\n'
-    branches = 'kind = "branch"\n' + million + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
-    for text in ("accuracy = 1e-2\n" + million + '[want]\nvariables = ["period"]\n', branches):
+    branches = (
+        'kind = "branch"\n' + million + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
+    )
+    for text in (
+        "accuracy = 1e-2\n" + million + '[want]\nvariables = ["period"]\n',
+        branches,
+    ):
         _check_room(read(written(tmp_path, text)), tmp_path / "s.nc")
     with pytest.raises(DiskFullError, match="^1,000,000,000 points need"):
-        _check_room(read(written(tmp_path, branches.replace("branch", "grid"))), tmp_path / "s.nc")
+        _check_room(
+            read(written(tmp_path, branches.replace("branch", "grid"))),
+            tmp_path / "s.nc",
+        )
 
 
 def test_two_workers_write_the_same_bytes(archive, tmp_path):
@@ -289,7 +408,8 @@ def test_two_workers_write_the_same_bytes(archive, tmp_path):
     assert other.read_bytes() == archive.read_bytes()
 
 
-#: In place of a plane's task: more than a hundred points kill the worker, more than one of some lines raise an error.
+#: In place of a plane's task: more than a hundred points kill the worker, more than one
+#: of some lines raise an error.
 DEADLY = """
 import os, signal
 from gaitsweep.tasks import solve_planes
@@ -308,18 +428,24 @@ def lines(params, inputs):
 def whole_chunk(tmp_path_factory):
     """The request of a chunk of a plane, and its record."""
     text = STUDY.format(walker="A", axes="detuning = { from = 0.2, to = 0.4, n = 40 }")
-    text = text.replace("[0.008, 0.01]", "{ from = 0.001, to = 0.05, n = 9 }").replace("loss_normal", "multipliers")
+    text = text.replace("[0.008, 0.01]", "{ from = 0.001, to = 0.05, n = 9 }").replace(
+        "loss_normal", "multipliers"
+    )
     study = read(written(tmp_path_factory.mktemp("whole"), text))
     graph = Graph(study)
     node = graph.chunk_node(graph.grid.chunk(0))
     (charted,) = graph.charts_of(node.chunk, lambda _: [])
     asked = graph.params(charted)
-    charts = solve_planes.charts({**asked, "plane": {**asked["plane"], "lines": 100}}, [])
+    charts = solve_planes.charts(
+        {**asked, "plane": {**asked["plane"], "lines": 100}}, []
+    )
     assert not len(charts["alone/low"])
 
     packing = Packing(node.chunk.shape, graph.grid.multipliers, study.gaits)
     data = [serialize.dump(charts)]
-    request = Request(graph.function(node), graph.params(node), data, 60.0, 2 << 30, packing=packing)
+    request = Request(
+        graph.function(node), graph.params(node), data, 60.0, 2 << 30, packing=packing
+    )
     _, answer = worker_process.run(0, request)
     yield request, answer["record"]
     worker_process.close_all()
@@ -334,7 +460,9 @@ def test_a_plane_that_is_divided_keeps_its_charts_and_its_bits(whole_chunk, most
     assert answer["record"] == whole
 
 
-def test_a_plane_whose_parts_die_twice_keeps_its_charts_and_its_bits(whole_chunk, tmp_path, monkeypatch):
+def test_a_plane_whose_parts_die_twice_keeps_its_charts_and_its_bits(
+    whole_chunk, tmp_path, monkeypatch
+):
     request, whole = whole_chunk
     (tmp_path / "deadly.py").write_text(DEADLY)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
@@ -348,35 +476,59 @@ def test_a_plane_whose_parts_die_twice_keeps_its_charts_and_its_bits(whole_chunk
 def test_a_plane_holds_what_its_lines_hold(archive):
     plane = gaitsweep.load(archive)
     for i, k in ((0, 0), (5, 3), (6, 15), (17, 5)):
-        one = gaitsweep.gaits("B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])).sel(gait=BOTH)
+        one = gaitsweep.gaits(
+            "B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])
+        ).sel(gait=BOTH)
         other = plane.isel(R=i, m_s=k).sel(gait=BOTH)
         for name in ("stance_angle", "period"):
             bound = other.error_bound.values + one.error_bound.values
             assert (np.abs(other[name].values / one[name].values - 1) <= bound).all()
-        assert other.loss_normal.values == pytest.approx(one.loss_normal.values, rel=1e-11)
+        assert other.loss_normal.values == pytest.approx(
+            one.loss_normal.values, rel=1e-11
+        )
     assert (plane.status.sel(gait=BOTH) == "converged").all()
 
 
 def test_violations_are_measured_walker_by_walker(tmp_path):
-    text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }").replace(
-        "loss_normal", "scuff_depth"
-    )
+    text = STUDY.format(
+        walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }"
+    ).replace("loss_normal", "scuff_depth")
     plane = gaitsweep.load(run(tmp_path, text, jobs=1))
     one = gaitsweep.gaits("B", plane.slope.values, m_s=0.12, variables=["scuff_depth"])
     depth = plane.scuff_depth.isel(m_s=-1).sel(gait=BOTH)
-    assert depth.values == pytest.approx(one.scuff_depth.sel(gait=BOTH).values, rel=1e-9)
+    assert depth.values == pytest.approx(
+        one.scuff_depth.sel(gait=BOTH).values, rel=1e-9
+    )
 
 
 def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatch):
-    """Through the same cells, in whatever order the values come, and beside a slope that cannot be."""
+    """Through the same cells, in whatever order the values come, and beside a slope
+    that cannot be.
+    """
     monkeypatch.setattr(solve_points, "atlas", None)  # no line is surveyed by itself
     monkeypatch.setattr(solve_points, "lines", None)
     plane = xr.load_dataset(archive).transpose("R", "m_s", "slope", ...)
     R, m_s = plane.R.values[::-1, None, None], plane.m_s.values[:, None]
-    answer = gaitsweep.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
+    answer = gaitsweep.gaits(
+        "B",
+        [0.01, 0.7, 0.008],
+        R=R,
+        m_s=m_s,
+        variables=["stance_angle", "period", "loss_normal"],
+    )
     assert (answer.status.values[:, :, 1] == ALL_STATUSES["raised"]).all()
-    answer = answer.isel(dim_0=slice(None, None, -1), slope=[2, 0], gait=slice(plane.sizes["gait"]))
-    for name in ("stance_angle", "period", "loss_normal", "error_bound", "status", "branch", "piece"):
+    answer = answer.isel(
+        dim_0=slice(None, None, -1), slope=[2, 0], gait=slice(plane.sizes["gait"])
+    )
+    for name in (
+        "stance_angle",
+        "period",
+        "loss_normal",
+        "error_bound",
+        "status",
+        "branch",
+        "piece",
+    ):
         np.testing.assert_array_equal(answer[name].values, plane[name].values)
     words = (data.reason_text.values[data.reason.values] for data in (answer, plane))
     np.testing.assert_array_equal(*words)
@@ -403,11 +555,24 @@ def test_a_half_of_a_plane_that_fails_leaves_the_other_its_charts(monkeypatch):
         if params["plane"]["high"] == [0.1]:
             raise FloatingPointError
         is_whole = params["plane"]["low"] == [0.08]
-        return {f"halves/{name}": np.array([low[name], high[name]]) for name in low} if is_whole else charts(params, [])
+        return (
+            {f"halves/{name}": np.array([low[name], high[name]]) for name in low}
+            if is_whole
+            else charts(params, [])
+        )
 
     monkeypatch.setattr(solve_planes, "charts", halved)
-    monkeypatch.setattr(solve_planes, "lines", lambda params, inputs: given.append(inputs) or lines(params, inputs))
-    answer = gaitsweep.gaits("B", [0.008, 0.009], m_s=np.linspace(0.08, 0.12, 64)[:, None], variables=["period"])
+    monkeypatch.setattr(
+        solve_planes,
+        "lines",
+        lambda params, inputs: given.append(inputs) or lines(params, inputs),
+    )
+    answer = gaitsweep.gaits(
+        "B",
+        [0.008, 0.009],
+        m_s=np.linspace(0.08, 0.12, 64)[:, None],
+        variables=["period"],
+    )
     assert (answer.status.sel(gait=BOTH) == 0).all()
     (of_chunk,) = given
     assert len(of_chunk) == 3 and not of_chunk[1] and of_chunk[2]
@@ -417,7 +582,12 @@ def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
     monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", None)
     m_s = np.linspace(0.08, 0.12, 70)
     R = np.where(np.arange(70) < 69, 0.1, 0.2)
-    assert (gaitsweep.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(gait=BOTH) == 0).all()
+    assert (
+        gaitsweep.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(
+            gait=BOTH
+        )
+        == 0
+    ).all()
 
 
 def test_lines_of_cells_that_fail_are_solved_one_by_one(monkeypatch):
@@ -425,5 +595,7 @@ def test_lines_of_cells_that_fail_are_solved_one_by_one(monkeypatch):
         raise FloatingPointError
 
     monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", fail)
-    answer = gaitsweep.gaits("B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"])
+    answer = gaitsweep.gaits(
+        "B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"]
+    )
     assert (answer.status.sel(gait=BOTH) == 0).all()

@@ -1,4 +1,6 @@
-"""How many workers one parent can feed: results of 64 workers, recorded once, replayed as fast as it takes them."""
+"""How many workers one parent can feed: results of 64 workers, recorded once, replayed
+as fast as it takes them.
+"""
 
 import contextlib
 import os
@@ -21,7 +23,11 @@ from gaitsweep.pipeline.study import parse
 #: Walker, axes and the least number of workers.
 STUDIES = {
     "a long line": ("D", "slope = { from = 1e-4, to = 0.02, n = 1000000 }", 16),
-    "lines of a point": ("E", "slope = [0.01]\nR = { from = 0.0, to = 0.2, n = 4096 }", 25),
+    "lines of a point": (
+        "E",
+        "slope = [0.01]\nR = { from = 0.0, to = 0.2, n = 4096 }",
+        25,
+    ),
     "lines of 20 points": (
         "E",
         "slope = { from = 1e-3, to = 0.02, n = 20 }\nR = { from = 0.0, to = 0.2, n = 1024 }",
@@ -42,7 +48,9 @@ class Recording(Engine):
         def parallel(is_there, take):
             while is_there() and (taken := take()):
                 number, request = taken
-                place = [request.params.get(name) for name in ("line", "lines", "slope")]
+                place = [
+                    request.params.get(name) for name in ("line", "lines", "slope")
+                ]
                 key = request.function, pickle.dumps(place)  # as joblib sends it
                 if key not in self.results:
                     self.results[key] = worker_process.run(0, request)[1]
@@ -76,8 +84,14 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
         assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
         worker = sum(result["cpu"] for result in engine.results.values())
         replay = sorted(spent[1:], key=sum)[1]  # the first run computes
-        served.append((worker / sum(replay), *(1e6 * seconds / study.points for seconds in (worker, *replay))))
-    # Processors change their speed: replays are compared with the workers just before them, and medians count.
+        served.append(
+            (
+                worker / sum(replay),
+                *(1e6 * seconds / study.points for seconds in (worker, *replay)),
+            )
+        )
+    # Processors change their speed: replays are compared with the workers just before
+    # them, and medians count.
     workers, worker, journal, archive = sorted(served)[1]
     tell(
         f"{name}: {journal:.2f} µs a point for the journal, {archive:.2f} for the archive, {worker:.0f} in a worker:"

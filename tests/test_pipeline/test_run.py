@@ -32,33 +32,63 @@ SLOW = {"TOY_SECONDS": "0.002"}
     [
         (1, 7),
         (3, 64),
-        *(pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000)),
+        *(
+            pytest.param(jobs, chunk, marks=pytest.mark.soak)
+            for jobs in (1, 2, 3)
+            for chunk in (1, 7, 64, 1000)
+        ),
     ],
 )
 def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk):
-    toy("run", "toy.toml", "--jobs", jobs, "--chunk", chunk, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
+    toy(
+        "run",
+        "toy.toml",
+        "--jobs",
+        jobs,
+        "--chunk",
+        chunk,
+        OMP_NUM_THREADS="2",
+        OPENBLAS_NUM_THREADS="2",
+    )
     assert toy.bytes() == whole
     tell(f"local, --jobs {jobs}, --chunk {chunk}: equal bytes")
 
 
 def test_a_run_needs_no_shared_memory(toy, whole):
-    """As where there is no /dev/shm, and joblib makes no semaphores: the run says that it has one worker."""
+    """As where there is no /dev/shm, and joblib makes no semaphores: the run says that
+    it has one worker.
+    """
     said = toy("run", "toy.toml", JOBLIB_MULTIPROCESSING="0").stderr
 
     assert toy.bytes() == whole
-    assert said.count("One worker computes at a time: /dev/shm cannot be written.") == 1 and "joblib" not in said
+    assert (
+        said.count("One worker computes at a time: /dev/shm cannot be written.") == 1
+        and "joblib" not in said
+    )
 
 
 def test_many_studies_run_with_few_open_files(toy):
     """Five files of a study are open while it runs; more studies than that wait."""
     (toy.folder / "many").mkdir()
     for k in range(70):
-        toy.write(f'name = "s{k}"\nwalker = "E"\n[axes]\nslope = [{0.01 + k / 1000}]\n', f"many/s{k}.toml")
+        toy.write(
+            f'name = "s{k}"\nwalker = "E"\n[axes]\nslope = [{0.01 + k / 1000}]\n',
+            f"many/s{k}.toml",
+        )
     limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))"
     program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
 
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program, str(TOYS / "gaitsweep_toy.py"), "run", "many"],
+        [
+            sys.executable,
+            "-W",
+            "ignore",
+            "-c",
+            program,
+            str(TOYS / "gaitsweep_toy.py"),
+            "run",
+            "many",
+        ],
         cwd=toy.folder,
         env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"},
         capture_output=True,
@@ -71,9 +101,15 @@ def test_many_studies_run_with_few_open_files(toy):
 
 
 def test_a_worker_that_cannot_see_its_memory_is_no_result(toy, whole):
-    """As where /proc is hidden: the run ends, and with /proc the same command computes every point."""
+    """As where /proc is hidden: the run ends, and with /proc the same command computes
+    every point.
+    """
     said = toy("run", "toy.toml", "--quiet", expect=3, TOY_WITHOUT="/proc").stderr
-    assert said.count("\n") == 1 and "A worker cannot begin its task: FileNotFoundError: " in said and "/proc/" in said
+    assert (
+        said.count("\n") == 1
+        and "A worker cannot begin its task: FileNotFoundError: " in said
+        and "/proc/" in said
+    )
 
     toy("run", "toy.toml")
     assert toy.bytes() == whole
@@ -84,9 +120,14 @@ def test_the_same_command_again_computes_and_writes_nothing(toy):
     first = written(toy)
     toy("run", "toy.toml")
     assert written(toy) == first
-    log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
+    log = [
+        json.loads(line)
+        for line in journal(toy, ".events.jsonl").read_text().splitlines()
+    ]
     begins = [i for i, event in enumerate(log) if event["event"] == "begin"]
-    assert len(begins) == 2 and not [e for e in log[begins[1] :] if e["event"] in ("chunk", "task")]
+    assert len(begins) == 2 and not [
+        e for e in log[begins[1] :] if e["event"] in ("chunk", "task")
+    ]
 
 
 def written(toy):
@@ -95,7 +136,9 @@ def written(toy):
 
 
 def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
-    """Whether one bit of it changed, it was removed, or results of another accuracy were written in between."""
+    """Whether one bit of it changed, it was removed, or results of another accuracy
+    were written in between.
+    """
     toy("run", "toy.toml")
     archive = journal(toy, ".nc")
     data = bytearray(archive.read_bytes())
@@ -115,11 +158,17 @@ def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
 
 def test_an_archive_is_written_again_when_the_name_of_a_variable_changes(toy, tmp_path):
     """As when the code is brought up to date, without a commit of its own."""
-    shutil.copytree(ROOT / "gaitsweep", tmp_path / "other/gaitsweep", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "gaitsweep",
+        tmp_path / "other/gaitsweep",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     other = {"PYTHONPATH": f"{tmp_path / 'other'}{os.pathsep}{TOYS}"}
     toy("run", "toy.toml", **other)
     table = tmp_path / "other/gaitsweep/tasks/variables.toml"
-    table.write_text(table.read_text().replace("duration of one step", "time that a step takes"))
+    table.write_text(
+        table.read_text().replace("duration of one step", "time that a step takes")
+    )
 
     toy("run", "toy.toml", **other)
 
@@ -129,7 +178,9 @@ def test_an_archive_is_written_again_when_the_name_of_a_variable_changes(toy, tm
 
 def test_failures_are_told_again_by_a_run_that_writes_nothing(toy):
     trouble = {"TOY_TROUBLE": "raise@0.2"}
-    failures = re.findall(r".* x .* First: .*", toy("run", "toy.toml", expect=1, **trouble).stderr)
+    failures = re.findall(
+        r".* x .* First: .*", toy("run", "toy.toml", expect=1, **trouble).stderr
+    )
     archive = written(toy)
     again = toy("run", "toy.toml", expect=1, **trouble).stderr
     assert failures == re.findall(r".* x .* First: .*", again) != []
@@ -137,9 +188,17 @@ def test_failures_are_told_again_by_a_run_that_writes_nothing(toy):
 
 
 @pytest.mark.parametrize(
-    ("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
+    ("signum", "code"),
+    [
+        (signal.SIGINT, 130),
+        (signal.SIGTERM, 143),
+        (signal.SIGHUP, 129),
+        (signal.SIGKILL, -9),
+    ],
 )
-def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(toy, whole, signum, code):
+def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(
+    toy, whole, signum, code
+):
     process = toy.start("run", "toy.toml", "--chunk", 20, **SLOW)
     wait_for_points(toy, 2)
     children = descendants(process.pid)
@@ -154,7 +213,11 @@ def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(toy, whol
     assert toy.bytes() == whole
     events = map(json.loads, journal(toy, ".events.jsonl").read_text().splitlines())
     # What was at work when the run was stopped is computed again, and nothing else.
-    assert sum(event["points"] for event in events if event["event"] == "chunk") <= 400 + 2 * 20 and kept >= 2
+    assert (
+        sum(event["points"] for event in events if event["event"] == "chunk")
+        <= 400 + 2 * 20
+        and kept >= 2
+    )
 
 
 @pytest.mark.parametrize("signum", [signal.SIGHUP, signal.SIGINT])
@@ -182,7 +245,9 @@ def test_two_runs_on_one_archive_name_the_holder(toy):
     process = toy.start("run", "toy.toml", "--chunk", 20, TOY_SECONDS="0.02")
     wait_for_points(toy, 1)
     second = toy("run", "toy.toml", expect=5)
-    assert f"process {process.pid} on {os.uname().nodename}, started 20" in second.stderr
+    assert (
+        f"process {process.pid} on {os.uname().nodename}, started 20" in second.stderr
+    )
     assert f"running as process {process.pid}" in toy("status", "toy.toml").stdout
     process.kill()
     process.wait()
@@ -193,10 +258,14 @@ def test_two_runs_on_one_archive_name_the_holder(toy):
 
 def test_a_denser_grid_reuses_its_atlases(toy):
     toy("run", "toy.toml")
-    toy.write(STUDY.replace("n = 200", "n = 399").replace("[0.0, 0.25]", "[0.0, 0.25, 0.5]"))
+    toy.write(
+        STUDY.replace("n = 200", "n = 399").replace("[0.0, 0.25]", "[0.0, 0.25, 0.5]")
+    )
     plan = toy("plan", "toy.toml").stdout
     assert "atlas        version 1  per line: 1 new, 2 cached" in plan
-    assert "per point: 1,197 new" in plan  # other slopes are other chunks, solved from the atlases that are there
+    assert (
+        "per point: 1,197 new" in plan
+    )  # other slopes are other chunks, solved from the atlases that are there
     toy("run", "toy.toml")
     dense = toy.bytes()
     toy("run", "toy.toml", "--fresh")
@@ -206,9 +275,15 @@ def test_a_denser_grid_reuses_its_atlases(toy):
 def test_a_bumped_version_reruns_its_dependents_only(toy):
     toy("run", "toy.toml")
     plan = toy("plan", "toy.toml", TOY_VERSIONS="scaling=2").stdout
-    assert "2 cached" in plan and "400 cached" in plan and "per study: 1 changed" in plan
+    assert (
+        "2 cached" in plan and "400 cached" in plan and "per study: 1 changed" in plan
+    )
     plan = toy("plan", "toy.toml", TOY_VERSIONS="points=2").stdout
-    assert "per line: 2 cached" in plan and "400 changed" in plan and "per study: 1" in plan
+    assert (
+        "per line: 2 cached" in plan
+        and "400 changed" in plan
+        and "per study: 1" in plan
+    )
     plan = toy("plan", "toy.toml", TOY_VERSIONS="atlas=2").stdout
     assert "per line: 2 changed" in plan and "400 changed" in plan
 
@@ -220,14 +295,32 @@ def test_a_run_says_what_it_did_and_that_code_changed(toy):
 
     def change_code():
         with contextlib.closing(sqlite3.connect(journal(toy))) as db, db:
-            assert db.execute("UPDATE notes SET value = 'other' WHERE key = 'code'").rowcount == 1
+            assert (
+                db.execute(
+                    "UPDATE notes SET value = 'other' WHERE key = 'code'"
+                ).rowcount
+                == 1
+            )
 
     changed = "has changed since some of these results were stored"
     first = told()
     assert "toy: 400 points (" in first and changed not in first
     record = json.loads(journal(toy, ".run.json").read_text())
-    said = ("toy", "toy.nc", 1, None, importlib.metadata.version("gaitsweep"), platform.node())
-    assert tuple(record[name] for name in ("study", "archive", "jobs", "cluster", "version", "host")) == said
+    said = (
+        "toy",
+        "toy.nc",
+        1,
+        None,
+        importlib.metadata.version("gaitsweep"),
+        platform.node(),
+    )
+    assert (
+        tuple(
+            record[name]
+            for name in ("study", "archive", "jobs", "cluster", "version", "host")
+        )
+        == said
+    )
     change_code()
     assert changed in told() and changed not in told()
     change_code()
@@ -236,18 +329,36 @@ def test_a_run_says_what_it_did_and_that_code_changed(toy):
 
 def test_a_plan_equals_what_runs(toy):
     toy("run", "toy.toml")
-    toy.write(STUDY.replace('"stance_angle", "multipliers"', '"stance_angle", "period", "energy"'))
+    toy.write(
+        STUDY.replace(
+            '"stance_angle", "multipliers"', '"stance_angle", "period", "energy"'
+        )
+    )
     plan = toy("plan", "toy.toml").stdout
-    assert "per line: 2 cached" in plan and "400 changed" in plan and "1 its inputs change" in plan
+    assert (
+        "per line: 2 cached" in plan
+        and "400 changed" in plan
+        and "1 its inputs change" in plan
+    )
     toy("run", "toy.toml")
-    log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
+    log = [
+        json.loads(line)
+        for line in journal(toy, ".events.jsonl").read_text().splitlines()
+    ]
     last = log[max(i for i, e in enumerate(log) if e["event"] == "begin") :]
     assert sum(e["points"] for e in last if e["event"] == "chunk") == 400
     assert [e["task"] for e in last if e["event"] == "task"] == ["scaling"]
 
 
 @pytest.mark.parametrize(
-    "part", [0.4, *(pytest.param(part, marks=pytest.mark.soak) for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99))]
+    "part",
+    [
+        0.4,
+        *(
+            pytest.param(part, marks=pytest.mark.soak)
+            for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99)
+        ),
+    ],
 )
 def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell, part):
     toy("run", "toy.toml", "--chunk", 10)
@@ -255,16 +366,23 @@ def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell,
     os.truncate(journal(toy), int(part * size))
     toy("run", "toy.toml", "--chunk", 10)
     assert toy.bytes() == whole
-    log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
+    log = [
+        json.loads(line)
+        for line in journal(toy, ".events.jsonl").read_text().splitlines()
+    ]
     last = max(i for i, event in enumerate(log) if event["event"] == "begin")
     again = sum(event["points"] for event in log[last:] if event["event"] == "chunk")
     assert again <= 400 * (1 - part) + 80
-    tell(f"journal cut to {part:.0%}: {again} of 400 points computed again, equal bytes")
+    tell(
+        f"journal cut to {part:.0%}: {again} of 400 points computed again, equal bytes"
+    )
 
 
 @pytest.mark.parametrize("times", [2, pytest.param(100, marks=pytest.mark.soak)])
 def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
-    """Whatever was damaged but the mark by which it is known: one run mends it, the next has nothing to do."""
+    """Whatever was damaged but the mark by which it is known: one run mends it, the
+    next has nothing to do.
+    """
     dice, again = random.Random(times), 0
     toy("run", "toy.toml")
     made = journal(toy).read_bytes()
@@ -280,7 +398,9 @@ def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
         toy("run", "toy.toml")
         log = journal(toy, ".events.jsonl").read_text()
         assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"') :]
-    tell(f"{times} damaged journals: equal bytes after each, {again} with points computed again")
+    tell(
+        f"{times} damaged journals: equal bytes after each, {again} with points computed again"
+    )
 
 
 def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
@@ -288,7 +408,9 @@ def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
     toy("run", "toy.toml")
     first = toy.bytes()
     with contextlib.closing(sqlite3.connect(journal(toy))) as db:
-        db.execute("DELETE FROM records WHERE key LIKE 'atlas-%' OR key LIKE 'transition-%'")
+        db.execute(
+            "DELETE FROM records WHERE key LIKE 'atlas-%' OR key LIKE 'transition-%'"
+        )
         db.commit()
     toy("run", "toy.toml")
     assert toy.bytes() == first
@@ -319,13 +441,24 @@ def test_a_run_touches_no_file_of_another(toy):
 
 def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     path, gone, alive = tmp_path / "toy.nc", "0" * 32, "1" * 32
-    mine = [paths.of(tmp_path / name, gone) for name in ("toy.nc", "toy.journal", "toy.run.json")]
-    others = [paths.of(tmp_path / "toy.nc", alive), paths.of(tmp_path / "toy2.nc", gone), tmp_path / "toy.nc.tmp.5"]
+    mine = [
+        paths.of(tmp_path / name, gone)
+        for name in ("toy.nc", "toy.journal", "toy.run.json")
+    ]
+    others = [
+        paths.of(tmp_path / "toy.nc", alive),
+        paths.of(tmp_path / "toy2.nc", gone),
+        tmp_path / "toy.nc.tmp.5",
+    ]
     for file in (*mine, *others):
         file.touch()
-    (tmp_path / "toy.journal-lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
+    (tmp_path / "toy.journal-lock").write_text(
+        json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone})
+    )
     with runner.lock_archive(path):
-        assert not [file for file in mine if file.exists()] and all(file.exists() for file in others)
+        assert not [file for file in mine if file.exists()] and all(
+            file.exists() for file in others
+        )
         paths.of(path).touch()
         with pytest.raises(BusyError), runner.lock_archive(path):
             pass
@@ -368,7 +501,8 @@ def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):
                 assert file.variables["status"].shape == (200, 2, 2)
         time.sleep(0.01)
     process.communicate()
-    # How many snapshots there are depends on the load; one of a run that goes on there is.
+    # How many snapshots there are depends on the load; one of a run that goes on there
+    # is.
     assert max(seen) > 0
     assert toy.bytes() == whole
 
@@ -376,10 +510,16 @@ def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):
 def test_a_study_of_another_kind_gives_tables(toy):
     import xarray as xr
 
-    toy.write('name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.01, 0.02]\nw_t = [0.0, 0.1]\n')
+    toy.write(
+        'name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.01, 0.02]\nw_t = [0.0, 0.1]\n'
+    )
     toy("run", "toy.toml")
     archive = toy.folder / "data" / "archive" / "toy.nc"
-    assert dict(xr.open_dataset(archive, engine="netcdf4").sizes) == {"walker": 2, "w_t": 2, "reason_index": 1}
+    assert dict(xr.open_dataset(archive, engine="netcdf4").sizes) == {
+        "walker": 2,
+        "w_t": 2,
+        "reason_index": 1,
+    }
     rows = xr.open_dataset(archive, group="orbits", engine="netcdf4")
     assert rows.walker.values.tolist() == ["E"] * 4 + ["F"] * 4
     assert rows.w_t.values.tolist() == [0, 0, 0.1, 0.1] * 2
@@ -388,23 +528,36 @@ def test_a_study_of_another_kind_gives_tables(toy):
 
 @pytest.mark.soak
 @pytest.mark.parametrize(
-    ("n", "chunk", "place"), [(15_000, 100, "journal"), (40_000, 10**6, "journal"), (200, 100, "nc")]
+    ("n", "chunk", "place"),
+    [(15_000, 100, "journal"), (40_000, 10**6, "journal"), (200, 100, "nc")],
 )
 def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n, chunk, place):
-    """8 MB, full while the journal or the archive is written; with room again the same command finishes."""
+    """8 MB, full while the journal or the archive is written; with room again the same
+    command finishes.
+    """
     small = tmp_path / "small"
     small.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", small], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", small], capture_output=True
+    ).returncode:
         pytest.skip("no right to mount a tmpfs")
     try:
         toy("run", "toy.toml", "--archive", small / "toy.nc")
         old = (small / "toy.nc").read_bytes()
-        toy.write(STUDY.replace("n = 200", f"n = {n}") + "# changed, so that the archive is written again\n")
+        toy.write(
+            STUDY.replace("n = 200", f"n = {n}")
+            + "# changed, so that the archive is written again\n"
+        )
         if place == "nc":
             disk = os.statvfs(small)
             used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize
-            subprocess.run(["mount", "-o", f"remount,size={used + (len(old) * 3 // 4)}", small], check=True)
-        done = toy("run", "toy.toml", "--archive", small / "toy.nc", "--chunk", chunk, expect=4)
+            subprocess.run(
+                ["mount", "-o", f"remount,size={used + (len(old) * 3 // 4)}", small],
+                check=True,
+            )
+        done = toy(
+            "run", "toy.toml", "--archive", small / "toy.nc", "--chunk", chunk, expect=4
+        )
         assert "disk is full" in done.stderr and "Traceback" not in done.stderr
         assert not re.search("HDF5|Error", done.stderr)
         assert (small / "toy.nc").read_bytes() == old

@@ -1,4 +1,6 @@
-"""The JSON Schema of studies and walkers agrees with what checks them, and editors find it."""
+"""The JSON Schema of studies and walkers agrees with what checks them, and editors find
+it.
+"""
 
 import copy
 import json
@@ -20,15 +22,28 @@ from gaitsweep.tasks.registry import OPTIONS
 
 STUDIES = sorted(ROOT.glob("data/studies/*/*.toml"))
 WALKERS = sorted(ROOT.glob("data/walkers/*.toml"))
-SCHEMAS = {kind: json.loads(json.dumps(gaitsweep.schema(kind))) for kind in ("study", "walker")}
-TYPES = {"object": dict, "array": list, "string": str, "boolean": bool, "number": (int, float), "integer": (int, float)}
+SCHEMAS = {
+    kind: json.loads(json.dumps(gaitsweep.schema(kind))) for kind in ("study", "walker")
+}
+TYPES = {
+    "object": dict,
+    "array": list,
+    "string": str,
+    "boolean": bool,
+    "number": (int, float),
+    "integer": (int, float),
+}
 #: Keywords that say nothing of whether a value is valid.
 SILENT = {"$schema", "title", "description", "default", "then"}
 
 
 def is_type(value, name):
     whole = name != "integer" or (isinstance(value, int | float) and value % 1 == 0)
-    return isinstance(value, TYPES[name]) and isinstance(value, bool) == (name == "boolean") and whole
+    return (
+        isinstance(value, TYPES[name])
+        and isinstance(value, bool) == (name == "boolean")
+        and whole
+    )
 
 
 def is_same(a, b):
@@ -39,7 +54,8 @@ def is_number(value):
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-#: Whether a value is valid by one keyword of a schema, as JSON Schema's draft 2020-12 defines it.
+#: Whether a value is valid by one keyword of a schema, as JSON Schema's draft 2020-12
+#: defines it.
 KEYWORDS = {
     "type": lambda v, name, _: is_type(v, name),
     "enum": lambda v, names, _: any(is_same(v, name) for name in names),
@@ -52,14 +68,24 @@ KEYWORDS = {
     "maximum": lambda v, bound, _: not is_number(v) or not v > bound,
     "exclusiveMinimum": lambda v, bound, _: not is_number(v) or not v <= bound,
     "exclusiveMaximum": lambda v, bound, _: not is_number(v) or not v >= bound,
-    "pattern": lambda v, pattern, _: not isinstance(v, str) or bool(re.search(pattern, v)),
+    "pattern": lambda v, pattern, _: (
+        not isinstance(v, str) or bool(re.search(pattern, v))
+    ),
     "minLength": lambda v, n, _: not isinstance(v, str) or len(v) >= n,
     "minItems": lambda v, n, _: not isinstance(v, list) or len(v) >= n,
     "maxItems": lambda v, n, _: not isinstance(v, list) or len(v) <= n,
-    "items": lambda v, inner, _: not isinstance(v, list) or all(is_valid(each, inner) for each in v),
-    "uniqueItems": lambda v, _, __: not isinstance(v, list) or not any(is_same(a, b) for a, b in pairs(v)),
-    "required": lambda v, names, _: not isinstance(v, dict) or all(name in v for name in names),
-    "properties": lambda v, keys, _: not isinstance(v, dict) or all(is_valid(v[k], keys[k]) for k in keys if k in v),
+    "items": lambda v, inner, _: (
+        not isinstance(v, list) or all(is_valid(each, inner) for each in v)
+    ),
+    "uniqueItems": lambda v, _, __: (
+        not isinstance(v, list) or not any(is_same(a, b) for a, b in pairs(v))
+    ),
+    "required": lambda v, names, _: (
+        not isinstance(v, dict) or all(name in v for name in names)
+    ),
+    "properties": lambda v, keys, _: (
+        not isinstance(v, dict) or all(is_valid(v[k], keys[k]) for k in keys if k in v)
+    ),
     "additionalProperties": lambda v, is_open, whole: (
         is_open or not isinstance(v, dict) or v.keys() <= whole["properties"].keys()
     ),
@@ -74,7 +100,11 @@ def is_valid(value, schema):
     """Whether a value is valid; a keyword that this does not know is an error."""
     if isinstance(schema, bool):
         return schema
-    return all(KEYWORDS[key](value, given, schema) for key, given in schema.items() if key not in SILENT)
+    return all(
+        KEYWORDS[key](value, given, schema)
+        for key, given in schema.items()
+        if key not in SILENT
+    )
 
 
 def check(kind, table, folder):
@@ -106,20 +136,56 @@ MORE = [
     },
     {
         **_E,
-        "walker": {"base": "E", "toward": {**_LINK, "units": "1", "name": "other"}, "detuning": 0.1},
+        "walker": {
+            "base": "E",
+            "toward": {**_LINK, "units": "1", "name": "other"},
+            "detuning": 0.1,
+        },
         "axes": _WINDOW,
-        "want": {"variables": ["period", "energy"], "fits": [], "figures": [], "claims": ["E2"]},
+        "want": {
+            "variables": ["period", "energy"],
+            "fits": [],
+            "figures": [],
+            "claims": ["E2"],
+        },
         "limits": {"memory": "1.5 GiB"},
     },
-    {**_E, "walker": "A", "axes": {**_WINDOW, "w_t": [0.0, -0.01]}, "options": {"tuned": ["c_t"], "steps": 2}},
-    {**_E, "walker": _LINK, "axes": {**_WINDOW, "l": [1.0, 1.1], "R": {"from": 0, "to": 0.3, "n": 3}}},
-    {**_E, "axes": {**_WINDOW, "detuning": {"from": 0, "to": 1, "n": 3, "toward": {"base": "E", "R": 0.3}}}},
-    {**_E, "kind": "branch", "axes": {"slope": {"from": 0.01, "to": 0.02, "adaptive": 1e-3}}, "options": {"steps": 1}},
+    {
+        **_E,
+        "walker": "A",
+        "axes": {**_WINDOW, "w_t": [0.0, -0.01]},
+        "options": {"tuned": ["c_t"], "steps": 2},
+    },
+    {
+        **_E,
+        "walker": _LINK,
+        "axes": {**_WINDOW, "l": [1.0, 1.1], "R": {"from": 0, "to": 0.3, "n": 3}},
+    },
+    {
+        **_E,
+        "axes": {
+            **_WINDOW,
+            "detuning": {"from": 0, "to": 1, "n": 3, "toward": {"base": "E", "R": 0.3}},
+        },
+    },
+    {
+        **_E,
+        "kind": "branch",
+        "axes": {"slope": {"from": 0.01, "to": 0.02, "adaptive": 1e-3}},
+        "options": {"steps": 1},
+    },
     {
         **_E,
         "kind": "orbit",
         "axes": _WINDOW,
-        "options": {"gait": "short", "starts": 3, "spread": -0.1, "transient": 9, "steps": 9, "shown": 2},
+        "options": {
+            "gait": "short",
+            "starts": 3,
+            "spread": -0.1,
+            "transient": 9,
+            "steps": 9,
+            "shown": 2,
+        },
     },
     {
         **_E,
@@ -132,7 +198,12 @@ MORE = [
         **_E,
         "kind": "basin",
         "axes": _WINDOW,
-        "options": {"size": 9, "steps": 9, "stance_angle": [0.1, 0.2], "stance_rate": [-0.2, -0.1]},
+        "options": {
+            "size": 9,
+            "steps": 9,
+            "stance_angle": [0.1, 0.2],
+            "stance_rate": [-0.2, -0.1],
+        },
     },
     {
         **_E,
@@ -147,13 +218,21 @@ MORE = [
         "axes": {**_WINDOW, "m_h": [0, 0.1]},
         "options": {"at_slope": 0.01, "at_speed": 0.1, "ground": 0.05},
     },
-    {**_E, "kind": "census", "axes": _WINDOW, "options": {"starts": 30, "tuned": ["m_t"]}},
+    {
+        **_E,
+        "kind": "census",
+        "axes": _WINDOW,
+        "options": {"starts": 30, "tuned": ["m_t"]},
+    },
 ]
 BASES = [
     *(("study", read(file), file.parent) for file in STUDIES),
     *(("walker", read(file), file.parent) for file in WALKERS),
     *(("study", table, ROOT) for table in MORE),
-    *(("walker", {"walker": walker}, ROOT) for walker in (_LINK, {"base": "D", "m_t": math.inf, "tuned": []})),
+    *(
+        ("walker", {"walker": walker}, ROOT)
+        for walker in (_LINK, {"base": "D", "m_t": math.inf, "tuned": []})
+    ),
 ]
 
 
@@ -161,25 +240,61 @@ def test_what_the_checker_accepts_of_every_kind_of_study_and_walker_is_valid():
     for kind, table, folder in BASES:
         check(kind, table, folder)
         assert is_valid(table, SCHEMAS[kind]), table
-    used = {(table.get("kind", "grid"), name) for _, table, _ in BASES for name in table.get("options", {})}
-    assert used >= {(kind, name) for kind, known in OPTIONS.items() for name in known.keys() - {"tuned"}}
+    used = {
+        (table.get("kind", "grid"), name)
+        for _, table, _ in BASES
+        for name in table.get("options", {})
+    }
+    assert used >= {
+        (kind, name)
+        for kind, known in OPTIONS.items()
+        for name in known.keys() - {"tuned"}
+    }
 
 
 def nodes(value):
     """Every table and list within a value, itself included."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return [value, *(node for each in inner for node in nodes(each))] if isinstance(value, dict | list) else []
+    inner = (
+        value.values()
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list)
+        else ()
+    )
+    return (
+        [value, *(node for each in inner for node in nodes(each))]
+        if isinstance(value, dict | list)
+        else []
+    )
 
 
 def pool():
-    """What mutations put in: keys, words and bounds of the schemas, numbers, and values of the files."""
+    """What mutations put in: keys, words and bounds of the schemas, numbers, and values
+    of the files.
+    """
     parts = [part for part in nodes([*SCHEMAS.values()]) if isinstance(part, dict)]
     keys = sorted({key for part in parts for key in part.get("properties", {})})
     words = sorted({word for part in parts for word in part.get("enum", ())})
-    bounds = sorted({value for part in parts for key, value in part.items() if key.endswith("imum")})
+    bounds = sorted(
+        {value for part in parts for key, value in part.items() if key.endswith("imum")}
+    )
     beside = [math.nextafter(b, side) for b in bounds for side in (-math.inf, math.inf)]
     sizes = [sign * 10.0**k for k in range(-20, 3) for sign in (1, -1)]
-    hostile = [math.nan, math.inf, 10**400, True, False, "", "x.toml", "2 GiB", "{", [], {}, [0.1, 0.1], *range(-1, 9)]
+    hostile = [
+        math.nan,
+        math.inf,
+        10**400,
+        True,
+        False,
+        "",
+        "x.toml",
+        "2 GiB",
+        "{",
+        [],
+        {},
+        [0.1, 0.1],
+        *range(-1, 9),
+    ]
     written = [
         each
         for _, table, _ in BASES
@@ -194,7 +309,11 @@ KEYS, VALUES = pool()
 
 def another(dice, old=None):
     """A value in place of another, mostly of its type."""
-    alike = [v for values in VALUES for v in values if type(v) is type(old)] if dice.random() < 0.7 else []
+    alike = (
+        [v for values in VALUES for v in values if type(v) is type(old)]
+        if dice.random() < 0.7
+        else []
+    )
     return copy.deepcopy(dice.choice(alike or dice.choice(VALUES)))
 
 
@@ -204,7 +323,9 @@ def mutated(dice, table):
     for _ in range(dice.choice([1, 1, 1, 2, 3])):
         node, how = dice.choice(nodes(table)), dice.random()
         if not node or how < 0.2:
-            node.append(another(dice)) if isinstance(node, list) else node.update({dice.choice(KEYS): another(dice)})
+            node.append(another(dice)) if isinstance(node, list) else node.update(
+                {dice.choice(KEYS): another(dice)}
+            )
             continue
         at = dice.choice(range(len(node)) if isinstance(node, list) else [*node])
         if how < 0.4:
@@ -228,7 +349,9 @@ def test_whatever_the_schema_refuses_of_thousands_of_mutants_the_checker_refuses
         assert by_schema or not is_accepted, table
         found[is_accepted, by_schema] += 1
     # Mutants of all sorts; and the schema notices most of what is wrong.
-    assert found[True, True] > 500 and found[False, False] > 3 * found[False, True] > 0, found
+    assert (
+        found[True, True] > 500 and found[False, False] > 3 * found[False, True] > 0
+    ), found
 
 
 def test_what_is_wrong_for_one_kind_of_study_only_is_refused_there():
@@ -240,14 +363,28 @@ def test_what_is_wrong_for_one_kind_of_study_only_is_refused_there():
         "accuracy": lambda kind: {"accuracy": 1e-3},
         "adaptive": lambda kind: {"axes": {"slope": {**window, "adaptive": 1e-3}}},
     }
-    right = {"figures": "branch", "options": "cascade", "accuracy": "grid", "adaptive": "branch"}
+    right = {
+        "figures": "branch",
+        "options": "cascade",
+        "accuracy": "grid",
+        "adaptive": "branch",
+    }
     for change, changed in changes.items():
         for kind in OPTIONS:
             table = {**study, "kind": kind, **changed(kind)}
-            assert is_valid(table, SCHEMAS["study"]) == (kind == right[change]), (change, kind)
-    assert not is_valid({**study, "axes": {"slope": {**window, "to": 0.5, "n": 2}}}, SCHEMAS["study"])
-    assert is_valid({**study, "axes": {"slope": {**window, "to": 0.5, "n": 1}}}, SCHEMAS["study"])  # 0.01 alone
-    assert not is_valid({**study, "accuracy": 0.1}, SCHEMAS["study"])  # also where no kind is named
+            assert is_valid(table, SCHEMAS["study"]) == (kind == right[change]), (
+                change,
+                kind,
+            )
+    assert not is_valid(
+        {**study, "axes": {"slope": {**window, "to": 0.5, "n": 2}}}, SCHEMAS["study"]
+    )
+    assert is_valid(
+        {**study, "axes": {"slope": {**window, "to": 0.5, "n": 1}}}, SCHEMAS["study"]
+    )  # 0.01 alone
+    assert not is_valid(
+        {**study, "accuracy": 0.1}, SCHEMAS["study"]
+    )  # also where no kind is named
 
 
 def test_templates_lead_editors_to_the_schema(capsys):
@@ -256,15 +393,30 @@ def test_templates_lead_editors_to_the_schema(capsys):
         assert json.loads(capsys.readouterr().out) == SCHEMAS["".join(kind) or "study"]
     templates = ROOT / "data" / "studies" / "examples"
     kept = json.loads((templates / "study.schema.json").read_text())
-    assert kept == SCHEMAS["study"], "gaitsweep schema > data/studies/examples/study.schema.json"
+    assert kept == SCHEMAS["study"], (
+        "gaitsweep schema > data/studies/examples/study.schema.json"
+    )
     for file in templates.glob("*.toml"):
         about, rest = file.read_text().split("\n\n", 1)
-        # An editor reads it among the first comments, a page only the first lines of these.
-        assert about.startswith("# ") and ":schema" not in about and rest.startswith("#:schema study.schema.json\n")
+        # An editor reads it among the first comments, a page only the first lines of
+        # these.
+        assert (
+            about.startswith("# ")
+            and ":schema" not in about
+            and rest.startswith("#:schema study.schema.json\n")
+        )
 
 
 def test_every_key_is_described():
-    for kind, table in (("study", SCHEMAS["study"]), ("walker", SCHEMAS["walker"]["properties"]["walker"])):
-        assert all(len(each.get("description", "")) > 8 for each in table["properties"].values()), kind
-    with pytest.raises(StudyError, match='`kind` must be "study" or "walker"; got \'stdy\''):
+    for kind, table in (
+        ("study", SCHEMAS["study"]),
+        ("walker", SCHEMAS["walker"]["properties"]["walker"]),
+    ):
+        assert all(
+            len(each.get("description", "")) > 8
+            for each in table["properties"].values()
+        ), kind
+    with pytest.raises(
+        StudyError, match='`kind` must be "study" or "walker"; got \'stdy\''
+    ):
         gaitsweep.schema("stdy")

@@ -1,4 +1,6 @@
-"""Lines side by side: the same archives as line by line, whatever ends a run, divides it or changes its grid."""
+"""Lines side by side: the same archives as line by line, whatever ends a run, divides
+it or changes its grid.
+"""
 
 import contextlib
 import itertools
@@ -18,7 +20,9 @@ from processes import damaged, wait_for_points
 from processes import sidecar_path as sidecar
 
 SIDE_BY_SIDE = {"TOY_SIDE_BY_SIDE": "toy:lines"}
-GRID = STUDY.replace("n = 200", "n = 8").replace("[0.0, 0.25]", "{ from = 0.0, to = 0.3, n = 151 }")
+GRID = STUDY.replace("n = 200", "n = 8").replace(
+    "[0.0, 0.25]", "{ from = 0.0, to = 0.3, n = 151 }"
+)
 #: 151 lines of 8 points, whose atlases nobody reads.
 PLAIN = GRID.replace('fits = ["scaling"]\n', "")
 #: The same, with atlases that a fit reads.
@@ -27,7 +31,10 @@ READ = GRID.replace('["scaling"]', '["transition"]')
 
 def chunks(toy):
     """Events of the last run that hold points."""
-    events = [json.loads(line) for line in sidecar(toy, ".events.jsonl").read_text().splitlines()]
+    events = [
+        json.loads(line)
+        for line in sidecar(toy, ".events.jsonl").read_text().splitlines()
+    ]
     begin = max(i for i, event in enumerate(events) if event["event"] == "begin")
     return [event for event in events[begin:] if event["event"] == "chunk"]
 
@@ -49,7 +56,9 @@ def test_they_hold_what_lines_by_themselves_do(toy, wholes):
     """Their archives have other chunks."""
     toy.write(GRID)
     toy("run", "toy.toml")
-    assert "They agree." in toy("diff", "data/archive/toy.nc", wholes[GRID, "file"]).stdout
+    assert (
+        "They agree." in toy("diff", "data/archive/toy.nc", wholes[GRID, "file"]).stdout
+    )
 
 
 @pytest.mark.parametrize("text", [GRID, PLAIN, READ])
@@ -58,7 +67,10 @@ def test_jobs_and_chunks_change_no_byte(toy, wholes, text, options):
     toy.write(text)
     toy("run", "toy.toml", *options, **SIDE_BY_SIDE)
     assert toy.bytes() == wholes[text]
-    assert sum(event["points"] for event in chunks(toy)) == 151 * 8 and len(chunks(toy)) < 12
+    assert (
+        sum(event["points"] for event in chunks(toy)) == 151 * 8
+        and len(chunks(toy)) < 12
+    )
     assert {event["task"] for event in chunks(toy)} == {"points"}
     plan = toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
     assert "per line: 151 cached" in plan and "per point: 1,208 cached" in plan
@@ -68,14 +80,19 @@ def test_jobs_and_chunks_change_no_byte(toy, wholes, text, options):
 
 def test_a_stopped_run_computes_no_chunk_twice(toy, wholes):
     toy.write(PLAIN)
-    process = toy.start("run", "toy.toml", "--jobs", "1", TOY_SECONDS="0.002", **SIDE_BY_SIDE)
+    process = toy.start(
+        "run", "toy.toml", "--jobs", "1", TOY_SECONDS="0.002", **SIDE_BY_SIDE
+    )
     wait_for_points(toy, 2)
     process.send_signal(signal.SIGKILL)
     process.communicate()
     done = sum(event["points"] for event in chunks(toy))
     toy("run", "toy.toml", **SIDE_BY_SIDE)
     assert toy.bytes() == wholes[PLAIN]
-    assert 0 < done < 151 * 8 and done + sum(event["points"] for event in chunks(toy)) <= 151 * 8 + 64 * 8
+    assert (
+        0 < done < 151 * 8
+        and done + sum(event["points"] for event in chunks(toy)) <= 151 * 8 + 64 * 8
+    )
 
 
 @pytest.mark.parametrize("text", [GRID, PLAIN])
@@ -92,7 +109,11 @@ def test_a_denser_grid_reuses_the_lines_it_shares(toy, text):
     assert sum(event["points"] for event in chunks(toy)) == new
     toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
     assert toy.bytes() == dense
-    toy.write(text.replace("n = 151", "n = 301").replace("to = 0.3", "to = 0.1").replace("n = 301", "n = 101"))
+    toy.write(
+        text.replace("n = 151", "n = 301")
+        .replace("to = 0.3", "to = 0.1")
+        .replace("n = 301", "n = 101")
+    )
     toy("run", "toy.toml", **SIDE_BY_SIDE)  # of lines that are all there
     few, again = toy.bytes(), sum(event["points"] for event in chunks(toy))
     toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
@@ -116,7 +137,9 @@ def test_axes_may_be_named_in_another_order(toy, lines):
 
 @pytest.mark.parametrize("environment", [{}, SIDE_BY_SIDE])
 def test_a_walker_with_knees_may_join_and_leave(toy, environment):
-    """It has four multipliers, and the others' are archived with as many; theirs of before were three."""
+    """It has four multipliers, and the others' are archived with as many; theirs of
+    before were three.
+    """
     few = PLAIN.replace("n = 151", "n = 21")
     both = few.replace('"E"', '["E", "C"]')
     archives = {}
@@ -138,7 +161,10 @@ def test_more_slopes_and_other_variables_change_every_chunk(toy):
     assert "per point: 1,359 new" in toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
     toy.write(PLAIN.replace('"multipliers"', '"period"'))
     assert "per point: 1,208 changed" in toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
-    assert "per point: 1,208 changed" in toy("plan", "toy.toml", TOY_VERSIONS="atlas=2", **SIDE_BY_SIDE).stdout
+    assert (
+        "per point: 1,208 changed"
+        in toy("plan", "toy.toml", TOY_VERSIONS="atlas=2", **SIDE_BY_SIDE).stdout
+    )
 
 
 @pytest.mark.parametrize("trouble", ["segfault", "raise"])
@@ -148,8 +174,13 @@ def test_one_bad_point_of_each_line_costs_these_alone(toy, trouble):
     toy("run", "toy.toml", expect=1, TOY_TROUBLE=f"{trouble}@{slope}", **SIDE_BY_SIDE)
     once = toy.bytes()
     (event,) = chunks(toy)
-    assert event["counts"] == {"converged": 21, {"segfault": "worker_died", "raise": "raised"}[trouble]: 3}
-    assert "24 retried" in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+    assert event["counts"] == {
+        "converged": 21,
+        {"segfault": "worker_died", "raise": "raised"}[trouble]: 3,
+    }
+    assert (
+        "24 retried" in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+    )
     toy("run", "toy.toml", expect=1, **SIDE_BY_SIDE)
     assert toy.bytes() == once and not chunks(toy)
     toy("run", "toy.toml", "--retry-failed", **SIDE_BY_SIDE)
@@ -160,12 +191,17 @@ def test_one_bad_point_of_each_line_costs_these_alone(toy, trouble):
 
 @pytest.mark.parametrize("text", [PLAIN, READ])
 def test_a_line_without_an_atlas_fails_alone_and_is_retried_alone(toy, text):
-    bad = text.replace("{ from = 0.0, to = 0.3, n = 151 }", "[0.0, 0.5, 13.0]")  # 13 is what the toy refuses
+    bad = text.replace(
+        "{ from = 0.0, to = 0.3, n = 151 }", "[0.0, 0.5, 13.0]"
+    )  # 13 is what the toy refuses
     toy.write(bad)
     toy("run", "toy.toml", expect=1, **SIDE_BY_SIDE)
     (event,) = chunks(toy)
     assert event["counts"] == {"converged": 16, "raised": 8}
-    assert "8 retried, 16 cached" in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+    assert (
+        "8 retried, 16 cached"
+        in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+    )
 
 
 @pytest.mark.parametrize("times", [2, pytest.param(60, marks=pytest.mark.soak)])
@@ -183,11 +219,15 @@ def test_a_damaged_journal_gives_the_same_bytes(toy, wholes, tell, times):
         again += bool(chunks(toy))
         toy("run", "toy.toml", **SIDE_BY_SIDE)
         assert toy.bytes() == wholes[READ] and not chunks(toy)
-    tell(f"{times} damaged journals of lines: equal bytes after each, {again} with lines computed again")
+    tell(
+        f"{times} damaged journals of lines: equal bytes after each, {again} with lines computed again"
+    )
 
 
 def _grid(tmp_path, axes):
-    (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = ["E", "D"]\n[axes]\n{axes}\n')
+    (tmp_path / "s.toml").write_text(
+        f'name = "s"\nwalker = ["E", "D"]\n[axes]\n{axes}\n'
+    )
     return parse.read(tmp_path / "s.toml")
 
 
@@ -198,18 +238,26 @@ def test_digests_name_lines_by_their_walker_values_and_slopes(tmp_path):
     named = []
     for s in (study, other, elsewhere):
         digests = Graph(s).digests(np.arange(s.lines))
-        named.append({json.dumps(s.line(i), sort_keys=True): digests[i].tobytes() for i in range(s.lines)})
+        named.append(
+            {
+                json.dumps(s.line(i), sort_keys=True): digests[i].tobytes()
+                for i in range(s.lines)
+            }
+        )
     for names in named:
         assert len(set(names.values())) == len(names) == 12
     shared = set(named[0]) & set(named[1])
     assert len(shared) == 8 and all(named[0][line] == named[1][line] for line in shared)
-    assert not {named[0][line] for line in set(named[0]) - shared} & set(named[1].values())
+    assert not {named[0][line] for line in set(named[0]) - shared} & set(
+        named[1].values()
+    )
     assert not set(named[1].values()) & set(named[2].values())
 
 
 def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
     study = _grid(
-        tmp_path, "slope = [0.01]\nR = { from = 0.0, to = 0.1, n = 5000 }\ng = { from = 1, to = 2, n = 1000 }"
+        tmp_path,
+        "slope = [0.01]\nR = { from = 0.0, to = 0.1, n = 5000 }\ng = { from = 1, to = 2, n = 1000 }",
     )
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
@@ -217,5 +265,12 @@ def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
         charts, first = itertools.islice(plan.nodes(), 2)
         (needed,) = plan.graph.charts_of(first.chunk, lambda _: [])
     # Of each value of g the lines over R are a plane.
-    assert summary(plan).todo["charts"] == {"new": 10**7} and charts.task == "charts" and needed.key == charts.key
-    assert first.points == len(first.chunk.numbers) == 4096 and plan.graph.grid.chunks == 4000
+    assert (
+        summary(plan).todo["charts"] == {"new": 10**7}
+        and charts.task == "charts"
+        and needed.key == charts.key
+    )
+    assert (
+        first.points == len(first.chunk.numbers) == 4096
+        and plan.graph.grid.chunks == 4000
+    )

@@ -18,7 +18,15 @@ from gaitsweep.pipeline.outcomes import count, count_rows
 from gaitsweep.pipeline.statuses import STATUS_NAMES
 from gaitsweep.pipeline.store import file, store
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
-from gaitsweep.pipeline.store.record import Head, Packing, Points, joined, pack, sentence_number, unpacked
+from gaitsweep.pipeline.store.record import (
+    Head,
+    Packing,
+    Points,
+    joined,
+    pack,
+    sentence_number,
+    unpacked,
+)
 from gaitsweep.pipeline.store.store import Key, Outcome, Store
 from processes import damaged
 
@@ -29,7 +37,11 @@ PACKED = serialize.dump({"x": 1})
 def filled(path, n=N, size=500):
     with contextlib.closing(Store(path)) as found:
         for k in range(n):
-            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(size, k, "f8").tobytes())
+            found.put(
+                Key(f"points-{k}", f"kin-{k}"),
+                bytes([k]) * 9,
+                np.full(size, k, "f8").tobytes(),
+            )
     return path
 
 
@@ -47,7 +59,10 @@ def whole(found, n=N, size=500):
     there = [k for k in range(n) if f"points-{k}" in found]
     for k in there:
         head, payload = found.get(f"points-{k}")
-        assert head == bytes([k]) * 9 == found.head(f"points-{k}") and payload == np.full(size, k, "f8").tobytes()
+        assert (
+            head == bytes([k]) * 9 == found.head(f"points-{k}")
+            and payload == np.full(size, k, "f8").tobytes()
+        )
     return there
 
 
@@ -62,12 +77,19 @@ def sql(path, *statements):
 def test_records_are_found_by_their_keys_and_the_latest_counts(tmp_path):
     filled(tmp_path / "j")
     with contextlib.closing(Store(tmp_path / "j")) as found:
-        assert whole(found) == list(range(N)) and found.knows("kin-3") and not found.knows("points-3")
+        assert (
+            whole(found) == list(range(N))
+            and found.knows("kin-3")
+            and not found.knows("points-3")
+        )
         found.put(Key("points-3", "kin-3"), b"head", b"later")
         assert found.get("points-3") == (b"head", b"later") and len(list(found)) == N
         assert found.number("points-3") > found.number("points-39")
     with contextlib.closing(Store(tmp_path / "j")) as found:
-        assert found.get("points-3") == (b"head", b"later") and found.number("points-3") == N + 1
+        assert (
+            found.get("points-3") == (b"head", b"later")
+            and found.number("points-3") == N + 1
+        )
         assert found._execute("SELECT count(*) FROM records") == [(N,)]
 
 
@@ -78,7 +100,10 @@ def test_a_repair_finds_records_beyond_the_numbers_that_others_left(tmp_path):
             found.put(Key(f"points-{k}", "kin"), b"head", b"payload")
     for number in (None, 2**63 - 1):  # the last that there can be, too
         if number:
-            sql(tmp_path / "j", f"UPDATE records SET id = {number} WHERE key = 'points-0'")
+            sql(
+                tmp_path / "j",
+                f"UPDATE records SET id = {number} WHERE key = 'points-0'",
+            )
         repair(tmp_path / "j")
         with contextlib.closing(Store(tmp_path / "j")) as found:
             assert len([*found]) == file._MAX_GAP + (number is None)
@@ -88,7 +113,15 @@ def test_of_two_records_that_a_kill_left_the_later_counts(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as found:
         for number, data in ((1, b"earlier"), (2, b"later")):
             sums = file.sums(number, "k", "kin", b"", data)
-            found._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, "k", "kin", *sums, b"", data)
+            found._execute(
+                "INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)",
+                number,
+                "k",
+                "kin",
+                *sums,
+                b"",
+                data,
+            )
     with contextlib.closing(Store(tmp_path / "j")) as found:
         assert found.get("k") == (b"", b"later")
 
@@ -100,7 +133,9 @@ def test_results_are_kept_with_how_they_ended(tmp_path):
         found.put(Key("c", "c"), serialize.dump(["other", ""]), b"")
         found.put(Key("d", "d"), b"junk", b"")
         assert found.outcome("a") == ("ok", "") and found.result("a") == {"x": 1}
-        assert found.outcome("b") == ("raised", "It raised.") and found.result("b") is None
+        assert (
+            found.outcome("b") == ("raised", "It raised.") and found.result("b") is None
+        )
         assert found.outcome("none") is None and found.result("none") is None
         found.put_result(Key("e", "e"), Outcome("ok", ""), b"no packed result")
         for key in "cde":
@@ -142,7 +177,10 @@ OTHER = {
 def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, column):
     filled(tmp_path / "j", 3)
     sql(tmp_path / "j", f"UPDATE records SET {column} = {OTHER[column]} WHERE id = 2")
-    with contextlib.suppress(CorruptStoreError), contextlib.closing(Store(tmp_path / "j")) as found:
+    with (
+        contextlib.suppress(CorruptStoreError),
+        contextlib.closing(Store(tmp_path / "j")) as found,
+    ):
         whole(found, 3)
         assert column == "key"  # it is not found, and so not read
     repair(tmp_path / "j")
@@ -150,7 +188,10 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, column):
         assert whole(found, 3) == [0, 2]
 
 
-@pytest.mark.parametrize(("new", "left"), [(b"hexd BLOB, payload BLOB", [0, 1, 2]), (b"head BLOB  payload BLOB", [])])
+@pytest.mark.parametrize(
+    ("new", "left"),
+    [(b"hexd BLOB, payload BLOB", [0, 1, 2]), (b"head BLOB  payload BLOB", [])],
+)
 def test_a_store_with_other_columns_is_repaired(tmp_path, new, left):
     """Damaged names change no record; with a column less none can be read."""
     data = filled(tmp_path / "j", 3).read_bytes()
@@ -169,14 +210,23 @@ def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
     dice, lost = random.Random(seed), 0
     with contextlib.closing(Store(filled(tmp_path / "whole", 20))) as found:
         for k in range(20, N):
-            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(500, k, "f8").tobytes())
-        files = {suffix: (tmp_path / f"whole{suffix}").read_bytes() for suffix in ("", "-wal")}
+            found.put(
+                Key(f"points-{k}", f"kin-{k}"),
+                bytes([k]) * 9,
+                np.full(500, k, "f8").tobytes(),
+            )
+        files = {
+            suffix: (tmp_path / f"whole{suffix}").read_bytes()
+            for suffix in ("", "-wal")
+        }
     if seed < 2:
         files = {"": (tmp_path / "whole").read_bytes()}
     for _ in range(15):
         hurt = dice.choice([suffix for suffix in files if files[suffix]])
         for suffix, data in files.items():
-            (tmp_path / f"j{suffix}").write_bytes(damaged(data, dice) if suffix == hurt else data)
+            (tmp_path / f"j{suffix}").write_bytes(
+                damaged(data, dice) if suffix == hurt else data
+            )
         try:
             with contextlib.closing(Store(tmp_path / "j")) as found:
                 there = whole(found)
@@ -190,11 +240,15 @@ def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
         lost += N - len(there)
         for path in tmp_path.glob("j*"):
             path.unlink()
-    assert lost < 15 * N * (1 if seed < 2 else 2) / 3  # SQLite reads a log up to where it is torn
+    assert (
+        lost < 15 * N * (1 if seed < 2 else 2) / 3
+    )  # SQLite reads a log up to where it is torn
 
 
 def test_a_repaired_store_is_not_overwritten_by_the_log_of_the_damaged_one(tmp_path):
-    """As a crash leaves it: what is in the log is in the repaired store, and the log itself is gone."""
+    """As a crash leaves it: what is in the log is in the repaired store, and the log
+    itself is gone.
+    """
     crashed = tmp_path / "crashed"
     crashed.mkdir()
     with contextlib.closing(Store(tmp_path / "j")) as found:
@@ -214,19 +268,28 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with monkeypatch.context() as patch, pytest.raises(DiskFullError, match="The disk is full"):
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(DiskFullError, match="The disk is full"),
+    ):
         patch.setattr(os, "replace", full)
         repair(tmp_path / "j")
     with contextlib.closing(Store(tmp_path / "j")) as found:
         assert whole(found) == list(range(N))
 
 
-@pytest.mark.parametrize(("full", "error"), [(False, ArchiveError), (True, DiskFullError)])
-def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path, monkeypatch, full, error):
+@pytest.mark.parametrize(
+    ("full", "error"), [(False, ArchiveError), (True, DiskFullError)]
+)
+def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(
+    tmp_path, monkeypatch, full, error
+):
     """A folder that came into its place, say."""
     (tmp_path / "j-wal").mkdir()
     monkeypatch.setattr(file, "is_ours", lambda path: False)
-    monkeypatch.setattr(file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None)
+    monkeypatch.setattr(
+        file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None
+    )
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         Store(tmp_path / "j")
     assert raised.type is error
@@ -234,12 +297,21 @@ def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path,
 
 def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
     """An earlier version's journal, too."""
-    sql(tmp_path / "j", "CREATE TABLE records (id INTEGER PRIMARY KEY)", "INSERT INTO records VALUES (1)")
+    sql(
+        tmp_path / "j",
+        "CREATE TABLE records (id INTEGER PRIMARY KEY)",
+        "INSERT INTO records VALUES (1)",
+    )
     before = (tmp_path / "j").read_bytes()
     for write in (True, False):
-        with pytest.raises(ArchiveError, match="not a journal of this version of gaitsweep; move it away"):
+        with pytest.raises(
+            ArchiveError,
+            match="not a journal of this version of gaitsweep; move it away",
+        ):
             Store(tmp_path / "j", write)
-    assert (tmp_path / "j").read_bytes() == before and [f.name for f in tmp_path.iterdir()] == ["j"]
+    assert (tmp_path / "j").read_bytes() == before and [
+        f.name for f in tmp_path.iterdir()
+    ] == ["j"]
 
 
 def readable_by_others(folder):
@@ -263,7 +335,9 @@ def as_somebody_else(call):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
 def test_somebody_else_reads_a_store_while_it_is_written(tmp_path):
-    """Of a folder where they may not write: what is in the log counts, and nothing is called damaged."""
+    """Of a folder where they may not write: what is in the log counts, and nothing is
+    called damaged.
+    """
     folder = tmp_path / "archive"
     folder.mkdir()
     readable_by_others(folder)
@@ -274,20 +348,30 @@ def test_somebody_else_reads_a_store_while_it_is_written(tmp_path):
 
     with contextlib.closing(Store(folder / "j")) as found:
         for k in range(20):
-            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(500, k, "f8").tobytes())
+            found.put(
+                Key(f"points-{k}", f"kin-{k}"),
+                bytes([k]) * 9,
+                np.full(500, k, "f8").tobytes(),
+            )
             assert k % 5 or as_somebody_else(known) == k + 1
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
 @pytest.mark.parametrize("write", [False, True], ids=["plan", "run"])
-def test_who_may_not_write_a_store_leaves_nothing_in_the_way_of_who_may(tmp_path, write):
-    """In a folder where both may write; SQLite left a lock file that only the other could have written."""
+def test_who_may_not_write_a_store_leaves_nothing_in_the_way_of_who_may(
+    tmp_path, write
+):
+    """In a folder where both may write; SQLite left a lock file that only the other
+    could have written.
+    """
     folder = tmp_path / "archive"
     folder.mkdir()
     readable_by_others(folder)
     folder.chmod(0o777)
     filled(folder / "j")
-    assert as_somebody_else(lambda: Store(folder / "j", write).close() or 0) == (101 if write else 0)
+    assert as_somebody_else(lambda: Store(folder / "j", write).close() or 0) == (
+        101 if write else 0
+    )
     assert [path.name for path in folder.iterdir()] == ["j"]
 
 
@@ -298,7 +382,9 @@ def test_reading_a_store_that_is_not_there_makes_none(tmp_path):
     assert not (tmp_path / "j").exists()
 
 
-def test_a_record_that_no_longer_fits_on_the_disk_is_told_and_the_next_is_kept(tmp_path):
+def test_a_record_that_no_longer_fits_on_the_disk_is_told_and_the_next_is_kept(
+    tmp_path,
+):
     with contextlib.closing(Store(tmp_path / "j")) as found:
         (pages,) = found._execute("PRAGMA page_count")[0]
         found._execute(f"PRAGMA max_page_count={pages + 3}")
@@ -310,15 +396,26 @@ def test_a_record_that_no_longer_fits_on_the_disk_is_told_and_the_next_is_kept(t
         assert list(found) == ["small"] and found.get("small") == (b"head", b"payload")
 
 
-def test_what_is_stored_reaches_the_disk_at_least_every_half_second(tmp_path, monkeypatch):
+def test_what_is_stored_reaches_the_disk_at_least_every_half_second(
+    tmp_path, monkeypatch
+):
     times, asked = iter([10.0, 10.1, 10.6, 10.7]), []
     monkeypatch.setattr(store.time, "monotonic", lambda: next(times))
     with contextlib.closing(Store(tmp_path / "j")) as found:
         execute = found._execute
-        monkeypatch.setattr(found, "_execute", lambda sql, *values: asked.append(sql) or execute(sql, *values))
+        monkeypatch.setattr(
+            found,
+            "_execute",
+            lambda sql, *values: asked.append(sql) or execute(sql, *values),
+        )
         for k in range(4):
             found.put(Key(str(k), ""), b"", b"")
-    assert [sql[-6:] for sql in asked if "synchronous" in sql] == ["s=FULL", "NORMAL", "s=FULL", "NORMAL"]
+    assert [sql[-6:] for sql in asked if "synchronous" in sql] == [
+        "s=FULL",
+        "NORMAL",
+        "s=FULL",
+        "NORMAL",
+    ]
 
 
 # Records of chunks.
@@ -333,7 +430,9 @@ def points(lines, slopes, gaits=2, seed=0):
         "reason": status.astype(int) + seed,
         "reasons": np.array(["It converged.", "None.", "Another."]),
         "stance_angle": np.where(status == 0, dice.random((n, 4)), np.nan),
-        "multiplier_real": np.where(status[..., None] == 0, dice.random((n, 4, 3)), np.nan),
+        "multiplier_real": np.where(
+            status[..., None] == 0, dice.random((n, 4, 3)), np.nan
+        ),
         "branch": np.where(status == 0, 2, -1).astype(np.int16),
     }
     want = ("stance_angle", "multiplier_real", "branch", "status")
@@ -358,22 +457,33 @@ def test_a_record_gives_back_what_went_in(name):
     head, payload = pack(own, Packing(shape, 4, ["long", "short"], digests))
     found, contents = unpacked(head, payload), Head(head)
     for key in ("status", "stance_angle", "branch"):
-        expected = result[key] if key == "status" else result[key][:, :2]  # without gaits that do not exist
+        expected = (
+            result[key] if key == "status" else result[key][:, :2]
+        )  # without gaits that do not exist
         np.testing.assert_array_equal(found.values[key], expected)
-    np.testing.assert_array_equal(found.values["multiplier_real"][..., :3], result["multiplier_real"][:, :2])
+    np.testing.assert_array_equal(
+        found.values["multiplier_real"][..., :3], result["multiplier_real"][:, :2]
+    )
     assert np.isnan(found.values["multiplier_real"][..., 3]).all()
     texts = np.vectorize(found.sentences.get)(found.values["reason"])
     np.testing.assert_array_equal(texts, result["reasons"][result["reason"]])
-    assert contents.rows(range(4)) == {(0, 0, 1, 1): lines * slopes} and contents.rows([0, 2]) == {
-        (0, 1): lines * slopes
-    }
-    assert list(contents.sentences([0]).values()) == ["It converged."] and len(contents.sentences()) == 2
+    assert contents.rows(range(4)) == {(0, 0, 1, 1): lines * slopes} and contents.rows(
+        [0, 2]
+    ) == {(0, 1): lines * slopes}
+    assert (
+        list(contents.sentences([0]).values()) == ["It converged."]
+        and len(contents.sentences()) == 2
+    )
     np.testing.assert_array_equal(contents.digests, digests)
-    assert contents.holds(["branch"], ["long"]) and not contents.holds(["period"], ["long"])
+    assert contents.holds(["branch"], ["long"]) and not contents.holds(
+        ["period"], ["long"]
+    )
     assert not contents.holds(["branch"], ["other1"])
     piece = contents.piece(memoryview(payload), "stance_angle", 1)
     laid_out = shape.unfold(result["stance_angle"][:, 1].copy())
-    assert laid_out.shape == shape.sizes and piece.checksum == zlib.crc32(np.ascontiguousarray(laid_out).tobytes())
+    assert laid_out.shape == shape.sizes and piece.checksum == zlib.crc32(
+        np.ascontiguousarray(laid_out).tobytes()
+    )
     assert contents.piece(memoryview(payload), "stance_angle", 2) is None
 
 
@@ -391,16 +501,29 @@ def test_parts_are_joined_with_what_each_of_them_has():
     lost = Points.of_ending(2, "worker_died", "The worker died of SIGSEGV.", one.values)
     whole_points = joined([one, lost, two])
     packed = unpacked(*pack(whole_points, Packing(Shape((9,), (9,), 0), 3, ["long"])))
-    assert packed.values["stance_angle"].shape == (9, 3)  # without the gait that none has
+    assert packed.values["stance_angle"].shape == (
+        9,
+        3,
+    )  # without the gait that none has
     values = whole_points.values
     assert len(whole_points) == 9
     assert values["status"][4:6].tolist() == [[4] * 4] * 2
-    assert np.isnan(values["stance_angle"][4:6]).all() and (values["branch"][4:6] == -1).all()
-    assert np.isnan(values["stance_angle"][:4, 2]).all() and not np.isnan(values["stance_angle"][6:, :3]).any()
-    said = {whole_points.sentences[int(number)] for number in np.unique(values["reason"])}
+    assert (
+        np.isnan(values["stance_angle"][4:6]).all()
+        and (values["branch"][4:6] == -1).all()
+    )
+    assert (
+        np.isnan(values["stance_angle"][:4, 2]).all()
+        and not np.isnan(values["stance_angle"][6:, :3]).any()
+    )
+    said = {
+        whole_points.sentences[int(number)] for number in np.unique(values["reason"])
+    }
     assert said == {"It converged.", "None.", "The worker died of SIGSEGV.", "Another."}
     some = whole_points.take(np.array([8, 0]))
-    np.testing.assert_array_equal(some.values["stance_angle"], values["stance_angle"][[8, 0]])
+    np.testing.assert_array_equal(
+        some.values["stance_angle"], values["stance_angle"][[8, 0]]
+    )
 
 
 def test_joined_points_have_the_record_of_points_computed_together():
@@ -410,17 +533,23 @@ def test_joined_points_have_the_record_of_points_computed_together():
     assert pack(joined(parts), packing) == pack(own, packing)
 
 
-@pytest.mark.parametrize("wrong", [{"stance_angle": np.zeros((3, 4))}, {"branch": np.zeros((4, 3))}])
+@pytest.mark.parametrize(
+    "wrong", [{"stance_angle": np.zeros((3, 4))}, {"branch": np.zeros((4, 3))}]
+)
 def test_a_result_of_another_shape_is_refused(wrong):
     _, result = points(1, 4)
     with pytest.raises(ValueError, match="has shape"):
-        Points.of_task({**result, **wrong}, {"want": tuple(wrong), "slope": np.empty(4)})
+        Points.of_task(
+            {**result, **wrong}, {"want": tuple(wrong), "slope": np.empty(4)}
+        )
 
 
 def test_a_gait_that_no_point_has_found_keeps_its_branch():
     _, result = points(1, 4)
     result["status"][2, 2], result["branch"][2, 2] = 2, 7  # it has not converged
-    own = Points.of_task(result, {"want": ("stance_angle", "branch"), "slope": np.empty(4)})
+    own = Points.of_task(
+        result, {"want": ("stance_angle", "branch"), "slope": np.empty(4)}
+    )
     kept = unpacked(*pack(own, Packing(Shape((4,), (4,), 0), 3, ["long"])))
     assert kept.values["branch"].shape == (4, 3) and kept.values["branch"][2, 2] == 7
 
@@ -428,18 +557,36 @@ def test_a_gait_that_no_point_has_found_keeps_its_branch():
 def test_a_result_is_refused_that_is_not_of_all_points():
     _, result = points(1, 4)
     params = {"want": ("stance_angle",), "slope": np.empty(4), "lines": [{}, {}]}
-    assert len(Points.of_task([({}, result)] * 2, params)) == len(Points.of_task([({}, points(2, 4)[1])], params)) == 8
+    assert (
+        len(Points.of_task([({}, result)] * 2, params))
+        == len(Points.of_task([({}, points(2, 4)[1])], params))
+        == 8
+    )
     with pytest.raises(ValueError, match="4 points are returned of 8"):
         Points.of_task([({}, result)], params)
 
 
 def test_sentences_have_numbers_of_their_own():
-    assert sentence_number("It converged.") == sentence_number("It converged.") != sentence_number("None.")
+    assert (
+        sentence_number("It converged.")
+        == sentence_number("It converged.")
+        != sentence_number("None.")
+    )
 
 
 def test_points_are_counted_by_a_failure_or_their_best_answer():
     rows = {(0, 1): 3, (1, 1): 2, (0, 4): 1, (3, 1): 5, (8, 2): 1, (0, 77): 2}
-    outcomes = {"converged": 3, "no_gait": 2, "worker_died": 1, "fell": 5, "raised": 1, "77": 2}
+    outcomes = {
+        "converged": 3,
+        "no_gait": 2,
+        "worker_died": 1,
+        "fell": 5,
+        "raised": 1,
+        "77": 2,
+    }
     assert count(rows, STATUS_NAMES) == outcomes
-    assert count_rows(np.repeat(np.array([*rows], np.int8), [*rows.values()], axis=0)) == rows
+    assert (
+        count_rows(np.repeat(np.array([*rows], np.int8), [*rows.values()], axis=0))
+        == rows
+    )
     assert count_rows(np.empty((0, 2), np.int8)) == {}

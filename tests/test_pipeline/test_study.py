@@ -1,4 +1,6 @@
-"""A study is checked whole before anything runs, and every mistake gets one line that helps."""
+"""A study is checked whole before anything runs, and every mistake gets one line that
+helps.
+"""
 
 import json
 import time
@@ -94,7 +96,9 @@ WRONG = {
         'figures = ["locus"]': "`locus` needs a study of kind `branch`; this one is `grid` (s.toml, want.figures).",
         'claims = ["E22"]': "Unknown name `E22`, did you mean `E2`? (s.toml, want.claims).",
     },
-    "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
+    "seconds = 5": {
+        "seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."
+    },
     'memory = "1.5 GiB"': {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB and at most 1024 TiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
         f'memory = "{"9" * 400} GiB"': '`memory` must be at least 64 MiB and at most 1024 TiB, as in "2 GiB";'
@@ -112,14 +116,26 @@ WRONG = {
 #: Options of a study of another kind, and what is said about them.
 WRONG_OPTIONS = [
     ("branch", "n = 3", "Unknown key `n`, known: steps, tuned (s.toml, options)."),
-    ("orbit", "stebs = 3", "Unknown key `stebs`, did you mean `steps`? (s.toml, options)."),
+    (
+        "orbit",
+        "stebs = 3",
+        "Unknown key `stebs`, did you mean `steps`? (s.toml, options).",
+    ),
     (
         "orbit",
         "steps = -3",
         "`steps` must be a whole number from 1 to 1,000,000; got -3 (s.toml, options.steps).",
     ),
-    ("orbit", 'gait = "loong"', "Unknown name `loong`, did you mean `long`? (s.toml, options.gait)."),
-    ("orbit", 'spread = "1e-3"', "`spread` must be a number; got '1e-3' (s.toml, options.spread)."),
+    (
+        "orbit",
+        'gait = "loong"',
+        "Unknown name `loong`, did you mean `long`? (s.toml, options.gait).",
+    ),
+    (
+        "orbit",
+        'spread = "1e-3"',
+        "`spread` must be a number; got '1e-3' (s.toml, options.spread).",
+    ),
     (
         "cascade",
         "families = 3",
@@ -130,21 +146,41 @@ WRONG_OPTIONS = [
         "stance_rate = [0.2, 0.1]",
         "`stance_rate` must be two increasing numbers; got [0.2, 0.1] (s.toml, options.stance_rate).",
     ),
-    ("curve", 'key = "detunning"', "Unknown name `detunning`, did you mean `detuning`? (s.toml, options.key)."),
+    (
+        "curve",
+        'key = "detunning"',
+        "Unknown name `detunning`, did you mean `detuning`? (s.toml, options.key).",
+    ),
     (
         "curve",
         'key = "R"\nfrom = 0.2\nto = 0.1',
         "`from` must be less than `to` = 0.1; got 0.2 (s.toml, options.from).",
     ),
-    ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
-    ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
-    ("curve", "to = 0.5", "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, options.key)."),
+    (
+        "curve",
+        'key = "R"\nfrom = 2',
+        "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from).",
+    ),
+    (
+        "curve",
+        'key = "R"\nfrom = -0.1\nto = 0.1',
+        "`R` must be >= 0; got -0.1 (s.toml, options.from).",
+    ),
+    (
+        "curve",
+        "to = 0.5",
+        "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, options.key).",
+    ),
     (
         "cascade",
         "families = [1]",
         "The slopes of a `cascade` are a window: give at least two; got 0.01 (s.toml, axes.slope).",
     ),
-    ("curve", 'kinds = ["folds"]', "Unknown name `folds`, did you mean `fold`? (s.toml, options.kinds)."),
+    (
+        "curve",
+        'kinds = ["folds"]',
+        "Unknown name `folds`, did you mean `fold`? (s.toml, options.kinds).",
+    ),
 ]
 
 
@@ -161,7 +197,10 @@ def test_a_law_of_gaits_that_are_not_wanted_is_refused(write):
     text = 'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\nslope = [0.01, 0.02]\n[want]\nfits = ["transition"]\n'
     with pytest.raises(StudyError) as error:
         parse.read(write(text))
-    assert str(error.value) == "`transition` is a law of short gaits, which `gaits` leaves out (s.toml, gaits)."
+    assert (
+        str(error.value)
+        == "`transition` is a law of short gaits, which `gaits` leaves out (s.toml, gaits)."
+    )
     assert parse.read(write(text.replace("long", "short"))).fits == ("transition",)
 
 
@@ -170,13 +209,21 @@ def test_a_good_study_is_read(write):
     assert found.points == 14 and found.lines == 2
     np.testing.assert_allclose(found.slope[[0, -1]], [1e-4, 0.1])
     assert found.line(1) == {"walker": "E", "set": {"foot_mass_ratio": 0.05}}
-    assert found.variables[:2] == ("period", "multiplier_real") and "status" in found.variables
+    assert (
+        found.variables[:2] == ("period", "multiplier_real")
+        and "status" in found.variables
+    )
     assert found.limits == model.Limits(5.0, 3 << 29)
     assert found.gaits == ("long", "short", "other1", "other2")
 
 
 @pytest.mark.parametrize(
-    ("line", "wrong", "said"), [(line, wrong, said) for line, cases in WRONG.items() for wrong, said in cases.items()]
+    ("line", "wrong", "said"),
+    [
+        (line, wrong, said)
+        for line, cases in WRONG.items()
+        for wrong, said in cases.items()
+    ],
 )
 def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said):
     assert line in GOOD
@@ -188,7 +235,11 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
 @pytest.mark.parametrize(("kind", "option", "said"), WRONG_OPTIONS)
 def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, said):
     with pytest.raises(StudyError) as error:
-        parse.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
+        parse.read(
+            write(
+                f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'
+            )
+        )
     assert str(error.value) == said
 
 
@@ -204,7 +255,11 @@ def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, sai
 )  # fmt: skip
 def test_what_a_kind_of_study_cannot_show_is_refused(write, kind, want, said):
     with pytest.raises(StudyError) as error:
-        parse.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n[want]\n{want}\n'))
+        parse.read(
+            write(
+                f'name = "s"\nkind = "{kind}"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n[want]\n{want}\n'
+            )
+        )
     assert str(error.value) == said
 
 
@@ -218,16 +273,24 @@ def test_what_a_kind_of_study_cannot_show_is_refused(write, kind, want, said):
         ('{ base = "B", R = 3.0 }', "l_t = [0.1, 0.5]", "walker"),
     ],
 )
-def test_a_walker_that_cannot_be_is_wrong_where_it_is_made_so(write, walker, axes, place):
+def test_a_walker_that_cannot_be_is_wrong_where_it_is_made_so(
+    write, walker, axes, place
+):
     with pytest.raises(StudyError) as error:
-        parse.read(write(f'name = "s"\nwalker = {walker}\n[axes]\nslope = [0.01]\n{axes}\n'))
+        parse.read(
+            write(f'name = "s"\nwalker = {walker}\n[axes]\nslope = [0.01]\n{axes}\n')
+        )
     assert str(error.value).endswith(f" (s.toml, {place}).")
 
 
 def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
     options = '[options]\nkey = "c_s"\nfrom = -0.5\nto = 0.4\n'
     with pytest.raises(StudyError) as error:
-        parse.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
+        parse.read(
+            write(
+                f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'
+            )
+        )
     assert str(error.value) == (
         "`c_s` = -0.5 leaves no walker: `m_s` may vanish only off the hip: the swing leg has no"
         " inertia; got 0.0 (s.toml, options.from)."
@@ -243,21 +306,43 @@ def test_a_byte_order_mark_is_no_part_of_a_study(write, tmp_path):
 
 
 def axis(write, text, name="R"):
-    study = parse.read(write(f'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n{name} = {text}\n'))
+    study = parse.read(
+        write(f'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n{name} = {text}\n')
+    )
     return next(a.values for a in study.axes if a.name == name)
 
 
 def test_equal_steps_are_the_decimals_that_one_would_write(write):
-    assert axis(write, "{ from = 0.0, to = 0.5, n = 6 }").tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    assert axis(write, "{ from = 0.0, to = 0.5, n = 6 }").tolist() == [
+        0.0,
+        0.1,
+        0.2,
+        0.3,
+        0.4,
+        0.5,
+    ]
     assert axis(write, "{ from = -0.07, to = 0.105, n = 36 }", "c_t").tolist() == [
         float(f"{k * 5 - 70}e-3") for k in range(36)
     ]
-    assert axis(write, "{ from = 1e-3, to = 2e-3, n = 5 }").tolist() == [1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3]
-    assert axis(write, "{ from = 0.05, to = 0.25, n = 3 }").tolist() == [0.05, 0.15, 0.25]
+    assert axis(write, "{ from = 1e-3, to = 2e-3, n = 5 }").tolist() == [
+        1e-3,
+        1.25e-3,
+        1.5e-3,
+        1.75e-3,
+        2e-3,
+    ]
+    assert axis(write, "{ from = 0.05, to = 0.25, n = 3 }").tolist() == [
+        0.05,
+        0.15,
+        0.25,
+    ]
     # Thirds are no short decimals; neither are numbers of seventeen digits.
     for text, values in (
         ("{ from = 0.0, to = 0.1, n = 4 }", np.linspace(0.0, 0.1, 4)),
-        ("{ from = 0.01234567890123456, to = 0.1, n = 5 }", np.linspace(0.01234567890123456, 0.1, 5)),
+        (
+            "{ from = 0.01234567890123456, to = 0.1, n = 5 }",
+            np.linspace(0.01234567890123456, 0.1, 5),
+        ),
         ("{ from = 0.1, to = 0.4, n = 1 }", [0.1]),
     ):
         np.testing.assert_array_equal(axis(write, text), values)
@@ -265,21 +350,36 @@ def test_equal_steps_are_the_decimals_that_one_would_write(write):
 
 def test_a_walker_may_be_based_on_a_file(write, tmp_path):
     (tmp_path / "walkers").mkdir()
-    (tmp_path / "walkers" / "first.toml").write_text('[walker]\nbase = "C"\nm_h = 1.0\nR = 0.21\n')
-    (tmp_path / "walkers" / "second.toml").write_text('[walker]\nbase = "first.toml"\nR = 0.22\n')
+    (tmp_path / "walkers" / "first.toml").write_text(
+        '[walker]\nbase = "C"\nm_h = 1.0\nR = 0.21\n'
+    )
+    (tmp_path / "walkers" / "second.toml").write_text(
+        '[walker]\nbase = "first.toml"\nR = 0.22\n'
+    )
 
     def read(text):
-        (walker,) = parse.read(write(f'name = "s"\nwalker = {text}\n[axes]\nslope = [0.01]\n')).walkers
+        (walker,) = parse.read(
+            write(f'name = "s"\nwalker = {text}\n[axes]\nslope = [0.01]\n')
+        ).walkers
         return walker
 
-    assert read('{ base = "walkers/second.toml", w_t = 0.0 }') == {"base": "C", "m_h": 1.0, "R": 0.22, "w_t": 0.0}
+    assert read('{ base = "walkers/second.toml", w_t = 0.0 }') == {
+        "base": "C",
+        "m_h": 1.0,
+        "R": 0.22,
+        "w_t": 0.0,
+    }
     assert (
-        read('"walkers/first.toml"') == read(f'"{tmp_path}/walkers/first.toml"') == {"base": "C", "m_h": 1.0, "R": 0.21}
+        read('"walkers/first.toml"')
+        == read(f'"{tmp_path}/walkers/first.toml"')
+        == {"base": "C", "m_h": 1.0, "R": 0.21}
     )
     (tmp_path / "walkers" / "first.toml").write_text('[walker]\nbase = "second.toml"\n')
     with pytest.raises(StudyError, match="is based on more than 8 other files"):
         read('"walkers/first.toml"')
-    with pytest.raises(StudyError, match=r"^There is no file none.toml \(s.toml, walker\).$"):
+    with pytest.raises(
+        StudyError, match=r"^There is no file none.toml \(s.toml, walker\).$"
+    ):
         read('{ base = "none.toml" }')
 
 
@@ -288,7 +388,9 @@ def test_the_registry_names_every_claim_and_curve_of_the_tasks():
     from gaitsweep.tasks import registry
 
     assert set(registry.CLAIMS) == set(resolve("gaitsweep.tasks.paper.claim:CLAIMS"))
-    assert set(registry.FOLLOWED) < set(resolve("gaitsweep.tasks.continuation.defining:SCALARS"))
+    assert set(registry.FOLLOWED) < set(
+        resolve("gaitsweep.tasks.continuation.defining:SCALARS")
+    )
 
 
 def test_a_list_of_allowed_names_is_whole(write):
@@ -298,11 +400,19 @@ def test_a_list_of_allowed_names_is_whole(write):
     ):
         with pytest.raises(StudyError) as error:
             parse.read(write(GOOD.replace(line, wrong)))
-        assert set(known) <= set(str(error.value).partition("known: ")[2].partition(" (s.toml")[0].split(", "))
+        assert set(known) <= set(
+            str(error.value)
+            .partition("known: ")[2]
+            .partition(" (s.toml")[0]
+            .split(", ")
+        )
 
 
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
-    with pytest.raises(StudyError, match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$"):
+    with pytest.raises(
+        StudyError,
+        match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$",
+    ):
         parse.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
 
 
@@ -323,7 +433,9 @@ DEEP = {
 
 @pytest.mark.parametrize("text", DEEP.values(), ids=DEEP)
 def test_a_file_that_is_nested_deeply_is_refused_at_once(write, tmp_path, text):
-    """A header of 100,000 parts took half a minute, one of 1,500 ended in an internal error."""
+    """A header of 100,000 parts took half a minute, one of 1,500 ended in an internal
+    error.
+    """
     (tmp_path / "deep.toml").write_text(text)
     start = time.process_time()
 
@@ -333,7 +445,10 @@ def test_a_file_that_is_nested_deeply_is_refused_at_once(write, tmp_path, text):
         lambda: files.walker("deep.toml", tmp_path),
         lambda: gaitsweep.run(f"{text}x = 1\n"),
     ):
-        with pytest.raises(StudyError, match=r"cannot be read: Tables and lists are nested more than 32 deep") as error:
+        with pytest.raises(
+            StudyError,
+            match=r"cannot be read: Tables and lists are nested more than 32 deep",
+        ) as error:
             read()
         assert "\n" not in str(error.value)
 
@@ -343,24 +458,36 @@ def test_a_file_that_is_nested_deeply_is_refused_at_once(write, tmp_path, text):
 def test_dots_in_texts_numbers_and_comments_nest_nothing():
     words = "A word. " * 99 + "." * 99 + "1.5, 2.5, " * 99
 
-    found = toml.read(f'# {words}\na = "{words}"\nb = [{"1.5, " * 99}]\n{"c." * 31}c = 1\n')
+    found = toml.read(
+        f'# {words}\na = "{words}"\nb = [{"1.5, " * 99}]\n{"c." * 31}c = 1\n'
+    )
 
     assert found["a"] == words and found["b"] == [1.5] * 99 and found["c"]
 
 
 def test_a_walker_file_in_place_of_a_study_says_so(write):
-    with pytest.raises(StudyError, match=r"^This file holds a walker and no study; .* \(s.toml\)\.$"):
+    with pytest.raises(
+        StudyError, match=r"^This file holds a walker and no study; .* \(s.toml\)\.$"
+    ):
         parse.read(write('[walker]\nbase = "E"\n'))
 
 
 def test_a_study_without_axes_says_so(write):
-    with pytest.raises(StudyError, match=r"^A study needs axes, at least `slope` \(s.toml, axes\)\.$"):
+    with pytest.raises(
+        StudyError, match=r"^A study needs axes, at least `slope` \(s.toml, axes\)\.$"
+    ):
         parse.read(write('name = "s"\nwalker = "E"\n'))
 
 
 def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
     (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\nR = 0.1\n')
-    found = parse.read(write(GOOD.replace('"E"', '"mine.toml"').replace("foot_mass_ratio = [0.1, 0.05]", "")))
+    found = parse.read(
+        write(
+            GOOD.replace('"E"', '"mine.toml"').replace(
+                "foot_mass_ratio = [0.1, 0.05]", ""
+            )
+        )
+    )
     assert found.walkers == ({"base": "E", "R": 0.1},)
     assert found.checks[0]["table"]["R"] == 0.1
 
@@ -368,7 +495,9 @@ def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
 def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
     axes = "slope = [0.01]\ndetuning = [0.0, 1.0]\nm_h = [1.0, 2.0]"
     found = parse.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
-    about = json.loads(provenance(SimpleNamespace(study=found, graph=SimpleNamespace(layers={}))))
+    about = json.loads(
+        provenance(SimpleNamespace(study=found, graph=SimpleNamespace(layers={})))
+    )
     assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
     detuned = {key: ["detuning"] for key in ("w_t", "r_t", "c_t", "w_s", "r_s")}
     assert about["varied"] == {"m_h": ["m_h"], **detuned} and about["tuned"] == []
@@ -379,7 +508,9 @@ TUNED = 'name = "s"\nwalker = ["A", "C"]\n[axes]\nslope = [0.01]\nR = [0.2, 0.3]
 
 def test_a_study_may_have_keys_tuned(write):
     found = parse.read(write(TUNED.format('["w_t", "w_s"]')))
-    assert found.walkers == tuple({"base": name, "tuned": ["w_t", "w_s"]} for name in "AC")
+    assert found.walkers == tuple(
+        {"base": name, "tuned": ["w_t", "w_s"]} for name in "AC"
+    )
     assert found.names == ("A", "C") and "tuned" not in found.options
     assert parse.read(write(TUNED.format("[]"))).walkers == ("A", "C")
 
@@ -387,7 +518,10 @@ def test_a_study_may_have_keys_tuned(write):
 @pytest.mark.parametrize(
     ("tuned", "said"),
     [
-        ('"w_t"', "`tuned` must be a list of keys of a walker; got 'w_t' (s.toml, options.tuned)."),
+        (
+            '"w_t"',
+            "`tuned` must be a list of keys of a walker; got 'w_t' (s.toml, options.tuned).",
+        ),
         ('["w_q"]', "Unknown name `w_q`, did you mean `w_t`? (s.toml, options.tuned)."),
         (
             '["w_t"]',
@@ -426,11 +560,25 @@ _VALUES = st.recursive(
     | st.integers()
     | st.floats()
     | st.text(max_size=8)
-    | st.sampled_from(["E", "A", "log", "slope", "long", "period", "../x.toml", "2 GiB", "nan"]),
+    | st.sampled_from(
+        ["E", "A", "log", "slope", "long", "period", "../x.toml", "2 GiB", "nan"]
+    ),
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.dictionaries(
-            st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"])
+            st.sampled_from(
+                [
+                    "from",
+                    "to",
+                    "n",
+                    "spacing",
+                    "base",
+                    "slope",
+                    "m_s",
+                    "seconds",
+                    "variables",
+                ]
+            )
             | st.text(max_size=4),
             inner,
             max_size=4,
@@ -439,7 +587,11 @@ _VALUES = st.recursive(
     max_leaves=8,
 )
 _STUDIES = st.fixed_dictionaries(
-    {}, optional=dict.fromkeys(("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x"), _VALUES)
+    {},
+    optional=dict.fromkeys(
+        ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x"),
+        _VALUES,
+    ),
 )
 
 
@@ -451,17 +603,27 @@ def _fuzz(path, table):
         assert "\n" not in str(error)
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=100,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(table=_STUDIES)
 @example(table={"walker": {"\n": None}})
 def test_no_table_gets_past_the_reader_as_a_traceback(tmp_path, table):
     _fuzz(tmp_path / "s.toml", table)
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=200,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
 @given(at=st.integers(0, len(GOOD)), junk=st.binary(max_size=8), cut=st.integers(0, 20))
 def test_no_text_gets_past_the_reader_as_a_traceback(tmp_path, at, junk, cut):
-    _survives(tmp_path / "s.toml", GOOD.encode()[:at] + junk + GOOD.encode()[at + cut :])
+    _survives(
+        tmp_path / "s.toml", GOOD.encode()[:at] + junk + GOOD.encode()[at + cut :]
+    )
 
 
 @pytest.mark.soak
@@ -474,7 +636,13 @@ def test_a_hundred_thousand_tables(tmp_path, table):
 def test_a_study_has_at_most_a_trillion_points_or_designs():
     """The slopes of designs are a window: they do not count."""
     million = {"from": 0.1, "to": 0.2, "n": 1_000_000}
-    table = {"name": "large", "walker": "B", "axes": {"slope": [0.01, 0.02], "m_s": million, "R": million}}
+    table = {
+        "name": "large",
+        "walker": "B",
+        "axes": {"slope": [0.01, 0.02], "m_s": million, "R": million},
+    }
     with pytest.raises(StudyError, match=r"2e\+12 points, more than 1e\+12"):
         parse.parse(table, "", Path("large.toml"))
-    assert parse.parse({**table, "kind": "design"}, "", Path("large.toml")).lines == 10**12
+    assert (
+        parse.parse({**table, "kind": "design"}, "", Path("large.toml")).lines == 10**12
+    )

@@ -25,7 +25,10 @@ PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
 #: Axes, and seconds of a point by its line's number and slope.
 UNEVEN = {
     "even": (PEAK, lambda line, slope: 1e-3 + 0 * slope),
-    "a dear tenth": (PEAK, lambda line, slope: np.where(abs(slope - 0.15) < 0.01, 2e-2, 1e-3)),
+    "a dear tenth": (
+        PEAK,
+        lambda line, slope: np.where(abs(slope - 0.15) < 0.01, 2e-2, 1e-3),
+    ),
     "dear towards zero": (
         'slope = { from = 1e-12, to = 0.1, n = 40000, spacing = "log" }',
         lambda line, slope: 1e-5 * (1 + (1e-6 / slope) ** 0.5),
@@ -53,7 +56,9 @@ class Simulated(Engine):
                     slope = job.params["slope"]
                     line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 23)
                     took += float(np.sum(self.cost(line, slope)))
-                    points = Points.of_ending(len(slope), "raised", "", job.params["want"])
+                    points = Points.of_ending(
+                        len(slope), "raised", "", job.params["want"]
+                    )
                     result = {"record": pack(points, job.packing), "atlases": []}
                 self.spent += took
                 yield number, {**result, "seconds": took, "pid": 0}
@@ -62,14 +67,22 @@ class Simulated(Engine):
 
 
 @pytest.mark.parametrize("name", UNEVEN)
-def test_what_is_left_is_told_to_a_half_after_a_fifth_of_the_work(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(grid, "MOST_POINTS", 100)  # some tenths of a second of work, as in any run
+def test_what_is_left_is_told_to_a_half_after_a_fifth_of_the_work(
+    tmp_path, monkeypatch, name
+):
+    monkeypatch.setattr(
+        grid, "MOST_POINTS", 100
+    )  # some tenths of a second of work, as in any run
     axes, cost = UNEVEN[name]
-    (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\nvariables = ["period"]\n')
+    (tmp_path / "s.toml").write_text(
+        f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\nvariables = ["period"]\n'
+    )
     engine, told = Simulated(cost), []
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(parse.read(tmp_path / "s.toml"), store)
-        progress = Progress(plan, summary(plan), tmp_path / "log", quiet=True, engine=engine)
+        progress = Progress(
+            plan, summary(plan), tmp_path / "log", quiet=True, engine=engine
+        )
 
         def listen(event, details):
             progress(event, details)
@@ -77,7 +90,11 @@ def test_what_is_left_is_told_to_a_half_after_a_fifth_of_the_work(tmp_path, monk
 
         Scheduler([Jobs(plan, engine, listen)], engine, Signals()).run()
         progress.file.close()
-    wrong = [left / (engine.spent - spent) for spent, left in told if 0.2 * engine.spent <= spent <= 0.7 * engine.spent]
+    wrong = [
+        left / (engine.spent - spent)
+        for spent, left in told
+        if 0.2 * engine.spent <= spent <= 0.7 * engine.spent
+    ]
     assert len(wrong) > 10 and min(wrong) > 1 / 1.5 and max(wrong) < 1.5
 
 
@@ -90,7 +107,10 @@ def test_the_time_to_go_of_a_real_run(toy, tell):
     took, wrong = time.time() - began, []
     for line in Path(sidecar_path(toy, ".events.jsonl")).read_text().splitlines():
         event = json.loads(line)
-        if event["event"] == "state" and 0.2 * took < event["time"] - began < 0.7 * took:
+        if (
+            event["event"] == "state"
+            and 0.2 * took < event["time"] - began < 0.7 * took
+        ):
             wrong.append(event["eta"] / (began + took - event["time"]))
     assert len(wrong) > 2 and min(wrong) > 1 / 1.5 and max(wrong) < 1.5
     tell(

@@ -39,7 +39,10 @@ def points(params, inputs):
     for s in slope:
         _trouble(float(s), os.environ.get("TOY_TROUBLE", ""))
     low, high, dear = map(float, os.environ.get("TOY_COSTLY", "0 0 0").split())
-    time.sleep(len(slope) * float(os.environ.get("TOY_SECONDS", "0")) + dear * np.sum((slope > low) & (slope < high)))
+    time.sleep(
+        len(slope) * float(os.environ.get("TOY_SECONDS", "0"))
+        + dear * np.sum((slope > low) & (slope < high))
+    )
     values_of_long, digits = np.cbrt(slope) * scale, os.environ.get("TOY_DIGITS")
     if digits:  # so that much fits on a disk
         values_of_long = np.round(values_of_long, int(digits))
@@ -62,7 +65,9 @@ def points(params, inputs):
         if about.dtype == "f8":
             for k in range(2):
                 there = status[:, k] == 0
-                values[there, k] = (values_of_long * (k + 1))[there].reshape((-1,) + (1,) * (values.ndim - 2))
+                values[there, k] = (values_of_long * (k + 1))[there].reshape(
+                    (-1,) + (1,) * (values.ndim - 2)
+                )
         if name == "branch":
             values[:] = np.where(status == 0, np.arange(g), -1)
         found[name] = values
@@ -95,7 +100,9 @@ def _trouble(slope, kinds):
                 os.kill(os.getpid(), signal.SIGKILL)
             if name == "hang":
                 time.sleep(1000)
-            if name == "once" and not os.path.exists("hung"):  # as on a machine that stalls
+            if name == "once" and not os.path.exists(
+                "hung"
+            ):  # as on a machine that stalls
                 open("hung", "x").close()
                 time.sleep(1000)
             if name == "eat":
@@ -108,7 +115,10 @@ def fit(params, inputs):
     """Mean angle of the long gait of every line."""
     means = [float(np.nanmean(i["stance_angle"][:, 0])) for i in inputs]
     names = [line["name"] for line in params["lines"]]
-    return {"fits/scaling/walker": np.array(names), "fits/scaling/exponent": np.array(means)}
+    return {
+        "fits/scaling/walker": np.array(names),
+        "fits/scaling/exponent": np.array(means),
+    }
 
 
 def fit_atlas(params, inputs):

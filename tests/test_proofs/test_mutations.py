@@ -1,4 +1,6 @@
-"""Proofs must break when the physics or the rigour is altered: each change to the source is made, and seen."""
+"""Proofs must break when the physics or the rigour is altered: each change to the
+source is made, and seen.
+"""
 
 import importlib
 import inspect
@@ -10,18 +12,64 @@ from flint import ctx
 from exact_gaits import check_durations, check_remainder, guess, reference, setting
 from gaitsweep.tasks.proofs.gait import prove
 
-#: Changes of the equations: module, what stands there, what is put in its place, and gaits whose proof it must break.
+#: Changes of the equations: module, what stands there, what is put in its place, and
+#: gaits whose proof it must break.
 PHYSICS = {
-    "sign of the swing leg's weight": ("motion", "k) - weight[j + 1][0]", "k) + weight[j + 1][0]", "DA"),
-    "sign of the knee's centrifugal term": ("motion", "force[1] += product", "force[1] -= product", "C"),
-    "sign in the mass matrix": ("motion", "hinge_y + body.R * y)", "hinge_y - body.R * y)", "A"),
-    "mass of one shank": ("body", '2 * (k["m_t"] + k["m_s"])', '2 * k["m_t"] + k["m_s"]', "AC"),
-    "inertia of the shank": ("body", 'shank_centre) + k["r_s"] ** 2', "shank_centre)", "AC"),
+    "sign of the swing leg's weight": (
+        "motion",
+        "k) - weight[j + 1][0]",
+        "k) + weight[j + 1][0]",
+        "DA",
+    ),
+    "sign of the knee's centrifugal term": (
+        "motion",
+        "force[1] += product",
+        "force[1] -= product",
+        "C",
+    ),
+    "sign in the mass matrix": (
+        "motion",
+        "hinge_y + body.R * y)",
+        "hinge_y - body.R * y)",
+        "A",
+    ),
+    "mass of one shank": (
+        "body",
+        '2 * (k["m_t"] + k["m_s"])',
+        '2 * k["m_t"] + k["m_s"]',
+        "AC",
+    ),
+    "inertia of the shank": (
+        "body",
+        'shank_centre) + k["r_s"] ** 2',
+        "shank_centre)",
+        "AC",
+    ),
     "eps_S dropped": ("body", "sin_S = zero if", "sin_S = zero if True or", "AC"),
-    "knee on the other side": ("body", '-k["l_t"]).turned(cos_T, -sin_T)', '-k["l_t"]).turned(cos_T, sin_T)', "AC"),
-    "no rolling while swinging": ("motion", "body.g * body.mass * body.R * sin, ", "0 * body.R, ", "AC"),
-    "no rolling at impacts": ("collisions", "-body.l * cos - body.R,", "-body.l * cos,", "AC"),
-    "stance knee of the impact free": ("collisions", "second + (body.coupling.x if body.kneed else 0)", "second", "C"),
+    "knee on the other side": (
+        "body",
+        '-k["l_t"]).turned(cos_T, -sin_T)',
+        '-k["l_t"]).turned(cos_T, sin_T)',
+        "AC",
+    ),
+    "no rolling while swinging": (
+        "motion",
+        "body.g * body.mass * body.R * sin, ",
+        "0 * body.R, ",
+        "AC",
+    ),
+    "no rolling at impacts": (
+        "collisions",
+        "-body.l * cos - body.R,",
+        "-body.l * cos,",
+        "AC",
+    ),
+    "stance knee of the impact free": (
+        "collisions",
+        "second + (body.coupling.x if body.kneed else 0)",
+        "second",
+        "C",
+    ),
     "impulse at the wrong foot": (
         "collisions",
         "_hip(body, old), _hip(body, new)",
@@ -29,9 +77,15 @@ PHYSICS = {
         "DAC",
     ),
 }
-#: Changes of the enclosure: module, what stands there, what is put in its place, and the lemma that fails.
+#: Changes of the enclosure: module, what stands there, what is put in its place, and
+#: the lemma that fails.
 RIGOUR = {
-    "no remainder": ("enclosure", "return [[*s, r] for s, r in", "return [[*s, 0 * r] for s, r in", check_remainder),
+    "no remainder": (
+        "enclosure",
+        "return [[*s, r] for s, r in",
+        "return [[*s, 0 * r] for s, r in",
+        check_remainder,
+    ),
     "remainder of one state": (
         "enclosure",
         "    box = enclose(body, slope, start, h)\n",
@@ -45,7 +99,11 @@ RIGOUR = {
         check_durations,
     ),
 }
-REFERENCES = {"D": ("D", "0.009", "long"), "A": ("A", "0.01", "long"), "C": ("C", "0.01", "long")}
+REFERENCES = {
+    "D": ("D", "0.009", "long"),
+    "A": ("A", "0.01", "long"),
+    "C": ("C", "0.01", "long"),
+}
 
 
 @pytest.fixture
@@ -59,7 +117,9 @@ def mutate(monkeypatch):
         scope = dict(vars(module))
         exec(compile(source.replace(old, new), module.__file__, "exec"), scope)
         for place in [
-            m for n, m in sys.modules.items() if n.startswith("gaitsweep.tasks.proofs.") or n == "exact_gaits"
+            m
+            for n, m in sys.modules.items()
+            if n.startswith("gaitsweep.tasks.proofs.") or n == "exact_gaits"
         ]:
             for key, value in list(vars(place).items()):
                 own = getattr(value, "__module__", None) == module.__name__
@@ -71,12 +131,18 @@ def mutate(monkeypatch):
 
 def proved(letter):
     name, slope, label = REFERENCES[letter]
-    return prove(setting(name, slope), guess(reference(name, slope, label)), label=label).proved
+    return prove(
+        setting(name, slope), guess(reference(name, slope, label)), label=label
+    ).proved
 
 
 @pytest.mark.parametrize("letter", REFERENCES)
 def test_without_a_mutation_the_gait_is_proved(letter, mutate):
-    mutate("motion", "self.body, self.n = body, len(state) // 2", "self.n, self.body = len(state) // 2, body")
+    mutate(
+        "motion",
+        "self.body, self.n = body, len(state) // 2",
+        "self.n, self.body = len(state) // 2, body",
+    )
     assert proved(letter)
 
 

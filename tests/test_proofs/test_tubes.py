@@ -14,7 +14,10 @@ from gaitsweep.tasks.proofs.enclosure import NotProvedError
 from gaitsweep.tasks.proofs.keys import decimal, exact
 from gaitsweep.tasks.prove_gaits import prove_one
 
-KEPT = {path.stem: json.loads(path.read_text()) for path in sorted((REFERENCE / "proofs").glob("*.json"))}
+KEPT = {
+    path.stem: json.loads(path.read_text())
+    for path in sorted((REFERENCE / "proofs").glob("*.json"))
+}
 #: First flip of the simplest walker, to 20 digits at 256 bits.
 FLIP = "0.015088437941119463562"
 
@@ -27,8 +30,14 @@ def interval(middle, radius):
 def simplest(slope=0.015):
     keys, kneed = exact("D")
     close = guess(reference("D", "0.009", "long"))
-    found = prove_one({"walker": "D", "slope": str(slope), "gait": "long", "accuracy": 1e-12})["gaits"][0]["box"]
-    start = [found[name][0] for name in ("stance_angle", "stance_rate", "period")] if slope != 0.009 else close
+    found = prove_one(
+        {"walker": "D", "slope": str(slope), "gait": "long", "accuracy": 1e-12}
+    )["gaits"][0]["box"]
+    start = (
+        [found[name][0] for name in ("stance_angle", "stance_rate", "period")]
+        if slope != 0.009
+        else close
+    )
     return tubes.Family(keys, kneed, tubes.BY_SLOPE), [arb(x) for x in (*start, slope)]
 
 
@@ -47,7 +56,9 @@ def test_the_fold_of_the_physical_walker_with_locked_knees_is_an_interval():
     keys, kneed = exact("physical-straight")
     start = write_certificates._start("physical-straight", "long", 0.0153621)
     parameter, function = crossings.KINDS["fold"]
-    found = crossings.bracketed(tubes.Family(keys, kneed, parameter), start, 1e-6, function)
+    found = crossings.bracketed(
+        tubes.Family(keys, kneed, parameter), start, 1e-6, function
+    )
     kept = interval(*KEPT["physical-straight-fold"]["slope"])
     with ctx.workprec(200):
         assert found.slope.overlaps(kept)
@@ -62,13 +73,25 @@ def test_a_tube_holds_the_gaits_proved_one_by_one():
         tube = tubes.tube(family, tubes.point(family, start, 1e-18), arb(2e-7))
         assert tube.events().label == "long"
         for shift in (-1.9e-7, 0.7e-7, 2e-7):
-            at = [c + t * arb(shift) for c, t in zip(tube.middle, tube.tangent, strict=True)]
+            at = [
+                c + t * arb(shift)
+                for c, t in zip(tube.middle, tube.tangent, strict=True)
+            ]
             gait = tubes.point(family, at, 1e-18)
             assert tube.holds(gait)
-            # The derivative of the step map over the whole tube holds that of each gait.
-            pairs = zip(tube.step_derivative().entries(), gait.step_derivative().entries(), strict=True)
+            # The derivative of the step map over the whole tube holds that of each
+            # gait.
+            pairs = zip(
+                tube.step_derivative().entries(),
+                gait.step_derivative().entries(),
+                strict=True,
+            )
             assert all(wide.contains(thin.mid()) for wide, thin in pairs)
-        beyond = tubes.point(family, [c + t * arb(3e-7) for c, t in zip(tube.middle, tube.tangent, strict=True)], 1e-18)
+        beyond = tubes.point(
+            family,
+            [c + t * arb(3e-7) for c, t in zip(tube.middle, tube.tangent, strict=True)],
+            1e-18,
+        )
         assert not tube.holds(beyond)
 
 
@@ -93,7 +116,10 @@ def test_certificates_are_those_the_project_states():
     assert set(KEPT) == set(write_certificates.names())
     with ctx.workprec(200):
         assert interval(*KEPT["D-flip"]["slope"]).contains(arb(FLIP).mid())
-    assert all(not KEPT[f"E-long-{s}"]["stable"] for s in ("0.01", "0.003", "0.001", "0.0003", "0.0001"))
+    assert all(
+        not KEPT[f"E-long-{s}"]["stable"]
+        for s in ("0.01", "0.003", "0.001", "0.0003", "0.0001")
+    )
     tube = KEPT["D-long-tube"]
     ends = [
         (
@@ -107,7 +133,9 @@ def test_certificates_are_those_the_project_states():
     assert all(one[1] >= other[0] for one, other in itertools.pairwise(ends))
 
 
-@pytest.mark.parametrize("name", ["D-long-0.009", "B-short-0.01", "A-long-0.01", "C-long-0.01"])
+@pytest.mark.parametrize(
+    "name", ["D-long-0.009", "B-short-0.01", "A-long-0.01", "C-long-0.01"]
+)
 def test_a_certificate_of_each_structure_is_proved_again(name):
     prove_again(name)
 
@@ -135,12 +163,18 @@ def test_certificates_are_read_by_people():
         assert Path(path).stat().st_size < 100_000
 
 
-@pytest.mark.parametrize("name", [name for name, kept in KEPT.items() if kept["kind"] == "gait"])
+@pytest.mark.parametrize(
+    "name", [name for name, kept in KEPT.items() if kept["kind"] == "gait"]
+)
 def test_a_certificates_box_holds_the_reference_gait(name):
     """The references come from other equations, integrated in 113 and 256 bits."""
     kept = KEPT[name]
     walker = name[: -len(f"-{kept['gait']}-{kept['slope']}")]
-    known = [g for g in GAITS if (g["walker"], g["gait"], g["slope"]) == (walker, kept["gait"], kept["slope"])]
+    known = [
+        g
+        for g in GAITS
+        if (g["walker"], g["gait"], g["slope"]) == (walker, kept["gait"], kept["slope"])
+    ]
     if walker in ("D", "B", "A", "C"):
         assert known
     with ctx.workprec(400):
@@ -148,4 +182,6 @@ def test_a_certificates_box_holds_the_reference_gait(name):
             for key, x in kept["box"].items():
                 digits = arb(g[key])
                 assert interval(*x).overlaps(digits + abs(digits) * arb(0, 2e-24))
-            assert kept["stable"] is all(abs(complex(float(a), float(b))) < 1 for a, b in g["multipliers"])
+            assert kept["stable"] is all(
+                abs(complex(float(a), float(b))) < 1 for a, b in g["multipliers"]
+            )

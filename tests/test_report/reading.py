@@ -44,7 +44,9 @@ class Page(HTMLParser):
         return " ".join(self.words)
 
     def all(self, attribute: str) -> list[str]:
-        return [about[attribute] or "" for _, about in self.elements if attribute in about]
+        return [
+            about[attribute] or "" for _, about in self.elements if attribute in about
+        ]
 
 
 def numbers_in(path: Path) -> set[float]:
@@ -54,7 +56,9 @@ def numbers_in(path: Path) -> set[float]:
     def gather(group: netCDF4.Dataset) -> None:
         for variable in group.variables.values():
             if variable.dtype != "S1":
-                found.update(np.ravel(np.ma.filled(variable[...], 0)).astype(float).tolist())
+                found.update(
+                    np.ravel(np.ma.filled(variable[...], 0)).astype(float).tolist()
+                )
         for inner in group.groups.values():
             gather(inner)
 

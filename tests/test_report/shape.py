@@ -1,4 +1,6 @@
-"""An archive shaped as the contract says, from plain arrays: no solver and no run behind it."""
+"""An archive shaped as the contract says, from plain arrays: no solver and no run
+behind it.
+"""
 
 from __future__ import annotations
 
@@ -69,31 +71,53 @@ def write(
     provenance = {
         "study": study,
         "walkers": list(walkers.values()),
-        "varied": {key: [own] if isinstance(own, str) else own for key, own in (varied or {}).items()},
+        "varied": {
+            key: [own] if isinstance(own, str) else own
+            for key, own in (varied or {}).items()
+        },
         "packages": {"gaitsweep": "0.1.0", "numpy": "2.4.6"},
         "commit": "0123abcd",
         "cpu": ["avx2", "fma"],
     }
     units = {"slope": "rad", "stance_angle": "rad", "period": "1"}
-    about = {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(2), "provenance": json.dumps(provenance)}
+    about = {
+        "Conventions": "CF-1.11",
+        "gaitsweep_schema": np.int32(2),
+        "provenance": json.dumps(provenance),
+    }
     dataset = xr.Dataset(grid, coords, about)
-    points = [n for d, n in dataset.sizes.items() if d not in ("gait", "multiplier", "reason_index")]
+    points = [
+        n
+        for d, n in dataset.sizes.items()
+        if d not in ("gait", "multiplier", "reason_index")
+    ]
     dataset.attrs["checksum_chunk"] = np.array(points, np.int64)
     for name, variable in dataset.variables.items():
         if variable.dtype.kind in "fi":
-            variable.attrs.update(units=units.get(str(name), "1"), long_name=str(name).replace("_", " "))
+            variable.attrs.update(
+                units=units.get(str(name), "1"), long_name=str(name).replace("_", " ")
+            )
     if "status" in dataset:
-        dataset["status"].attrs.update(flag_values=np.arange(8, dtype="i1"), flag_meanings=NAMES)
+        dataset["status"].attrs.update(
+            flag_values=np.arange(8, dtype="i1"), flag_meanings=NAMES
+        )
         dataset["reason_text"] = ("reason_index", np.array(REASONS, dtype=object))
     dataset.to_netcdf(path, engine="netcdf4", encoding=as_characters(dataset))
     for group, columns in (tables or {}).items():
         table = xr.Dataset(
             {
-                k: ("row", np.asarray(v, dtype=object if np.asarray(v).dtype.kind == "U" else None))
+                k: (
+                    "row",
+                    np.asarray(
+                        v, dtype=object if np.asarray(v).dtype.kind == "U" else None
+                    ),
+                )
                 for k, v in columns.items()
             }
         )
-        table.to_netcdf(path, mode="a", group=group, engine="netcdf4", encoding=as_characters(table))
+        table.to_netcdf(
+            path, mode="a", group=group, engine="netcdf4", encoding=as_characters(table)
+        )
     if run is not None:
         path.with_name(f"{path.stem}.run.json").write_text(json.dumps(run))
     return path
@@ -101,4 +125,8 @@ def write(
 
 def as_characters(dataset: xr.Dataset) -> dict[str, dict[str, str]]:
     """The encoding by which strings are written as in archives."""
-    return {str(name): {"dtype": "S1"} for name, column in dataset.variables.items() if column.dtype.kind in "OU"}
+    return {
+        str(name): {"dtype": "S1"}
+        for name, column in dataset.variables.items()
+        if column.dtype.kind in "OU"
+    }

@@ -1,4 +1,6 @@
-"""Archives shaped as the contract says, with plausible numbers and no solver behind them."""
+"""Archives shaped as the contract says, with plausible numbers and no solver behind
+them.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,12 @@ from test_report.shape import GAITS, KNEED, POINT, write
 def short_angle(slope: np.ndarray, ratio: float) -> np.ndarray:
     """A curve that goes from 4 tanh²(π/2) γ/ρ to tanh(π/2)^(2/3) γ^(1/3)."""
     steep = np.tanh(np.pi / 2) ** (2 / 3) * slope ** (1 / 3)
-    return steep if ratio == 0 else (steep**-3.0 + (4 * np.tanh(np.pi / 2) ** 2 * slope / ratio) ** -3.0) ** (-1 / 3)
+    return (
+        steep
+        if ratio == 0
+        else (steep**-3.0 + (4 * np.tanh(np.pi / 2) ** 2 * slope / ratio) ** -3.0)
+        ** (-1 / 3)
+    )
 
 
 def _fitted(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
@@ -23,14 +30,20 @@ def _fitted(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
     return exponent, float(np.exp(log_amplitude))
 
 
-def transition(folder: Path, slopes: int = 80, ratios: tuple[float, ...] = (0.1, 0.05)) -> Path:
+def transition(
+    folder: Path, slopes: int = 80, ratios: tuple[float, ...] = (0.1, 0.05)
+) -> Path:
     """A ladder of foot masses with fits, claims, a trace, and a few points that failed."""
     ratios_, slope = np.array(ratios), np.geomspace(1e-6, 0.1, slopes)
     angle = np.full((len(ratios), slopes, 2), np.nan)
     status = np.zeros(angle.shape, dtype="i1")
     rows: list[dict[str, Any]] = []
     for i, ratio in enumerate(ratios):
-        angle[i, :, 0] = np.tanh(3.8120917945 / 2) ** (2 / 3) * slope ** (1 / 3) * (1 - 0.27 * slope ** (2 / 3))
+        angle[i, :, 0] = (
+            np.tanh(3.8120917945 / 2) ** (2 / 3)
+            * slope ** (1 / 3)
+            * (1 - 0.27 * slope ** (2 / 3))
+        )
         angle[i, :, 1] = short_angle(slope, ratio)
         for gait in (0, 1):
             cross = ratio**1.5 / 8
@@ -58,9 +71,13 @@ def transition(folder: Path, slopes: int = 80, ratios: tuple[float, ...] = (0.1,
                     )
     status[:, -3:, 0] = 1
     status[0, 5, 1], status[-1, 7, 1] = 2, 4
-    reason = np.select([status == 1, status == 2, status == 4], [1, 2, 3], 0).astype("i2")
+    reason = np.select([status == 1, status == 2, status == 4], [1, 2, 3], 0).astype(
+        "i2"
+    )
     angle[status != 0] = np.nan
-    radius = np.where(np.arange(2) == 0, 0.6 + 20 * slope[:, None], 4.0) * np.ones_like(angle)
+    radius = np.where(np.arange(2) == 0, 0.6 + 20 * slope[:, None], 4.0) * np.ones_like(
+        angle
+    )
     ladder = np.geomspace(1e-5, 0.1, 9)
     crossing = ladder**1.5 / 8 * (1 + 1.2 * ladder**0.5)
     study = """name = "transition"
@@ -76,7 +93,12 @@ claims = ["E2", "E3", "E4"]
     claims = {
         "id": ["E2", "E3", "E4", "Z5"],
         "printed": ["1/3", "1 below, 1/3 above", "2.828", "every walker"],
-        "quotation": ["proportional to the cube root", "proportional to γ", "approximately as observed", "all of them"],
+        "quotation": [
+            "proportional to the cube root",
+            "proportional to γ",
+            "approximately as observed",
+            "all of them",
+        ],
         "value": [0.3333, 1.0, 3.69, 0.0],
         "printed_value": [1 / 3, 1.0, 2.828, np.nan],
         "printed_half_unit": [0.0, 0.0, 5e-4, np.nan],
@@ -116,7 +138,9 @@ claims = ["E2", "E3", "E4"]
         "host": "secret-host",
         "points": int(angle.size),
     }
-    return write(folder / "transition.nc", study, grid, coords, {"E": POINT}, tables, run)
+    return write(
+        folder / "transition.nc", study, grid, coords, {"E": POINT}, tables, run
+    )
 
 
 def tuned(folder: Path) -> Path:
@@ -124,12 +148,20 @@ def tuned(folder: Path) -> Path:
     names, slope = ["A", "B", "D", "E"], np.geomspace(1e-5, 0.06, 70)
     angle = np.stack(
         [
-            np.stack([0.97 * (1 - 0.06 * k) * slope ** (1 / 3), short_angle(slope, [0.2, 0.15, 0.0, 0.1][k])], -1)
+            np.stack(
+                [
+                    0.97 * (1 - 0.06 * k) * slope ** (1 / 3),
+                    short_angle(slope, [0.2, 0.15, 0.0, 0.1][k]),
+                ],
+                -1,
+            )
             for k in range(4)
         ]
     )
     dims = ("walker", "slope", "gait")
-    radius = np.where(np.arange(2) == 0, 0.5 + 30 * slope[:, None], 3.0) * np.ones_like(angle)
+    radius = np.where(np.arange(2) == 0, 0.5 + 30 * slope[:, None], 3.0) * np.ones_like(
+        angle
+    )
     study = (
         'name = "tuned walkers"\nwalker = ["A", "B", "D", "E"]\n[axes]\nslope = [0.01]\n'
         '[want]\nfigures = ["loglog", "linear", "walker"]\n'
@@ -144,16 +176,34 @@ def tuned(folder: Path) -> Path:
             "reason": (dims, np.zeros(angle.shape, "i2")),
         },
         {"walker": np.array(names, dtype=object), "slope": slope, "gait": GAITS},
-        {"A": KNEED | {"knees": False}, "B": POINT | {"R": 0.2}, "D": POINT | {"m_t": 0.5, "m_s": 0.0}, "E": POINT},
-        {"figure9": {"walker": names, "l_t": [0.35, 0.5, 0.5, 0.5], "m_t": [2.345, 0.4, 0.5, 0.4], "knees": [0] * 4}},
+        {
+            "A": KNEED | {"knees": False},
+            "B": POINT | {"R": 0.2},
+            "D": POINT | {"m_t": 0.5, "m_s": 0.0},
+            "E": POINT,
+        },
+        {
+            "figure9": {
+                "walker": names,
+                "l_t": [0.35, 0.5, 0.5, 0.5],
+                "m_t": [2.345, 0.4, 0.5, 0.4],
+                "knees": [0] * 4,
+            }
+        },
     )
 
 
 def jumping(folder: Path) -> Path:
-    """A branch with a fold, both pieces long, and another branch: `long` jumps to it, as the first becomes `other1`."""
+    """A branch with a fold, both pieces long, and another branch: `long` jumps to it,
+    as the first becomes `other1`.
+    """
     slope = np.linspace(0.005, 0.08, 151)
     pieces = np.stack(
-        [np.where(slope < 0.03, 0.05 - slope, np.nan), 0.1 + 2 * slope, np.where(slope > 0.02, 0.3 + slope, np.nan)]
+        [
+            np.where(slope < 0.03, 0.05 - slope, np.nan),
+            0.1 + 2 * slope,
+            np.where(slope > 0.02, 0.3 + slope, np.nan),
+        ]
     )
     numbers = np.array([[0, 0], [0, 1], [1, 0]])
     order = np.argsort(-pieces, axis=0)
@@ -185,17 +235,40 @@ def jumping(folder: Path) -> Path:
     }
     table = {k: v if isinstance(v, list) else [v] * 2 for k, v in fit.items()}
     return write(
-        folder / "jumping.nc", study, grid, {"slope": slope, "gait": gaits}, {"E": POINT}, {"fits/scaling": table}
+        folder / "jumping.nc",
+        study,
+        grid,
+        {"slope": slope, "gait": gaits},
+        {"E": POINT},
+        {"fits/scaling": table},
     )
 
 
 def detuning(folder: Path, lines: int = 6) -> Path:
     """Branches through folds, one panel a detuning, with special points; a kneed trace."""
     columns: dict[str, list] = {
-        k: [] for k in ("walker", "detuning", "branch", "slope", "stance_angle", "period", "stable")
+        k: []
+        for k in (
+            "walker",
+            "detuning",
+            "branch",
+            "slope",
+            "stance_angle",
+            "period",
+            "stable",
+        )
     }
     special: dict[str, list] = {
-        k: [] for k in ("walker", "detuning", "kind", "slope", "stance_angle", "period", "error_bound")
+        k: []
+        for k in (
+            "walker",
+            "detuning",
+            "kind",
+            "slope",
+            "stance_angle",
+            "period",
+            "error_bound",
+        )
     }
     for value in np.linspace(0, 1, lines):
         s = np.linspace(-1, 1, 121)
@@ -208,8 +281,16 @@ def detuning(folder: Path, lines: int = 6) -> Path:
         columns["stance_angle"] += list(angle)
         columns["period"] += list(0.7 + angle)
         columns["stable"] += list(((s > 0.1) & (s < 0.6)).astype("i1"))
-        for kind, k in (("fold", int(np.argmin(slope))), ("flip", 96), ("end_kneestrike_at_heelstrike", 120)):
-            for name, item in zip(special, ("C", value, kind, slope[k], angle[k], 0.7 + angle[k], 1e-9), strict=True):
+        for kind, k in (
+            ("fold", int(np.argmin(slope))),
+            ("flip", 96),
+            ("end_kneestrike_at_heelstrike", 120),
+        ):
+            for name, item in zip(
+                special,
+                ("C", value, kind, slope[k], angle[k], 0.7 + angle[k], 1e-9),
+                strict=True,
+            ):
                 special[name].append(item)
     study = (
         'name = "detuning"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = { from = 1e-4, to = 0.06, n = 100 }\n'
@@ -221,7 +302,11 @@ def detuning(folder: Path, lines: int = 6) -> Path:
         {},
         {},
         {"C": KNEED},
-        {"branches": columns, "special_points": special, "trace": simplest_trace("C", {}, knees=True)},
+        {
+            "branches": columns,
+            "special_points": special,
+            "trace": simplest_trace("C", {}, knees=True),
+        },
     )
 
 
@@ -232,9 +317,17 @@ def cascade(folder: Path, points: int = 6000) -> Path:
     for _ in range(400):
         x = r * x * (1 - x)
     for k in range(20):
-        x[k::20] = x[k::20] if k == 0 else (r * 1.0)[k::20] * x[k - 1 :: 20] * (1 - x[k - 1 :: 20])
-    start = np.stack(np.meshgrid(np.linspace(0.1, 0.3, 50), np.linspace(-0.3, -0.1, 50)), -1).reshape(-1, 2)
-    outcome = np.where(np.hypot(start[:, 0] - 0.2, start[:, 1] + 0.2) < 0.05, "long", "fell")
+        x[k::20] = (
+            x[k::20]
+            if k == 0
+            else (r * 1.0)[k::20] * x[k - 1 :: 20] * (1 - x[k - 1 :: 20])
+        )
+    start = np.stack(
+        np.meshgrid(np.linspace(0.1, 0.3, 50), np.linspace(-0.3, -0.1, 50)), -1
+    ).reshape(-1, 2)
+    outcome = np.where(
+        np.hypot(start[:, 0] - 0.2, start[:, 1] + 0.2) < 0.05, "long", "fell"
+    )
     study = (
         'name = "cascade"\nkind = "orbit"\nwalker = "C"\n[axes]\nslope = [0.07]\n'
         '[want]\nfigures = ["bifurcation", "basin", "nonsense"]\n'
@@ -246,8 +339,16 @@ def cascade(folder: Path, points: int = 6000) -> Path:
         {},
         {"C": KNEED},
         {
-            "orbits": {"walker": ["C"] * len(slope), "slope": slope, "stance_angle": 0.2 + 0.1 * x},
-            "basin": {"stance_angle": start[:, 0], "stance_rate": start[:, 1], "outcome": outcome},
+            "orbits": {
+                "walker": ["C"] * len(slope),
+                "slope": slope,
+                "stance_angle": 0.2 + 0.1 * x,
+            },
+            "basin": {
+                "stance_angle": start[:, 0],
+                "stance_rate": start[:, 1],
+                "outcome": outcome,
+            },
         },
     )
 
@@ -256,16 +357,26 @@ def states(angles: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Made-up states of the gaits of a design map's quantities, by their stance angles."""
     return {
         f"{name}{mapped.ending}": share * angle
-        for mapped, angle in zip(design_maps.MAPPED.values(), angles.values(), strict=True)
-        for name, share in (("stance_angle", 1.0), ("stance_rate", -1.0), ("thigh_rate", -0.9))
+        for mapped, angle in zip(
+            design_maps.MAPPED.values(), angles.values(), strict=True
+        )
+        for name, share in (
+            ("stance_angle", 1.0),
+            ("stance_rate", -1.0),
+            ("thigh_rate", -0.9),
+        )
     }
 
 
 def design(folder: Path, side: int = 40) -> Path:
     """A design map over foot radius and slope."""
     radius, slope = np.linspace(0.0, 0.4, side), np.linspace(0.002, 0.06, side)
-    speed = 0.2 + radius[:, None, None] + 3 * slope[None, :, None] + np.array([0.0, 0.05])
-    spectral = 0.4 + 12 * slope[None, :, None] + radius[:, None, None] + np.array([0.0, 1.5])
+    speed = (
+        0.2 + radius[:, None, None] + 3 * slope[None, :, None] + np.array([0.0, 0.05])
+    )
+    spectral = (
+        0.4 + 12 * slope[None, :, None] + radius[:, None, None] + np.array([0.0, 1.5])
+    )
     speed[(radius[:, None] < 0.1) & (slope[None, :] > 0.05)] = np.nan
     status = np.isnan(speed).astype("i1")
     dims = ("R", "slope", "gait")
@@ -298,10 +409,24 @@ def design(folder: Path, side: int = 40) -> Path:
     )
 
 
-def simplest_trace(walker: str, settings: dict[str, float], knees: bool = False) -> dict[str, Any]:
-    """One step of the simplest walker at 0.009, both gaits; a made-up flexion where there are knees."""
+def simplest_trace(
+    walker: str, settings: dict[str, float], knees: bool = False
+) -> dict[str, Any]:
+    """One step of the simplest walker at 0.009, both gaits; a made-up flexion where
+    there are knees.
+    """
     rows: dict[str, list] = {
-        k: [] for k in ("walker", *settings, "gait", "slope", "time", "theta_st", "theta_th", "theta_sh")
+        k: []
+        for k in (
+            "walker",
+            *settings,
+            "gait",
+            "slope",
+            "time",
+            "theta_st",
+            "theta_th",
+            "theta_sh",
+        )
     }
     for gait, angle, rate in (
         ("long", 0.2003109005442470, -0.1998324730049523),
@@ -310,7 +435,12 @@ def simplest_trace(walker: str, settings: dict[str, float], knees: bool = False)
 
         def fall(_, y, slope=0.009):
             acceleration = np.sin(y[0] - slope)
-            return [y[2], y[3], acceleration, acceleration + np.sin(y[1]) * (y[2] ** 2 - np.cos(y[0] - slope))]
+            return [
+                y[2],
+                y[3],
+                acceleration,
+                acceleration + np.sin(y[1]) * (y[2] ** 2 - np.cos(y[0] - slope)),
+            ]
 
         done = solve_ivp(
             fall,
@@ -326,7 +456,11 @@ def simplest_trace(walker: str, settings: dict[str, float], knees: bool = False)
         time = np.linspace(0, period, 121)
         stance, between = done.sol(time)[:2]
         thigh = stance - between
-        flexion = 0.55 * np.sin(np.pi * np.clip(time / (0.7 * period), 0, 1)) ** 2 if knees else 0.0
+        flexion = (
+            0.55 * np.sin(np.pi * np.clip(time / (0.7 * period), 0, 1)) ** 2
+            if knees
+            else 0.0
+        )
         for name, column in zip(
             rows,
             (
@@ -351,4 +485,10 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, list]:
 
 def everything(folder: Path) -> list[Path]:
     """One archive of each kind."""
-    return [transition(folder), tuned(folder), detuning(folder), cascade(folder), design(folder)]
+    return [
+        transition(folder),
+        tuned(folder),
+        detuning(folder),
+        cascade(folder),
+        design(folder),
+    ]

@@ -10,7 +10,15 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from gaitsweep.pipeline.report import cells, folder, html_tables
-from gaitsweep.pipeline.report.figures import FIGURES, Undrawn, design_maps, draw, families, fields, landmarks
+from gaitsweep.pipeline.report.figures import (
+    FIGURES,
+    Undrawn,
+    design_maps,
+    draw,
+    families,
+    fields,
+    landmarks,
+)
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -44,7 +52,15 @@ def sources(archives):
     ("study", "name"),
     [
         ("transition", n)
-        for n in ("loglog", "linear", "residuals", "transition_ladder", "angles", "walker", "conditions")
+        for n in (
+            "loglog",
+            "linear",
+            "residuals",
+            "transition_ladder",
+            "angles",
+            "walker",
+            "conditions",
+        )
     ]
     + [("detuning", "locus"), ("cascade", "bifurcation"), ("cascade", "basin")]
     + [("design", "heatmap"), ("design", "design")],
@@ -56,7 +72,10 @@ def test_each_figure_is_drawn_from_its_archive(sources, study, name):
     assert sum(len(one["rows"]) for one in drawing.targets) <= TARGETS
 
 
-@pytest.mark.parametrize("name", [n for n in FIGURES if n not in ("bifurcation", "basin", "walker", "conditions")])
+@pytest.mark.parametrize(
+    "name",
+    [n for n in FIGURES if n not in ("bifurcation", "basin", "walker", "conditions")],
+)
 def test_a_figure_whose_data_is_missing_is_not_drawn(sources, name):
     with pytest.raises(Undrawn, match="^the archive holds nothing to draw it from$"):
         draw(sources["cascade"], name, "test")
@@ -69,7 +88,11 @@ def test_marks_lie_on_the_curve_and_carry_the_command_of_their_point(sources):
     assert "foot_mass_ratio=0.1" in one["command"]
     rows = np.array([row[:3] for row in one["rows"]], float)
     assert (np.diff(rows[:, 0]) > 0).all()
-    assert np.isclose(rows[:, 2], sources["transition"].grid["slope"].values[:, None]).any(axis=0).all()
+    assert (
+        np.isclose(rows[:, 2], sources["transition"].grid["slope"].values[:, None])
+        .any(axis=0)
+        .all()
+    )
     assert rows[:, 0].max() <= drawing.width
     assert rows[:, 1].max() <= drawing.height
 
@@ -89,10 +112,15 @@ def test_no_line_joins_two_branches_or_two_pieces_of_one(tmp_path, name):
     source = read(synthetic.jumping(tmp_path))
     sketch = FIGURES[name](source)
     runs = list(_drawn(sketch))
-    assert all(np.abs(np.diff(y)).max(initial=0) < (0.02 if name != "residuals" else 5) for _, y in runs)
+    assert all(
+        np.abs(np.diff(y)).max(initial=0) < (0.02 if name != "residuals" else 5)
+        for _, y in runs
+    )
     if name != "residuals":
         # The curve that changes its label at 0.02 has no gap there.
-        assert any((x.min() < 0.0201) & (x.max() > 0.02) & (len(x) > 20) for x, _ in runs)
+        assert any(
+            (x.min() < 0.0201) & (x.max() > 0.02) & (len(x) > 20) for x, _ in runs
+        )
         assert set(sketch.data["gait"]) == {"long", "other1", "other2"}
         last = next(x for x, y in runs if y[0] == pytest.approx(0.11))
         assert last[-1] == pytest.approx(0.0205)
@@ -100,20 +128,36 @@ def test_no_line_joins_two_branches_or_two_pieces_of_one(tmp_path, name):
 
 def test_fitted_laws_of_two_branches_are_not_carried_on_to_a_crossing(tmp_path):
     axes = FIGURES["loglog"](read(synthetic.jumping(tmp_path))).figure.axes[0]
-    ends = [tuple(line.get_xdata()) for line in axes.lines if line.get_color() == MUTED and len(line.get_xdata()) == 2]
+    ends = [
+        tuple(line.get_xdata())
+        for line in axes.lines
+        if line.get_color() == MUTED and len(line.get_xdata()) == 2
+    ]
     assert sorted(ends) == [(0.005, 0.03), (0.03, 0.08)]
 
 
 @pytest.mark.parametrize(("edge", "parts"), [(0.04, 2), (0.06, 1)])
-def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(tmp_path, edge, parts):
-    way = np.linspace(-1, 1, 201)  # through a fold at slope 0.05, and through 0.04 on the way there and back
+def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(
+    tmp_path, edge, parts
+):
+    way = np.linspace(
+        -1, 1, 201
+    )  # through a fold at slope 0.05, and through 0.04 on the way there and back
     slope, angle = 0.05 - 0.04 * way**2, 0.2 + 0.1 * way
     kept = slope <= edge + 1e-12
-    rows = {"branch": np.zeros(kept.sum(), int), "slope": slope[kept], "stance_angle": angle[kept]}
+    rows = {
+        "branch": np.zeros(kept.sum(), int),
+        "slope": slope[kept],
+        "stance_angle": angle[kept],
+    }
     text = f'name = "window"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, {edge}]'
     archive = write(tmp_path / "w.nc", text, {}, {}, {"C": KNEED}, {"branches": rows})
     axes = FIGURES["locus"](read(archive)).figure.axes[0]
-    runs = [y for y in (np.asarray(line.get_ydata(), float) for line in axes.lines) if np.isfinite(y).any()]
+    runs = [
+        y
+        for y in (np.asarray(line.get_ydata(), float) for line in axes.lines)
+        if np.isfinite(y).any()
+    ]
     assert len(runs) == parts and sum(map(len, runs)) == kept.sum()
     assert max(np.abs(np.diff(y)).max() for y in runs) < 0.002
 
@@ -121,39 +165,70 @@ def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(tmp_pa
 def test_a_locus_marks_no_point_where_a_branch_leaves_the_window(tmp_path):
     slope = np.linspace(0.01, 0.04, 30)
     rows = {"branch": np.zeros(30, int), "slope": slope, "stance_angle": 0.1 + slope}
-    kinds = {"kind": ["flip", "window"], "slope": [0.02, 0.04], "stance_angle": [0.12, 0.14]}
-    text = 'name = "window"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.04]'
+    kinds = {
+        "kind": ["flip", "window"],
+        "slope": [0.02, 0.04],
+        "stance_angle": [0.12, 0.14],
+    }
+    text = (
+        'name = "window"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.04]'
+    )
     tables = {"branches": rows, "special_points": kinds}
 
-    axes = FIGURES["locus"](read(write(tmp_path / "w.nc", text, {}, {}, {"C": KNEED}, tables))).figure.axes[0]
+    axes = FIGURES["locus"](
+        read(write(tmp_path / "w.nc", text, {}, {}, {"C": KNEED}, tables))
+    ).figure.axes[0]
 
-    marked = [line.get_xdata().tolist() for line in axes.lines if line.get_linestyle() == "None"]
+    marked = [
+        line.get_xdata().tolist()
+        for line in axes.lines
+        if line.get_linestyle() == "None"
+    ]
     assert [0.02] in marked and [0.04] not in marked
 
 
 def _quantities(folder, **columns):
-    """A line of two gaits with some variables, those of the second twice those of the first."""
+    """A line of two gaits with some variables, those of the second twice those of the
+    first.
+    """
     slope = np.geomspace(0.01, 0.1, 40)
     grid = {
-        name: (("slope", "gait"), np.stack([values(slope), 2 * values(slope)], 1)) for name, values in columns.items()
+        name: (("slope", "gait"), np.stack([values(slope), 2 * values(slope)], 1))
+        for name, values in columns.items()
     }
     study = 'name = "quantities"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
-    return write(folder / "quantities.nc", study, grid, {"slope": slope, "gait": GAITS}, {"C": KNEED})
+    return write(
+        folder / "quantities.nc",
+        study,
+        grid,
+        {"slope": slope, "gait": GAITS},
+        {"C": KNEED},
+    )
 
 
 def test_power_and_speed_have_each_its_own_unit(tmp_path):
-    archive = _quantities(tmp_path, speed=lambda s: s ** (1 / 3), power=lambda s: s ** (4 / 3))
+    archive = _quantities(
+        tmp_path, speed=lambda s: s ** (1 / 3), power=lambda s: s ** (4 / 3)
+    )
     with netCDF4.Dataset(archive, "a") as file:
         file["speed"].units, file["power"].units = "m s-1", "W"
     axes = FIGURES["power"](read(archive)).figure.axes[0]
-    assert (axes.get_xlabel(), axes.get_title(loc="left")) == ("speed v (m s⁻¹)", "power P (W)")
+    assert (axes.get_xlabel(), axes.get_title(loc="left")) == (
+        "speed v (m s⁻¹)",
+        "power P (W)",
+    )
 
 
 @pytest.mark.parametrize("name", ["multipliers", "measured"])
 def test_no_line_crosses_slopes_without_a_gait(tmp_path, name):
-    archive = _quantities(tmp_path, spectral_radius=lambda s: np.where((s > 0.03) & (s < 0.05), np.nan, 0.7))
+    archive = _quantities(
+        tmp_path,
+        spectral_radius=lambda s: np.where((s > 0.03) & (s < 0.05), np.nan, 0.7),
+    )
     overlay = {"slope": [0.02], "spectral_radius": [0.1]}
-    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(
+        archive, mode="a", group="overlay"
+    )
     runs = [x for x, _ in _drawn(FIGURES[name](read(archive)))]
     assert {x[-1] < 0.03 or x[0] > 0.05 for x in runs} == {True}
 
@@ -161,23 +236,43 @@ def test_no_line_crosses_slopes_without_a_gait(tmp_path, name):
 @pytest.mark.parametrize("name", ["linear", "multipliers", "measured"])
 def test_a_gait_at_one_slope_alone_is_a_dot(tmp_path, name):
     """A line of one point is invisible."""
-    alone = {v: lambda s: np.where(s == s[3], 0.3, np.nan) for v in ("stance_angle", "spectral_radius")}
+    alone = {
+        v: lambda s: np.where(s == s[3], 0.3, np.nan)
+        for v in ("stance_angle", "spectral_radius")
+    }
     archive = _quantities(tmp_path, **alone)
     overlay = {"slope": [0.02], "spectral_radius": [0.1]}
-    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(
+        archive, mode="a", group="overlay"
+    )
     axes = FIGURES[name](read(archive)).figure.axes[0]
     dots = [line.get_xdata() for line in axes.lines if line.get_marker() == "o"]
     assert len(dots) == 2 and np.allclose(dots, np.geomspace(0.01, 0.1, 40)[3])
 
 
 @pytest.mark.parametrize("walkers", [("D",), ("A", "B", "D"), tuple("ABCDEFGHIJKL")])
-def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_path, walkers):
+def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(
+    tmp_path, walkers
+):
     slope = np.tile([1e-3, 1e-2], len(walkers))
-    rows = {"walker": np.repeat(walkers, 2), "slope": slope, "anthropomorphic": np.ones(len(slope), int)}
+    rows = {
+        "walker": np.repeat(walkers, 2),
+        "slope": slope,
+        "anthropomorphic": np.ones(len(slope), int),
+    }
     counts = {"unseen": np.full(len(slope), 0.1), "converged": np.full(len(slope), 9)}
     text = f'name = "census"\nkind = "census"\nwalker = {list(walkers)}\n[axes]\nslope = [0.001, 0.01]\n'
-    tables = {"census": rows | {"stance_angle": slope ** (1 / 3)}, "coverage": rows | counts}
-    sketch = FIGURES["census"](read(write(tmp_path / "c.nc", text, {}, {}, dict.fromkeys(walkers, POINT), tables)))
+    tables = {
+        "census": rows | {"stance_angle": slope ** (1 / 3)},
+        "coverage": rows | counts,
+    }
+    sketch = FIGURES["census"](
+        read(
+            write(
+                tmp_path / "c.nc", text, {}, {}, dict.fromkeys(walkers, POINT), tables
+            )
+        )
+    )
     drawn = np.array([mark.rows[mark.x] for mark in sketch.marks]) / [1e-3, 1e-2]
     assert np.abs(np.log(drawn)).max() < np.log(1.25) * (len(walkers) > 1) + 1e-12
     np.testing.assert_allclose(np.exp(np.log(drawn).mean()), 1)
@@ -186,53 +281,116 @@ def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_pa
 
 @pytest.mark.parametrize(
     ("outcome", "share"),
-    [("knee never struck", "75"), ("motion lost", "75"), ("fell forward", "75"), ("walks on", "100")],
+    [
+        ("knee never struck", "75"),
+        ("motion lost", "75"),
+        ("fell forward", "75"),
+        ("walks on", "100"),
+    ],
 )
-def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_digits(tmp_path, outcome, share):
-    angle, rate = (side.ravel() for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10)))
-    rows = {"stance_angle": angle, "stance_rate": rate, "outcome": np.where(np.arange(100) < 25, outcome, "long")}
+def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_digits(
+    tmp_path, outcome, share
+):
+    angle, rate = (
+        side.ravel()
+        for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10))
+    )
+    rows = {
+        "stance_angle": angle,
+        "stance_rate": rate,
+        "outcome": np.where(np.arange(100) < 25, outcome, "long"),
+    }
     text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
-    sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"basin": rows})))
+    sketch = FIGURES["basin"](
+        read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"basin": rows}))
+    )
     assert f"{share} % of the initial conditions lead to walking." == sketch.words[3]
 
 
 @pytest.mark.parametrize(
-    ("walker", "title", "when"), [(KNEED, "stance rate", "before"), (POINT, "stance rate θ̇*", "after")]
+    ("walker", "title", "when"),
+    [(KNEED, "stance rate", "before"), (POINT, "stance rate θ̇*", "after")],
 )
-def test_a_basin_in_a_section_of_three_coordinates_says_which_plane_and_which_rates(tmp_path, walker, title, when):
-    angle, rate = (side.ravel() for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10)))
-    rows = {"slope": np.full(100, 0.05), "stance_angle": angle, "stance_rate": rate, "swing_rate": 1.25 * rate}
+def test_a_basin_in_a_section_of_three_coordinates_says_which_plane_and_which_rates(
+    tmp_path, walker, title, when
+):
+    angle, rate = (
+        side.ravel()
+        for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10))
+    )
+    rows = {
+        "slope": np.full(100, 0.05),
+        "stance_angle": angle,
+        "stance_rate": rate,
+        "swing_rate": 1.25 * rate,
+    }
     text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
     tables = {"basin": rows | {"outcome": np.array(["long"] * 100)}}
-    sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": walker}, tables)))
+    sketch = FIGURES["basin"](
+        read(write(tmp_path / "b.nc", text, {}, {}, {"C": walker}, tables))
+    )
     assert sketch.figure.axes[0].get_title(loc="left") == title
-    assert f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.words[1]
+    assert (
+        f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike"
+        in sketch.words[1]
+    )
 
 
 def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_path):
     radius, slope = np.array([0.1, 0.2]), np.geomspace(1e-4, 0.1, 4)
     grid = {"speed": (("R", "slope", "gait"), np.ones((2, 4, 2)))}
     text = 'name = "map"\nwalker = "B"\n[axes]\nslope = [0.01]\n'
-    archive = write(tmp_path / "m.nc", text, grid, {"R": radius, "slope": slope, "gait": GAITS}, {"B": POINT})
+    archive = write(
+        tmp_path / "m.nc",
+        text,
+        grid,
+        {"R": radius, "slope": slope, "gait": GAITS},
+        {"B": POINT},
+    )
     axes = FIGURES["heatmap"](read(archive)).figure.axes[0]
     borders = axes.collections[0].get_coordinates()[0, :, 0]
-    np.testing.assert_allclose(borders, np.geomspace(1e-4, 0.1, 4)[0] * 10 ** (np.arange(5) - 0.5))
+    np.testing.assert_allclose(
+        borders, np.geomspace(1e-4, 0.1, 4)[0] * 10 ** (np.arange(5) - 0.5)
+    )
     assert axes.get_xlim() == pytest.approx((borders[0], borders[-1]))
 
 
-def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(tmp_path):
+def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(
+    tmp_path,
+):
     kinds = ["fold", "flip"]
-    curve = {"curve": [0, 0, 1, 1], "kind": np.repeat(kinds, 2), "key": ["detuning"] * 4, "slope": [0.01, 0.02] * 2}
-    turns = {"turn": ["key"] * 2, "kind": kinds, "slope": [0.011, 0.021], "value": [0.5, 0.6]}
-    text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    curve = {
+        "curve": [0, 0, 1, 1],
+        "kind": np.repeat(kinds, 2),
+        "key": ["detuning"] * 4,
+        "slope": [0.01, 0.02] * 2,
+    }
+    turns = {
+        "turn": ["key"] * 2,
+        "kind": kinds,
+        "slope": [0.011, 0.021],
+        "value": [0.5, 0.6],
+    }
+    text = (
+        'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    )
     tables = {"curves": curve | {"value": [0.1, 0.2] * 2}, "turnings": turns}
-    sketch = FIGURES["curves"](read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)))
+    sketch = FIGURES["curves"](
+        read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
+    )
     assert "re-pair at detuning 0.5 and slope 0.011 rad." in sketch.words[3]
 
 
 def test_a_curve_names_the_unit_of_its_key(tmp_path):
-    curve = {"curve": [0, 0, 1, 1], "kind": np.repeat(["flip", "fold"], 2), "key": ["R"] * 4, "slope": [0.01, 0.02] * 2}
-    text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    curve = {
+        "curve": [0, 0, 1, 1],
+        "kind": np.repeat(["flip", "fold"], 2),
+        "key": ["R"] * 4,
+        "slope": [0.01, 0.02] * 2,
+    }
+    text = (
+        'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    )
     tables = {"curves": curve | {"value": [0.1, 0.2] * 2}}
     archive = write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)
     with netCDF4.Dataset(archive, "a") as file:
@@ -242,12 +400,25 @@ def test_a_curve_names_the_unit_of_its_key(tmp_path):
     assert sketch.words[1] == "Flips and folds over slope and R."
 
 
-@pytest.mark.parametrize(("ratios", "said"), [([4.5], " is 4.5."), ([4.5, 4.6], "s are 4.5, 4.6."), ([np.nan], "")])
+@pytest.mark.parametrize(
+    ("ratios", "said"),
+    [([4.5], " is 4.5."), ([4.5, 4.6], "s are 4.5, 4.6."), ([np.nan], "")],
+)
 def test_the_last_ratios_of_a_cascade_are_counted(tmp_path, ratios, said):
-    flips = {"slope": [0.01, 0.015, 0.016], "kind": ["flip"] * 3, "family": ["1"] * 3, "period": [1, 2, 4]}
+    flips = {
+        "slope": [0.01, 0.015, 0.016],
+        "kind": ["flip"] * 3,
+        "family": ["1"] * 3,
+        "period": [1, 2, 4],
+    }
     text = 'name = "cascade"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n'
-    tables = {"cascade": flips, "accumulation": {"slope": [0.0163] * len(ratios), "ratio": ratios}}
-    sketch = FIGURES["cascade"](read(write(tmp_path / "c.nc", text, {}, {}, {"D": POINT}, tables)))
+    tables = {
+        "cascade": flips,
+        "accumulation": {"slope": [0.0163] * len(ratios), "ratio": ratios},
+    }
+    sketch = FIGURES["cascade"](
+        read(write(tmp_path / "c.nc", text, {}, {}, {"D": POINT}, tables))
+    )
     assert sketch.words[3].startswith(f"The last ratio{said}" if said else "")
 
 
@@ -256,39 +427,77 @@ def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, li
     radius = np.repeat(np.linspace(0.1, 0.2, lines), 2)
     orbits = {"R": radius, "slope": [0.01, 0.02] * lines, "stance_angle": radius}
     text = 'name = "orbits"\nkind = "orbit"\nwalker = "B"\n[axes]\nslope = [0.01, 0.02]\nR = [0.1, 0.2]\n'
-    sketch = FIGURES["bifurcation"](read(write(tmp_path / "o.nc", text, {}, {}, {"B": POINT}, {"orbits": orbits})))
+    sketch = FIGURES["bifurcation"](
+        read(write(tmp_path / "o.nc", text, {}, {}, {"B": POINT}, {"orbits": orbits}))
+    )
     assert sum(bool(axes.lines) for axes in sketch.figure.axes) == 6
     assert ("6 of 9 lines are drawn." in sketch.words[1]) == (lines == 9)
 
 
 def test_branches_of_one_label_have_one_colour_and_one_entry_in_the_legend(tmp_path):
     slope = np.linspace(0.01, 0.05, 30)
-    rows = {"branch": np.repeat([0, 1], 30), "slope": np.tile(slope, 2), "stance_angle": np.append(slope, 2 * slope)}
+    rows = {
+        "branch": np.repeat([0, 1], 30),
+        "slope": np.tile(slope, 2),
+        "stance_angle": np.append(slope, 2 * slope),
+    }
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
-    archive = write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"branches": rows | {"gait": ["long"] * 60}})
+    archive = write(
+        tmp_path / "b.nc",
+        text,
+        {},
+        {},
+        {"C": KNEED},
+        {"branches": rows | {"gait": ["long"] * 60}},
+    )
     sketch = FIGURES["locus"](read(archive))
     assert [key.get_label() for key in sketch.keys] == ["long step"]
-    assert {line.get_color() for line in sketch.panels[0].lines if len(line.get_xdata()) > 1} == {COLOURS["line0"]}
+    assert {
+        line.get_color() for line in sketch.panels[0].lines if len(line.get_xdata()) > 1
+    } == {COLOURS["line0"]}
 
 
 @pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])
 def test_a_design_map_tells_of_circles_where_it_has_some(tmp_path, key, own):
     side = np.linspace(0.1, 0.3, 3)
     names = (*design_maps.MAPPED, "fastest_slope")
-    rows = {key: np.repeat(side, 3), "c_t": np.tile(side, 3), **dict.fromkeys(names, np.arange(9) / 100)}
+    rows = {
+        key: np.repeat(side, 3),
+        "c_t": np.tile(side, 3),
+        **dict.fromkeys(names, np.arange(9) / 100),
+    }
     text = f'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\n{key} = [0.1, 0.3]\nc_t = [0.1]\nslope = [0.01, 0.1]\n'
     walker = POINT | {"R": 0.2, "c_t": 0.2}
-    sketch = FIGURES["design"](read(write(tmp_path / "d.nc", text, {}, {}, {"B": walker}, {"design": rows})))
-    assert ("Circles: the walker itself." in sketch.words[1]) == own == bool(sketch.figure.axes[0].lines)
+    sketch = FIGURES["design"](
+        read(write(tmp_path / "d.nc", text, {}, {}, {"B": walker}, {"design": rows}))
+    )
+    assert (
+        ("Circles: the walker itself." in sketch.words[1])
+        == own
+        == bool(sketch.figure.axes[0].lines)
+    )
 
 
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
-    losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
+    losses = {
+        f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")
+    }
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)
-    overlay = {"slope": [0.02, 0.05], "loss_normal": [3.0, 4.0], "spectral_radius": [0.1, 0.2]}
-    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
-    drawn = {name: FIGURES[name](read(archive)).figure for name in ("losses", "multipliers")}
-    assert {name: len(figure.axes[0].containers) for name, figure in drawn.items()} == {"losses": 0, "multipliers": 1}
+    overlay = {
+        "slope": [0.02, 0.05],
+        "loss_normal": [3.0, 4.0],
+        "spectral_radius": [0.1, 0.2],
+    }
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(
+        archive, mode="a", group="overlay"
+    )
+    drawn = {
+        name: FIGURES[name](read(archive)).figure for name in ("losses", "multipliers")
+    }
+    assert {name: len(figure.axes[0].containers) for name, figure in drawn.items()} == {
+        "losses": 0,
+        "multipliers": 1,
+    }
 
 
 def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):
@@ -306,23 +515,40 @@ def test_a_ladder_of_many_detunings_is_drawn_in_six_panels(tmp_path):
 
 
 def test_a_sentence_stands_where_its_value_is_given_and_numbers_are_printed():
-    texts = {"always": "From {low:2} to {high}, {name}.", "many": "Of {many} lines.", "none": "None."}
-    values = {"low": 1.26e-5, "high": np.float64(0.5), "name": "{low}", "many": 3, "none": 0}
+    texts = {
+        "always": "From {low:2} to {high}, {name}.",
+        "many": "Of {many} lines.",
+        "none": "None.",
+    }
+    values = {
+        "low": 1.26e-5,
+        "high": np.float64(0.5),
+        "name": "{low}",
+        "many": 3,
+        "none": 0,
+    }
     assert sentences(texts, values) == "From 1.3 × 10⁻⁵ to 0.5, {low}. Of 3 lines."
-    assert sentences(texts, values | {"many": "", "none": True}) == "From 1.3 × 10⁻⁵ to 0.5, {low}. None."
+    assert (
+        sentences(texts, values | {"many": "", "none": True})
+        == "From 1.3 × 10⁻⁵ to 0.5, {low}. None."
+    )
 
 
 def test_rows_of_maps_are_named_by_what_tells_them_apart():
     every = [{"walker": "B", "c_t": 0.01 * k} for k in range(9)]
     rows, names, words = choose_rows(every)
-    assert rows == [every[k] for k in (0, 3, 5, 8)] and names == [f"c_t = {0.01 * k:g}" for k in (0, 3, 5, 8)]
+    assert rows == [every[k] for k in (0, 3, 5, 8)] and names == [
+        f"c_t = {0.01 * k:g}" for k in (0, 3, 5, 8)
+    ]
     assert words == "Rows, 4 of 9: c_t = 0; c_t = 0.03; c_t = 0.05; c_t = 0.08."
     assert choose_rows(every[:1]) == (every[:1], [""], "")
 
 
 def test_every_figure_has_its_words():
     assert set(WORDS["figures"]) == {"all", *FIGURES}
-    assert all({"title", "caption", "alt"} <= set(WORDS["figures"][name]) for name in FIGURES)
+    assert all(
+        {"title", "caption", "alt"} <= set(WORDS["figures"][name]) for name in FIGURES
+    )
 
 
 def test_the_body_closes_as_the_paper_says():
@@ -340,8 +566,12 @@ def test_both_feet_stand_on_the_ground_at_heelstrike_one_step_apart(table):
     stance, swing = (body.foot(body.knee(hip, a), a) for a in (angle, -angle))
     assert stance.imag == pytest.approx(body.radius)
     assert swing.imag == pytest.approx(body.radius)
-    contacts = [foot.real + body.radius * a for foot, a in ((stance, angle), (swing, -angle))]
-    assert contacts[0] - contacts[1] == pytest.approx(2 * (body.length * np.sin(angle) + body.radius * angle))
+    contacts = [
+        foot.real + body.radius * a for foot, a in ((stance, angle), (swing, -angle))
+    ]
+    assert contacts[0] - contacts[1] == pytest.approx(
+        2 * (body.length * np.sin(angle) + body.radius * angle)
+    )
 
 
 def test_a_traced_step_ends_where_the_next_begins(sources):
@@ -352,13 +582,22 @@ def test_a_traced_step_ends_where_the_next_begins(sources):
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.0153, "0.0153"), (-3.0, "−3"), (1.2e-6, "1.2 × 10⁻⁶"), (1e-9, "10⁻⁹"), (float("nan"), "–")]
+    ("value", "text"),
+    [
+        (0.0153, "0.0153"),
+        (-3.0, "−3"),
+        (1.2e-6, "1.2 × 10⁻⁶"),
+        (1e-9, "10⁻⁹"),
+        (float("nan"), "–"),
+    ],
 )
 def test_numbers_are_written_as_people_write_them(value, text):
     assert plain(value) == text
 
 
-def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_interval_what_it_is(tmp_path):
+def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_interval_what_it_is(
+    tmp_path,
+):
     slopes = np.array([0.0185, 0.019, 0.01906])
 
     def page(walker, upto):
@@ -366,21 +605,42 @@ def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_inte
                 "half_unit": [5e-4], "slope": [0.01904], "stance_angle": [np.nan],
                 "slope_low": [0.01803], "slope_high": [0.01905]}  # fmt: skip
         rows = {"walker": [walker] * upto, "slope": slopes[:upto]}
-        orbits, survival = {"stance_angle": np.full(upto, 0.24)}, {"starts": [2] * upto, "strides": [1152] * upto}
+        orbits, survival = (
+            {"stance_angle": np.full(upto, 0.24)},
+            {"starts": [2] * upto, "strides": [1152] * upto},
+        )
         text = f'name = "orbits"\nkind = "orbit"\nwalker = "{walker}"\n[axes]\nslope = [0.0185, 0.019, 0.01906]'
         tables = {"orbits": rows | orbits, "crises": mark, "survival": rows | survival}
-        source = read(write(tmp_path / f"{walker}-{upto}.nc", text, {}, {}, {walker: KNEED}, tables))
+        source = read(
+            write(
+                tmp_path / f"{walker}-{upto}.nc", text, {}, {}, {walker: KNEED}, tables
+            )
+        )
         drawing = draw(source, "bifurcation", "test")
-        return drawing.caption + drawing.finding, html_tables.landmarks(source)[0].note, drawing.svg
+        return (
+            drawing.caption + drawing.finding,
+            html_tables.landmarks(source)[0].note,
+            drawing.svg,
+        )
 
     caption, note, svg = page("D", 3)
-    assert "beyond the loss of walking are transients, not yet fallen after 576 steps" in caption
-    assert "computed 0.01904 (between 0.01803 and 0.01905)" in caption and "rounding range" not in svg
+    assert (
+        "beyond the loss of walking are transients, not yet fallen after 576 steps"
+        in caption
+    )
+    assert (
+        "computed 0.01904 (between 0.01803 and 0.01905)" in caption
+        and "rounding range" not in svg
+    )
     assert "bracket" in note and "rounding" not in note + caption
     assert "transients" not in page("D", 2)[0]
     for walker, words, noted in (
         ("C", "0.018–0.0191 with exact tuning", "allows (of C with exact tuning)."),
-        ("C-printed", "0.018–0.0191 with the parameters as printed", "parameters allows."),
+        (
+            "C-printed",
+            "0.018–0.0191 with the parameters as printed",
+            "parameters allows.",
+        ),
     ):
         caption, note, svg = page(walker, 3)
         assert words in caption and note.endswith(noted) and "rounding range" in svg
@@ -394,12 +654,18 @@ def test_eight_walkers_are_drawn_and_of_more_the_caption_says_how_many(tmp_path)
         source = read(write(tmp_path / f"{count}.nc", text, {}, {}, walkers))
         for name in ("walker", "conditions"):
             drawing = draw(source, name, "test")
-            assert drawing.data["walker"].nunique() == 8 and drawing.caption.endswith(said)
+            assert drawing.data["walker"].nunique() == 8 and drawing.caption.endswith(
+                said
+            )
             assert ("are drawn" in drawing.caption) == bool(said)
 
 
 def test_walkers_that_look_alike_are_drawn_once_under_their_names(tmp_path):
-    walkers = {"free": KNEED, "locked": KNEED | {"knees": False}, "heavier": KNEED | {"m_h": 9.0}}
+    walkers = {
+        "free": KNEED,
+        "locked": KNEED | {"knees": False},
+        "heavier": KNEED | {"m_h": 9.0},
+    }
     text = f'name = "alike"\nwalker = {list(walkers)}\n[axes]\nslope = [0.01]'
     source = read(write(tmp_path / "a.nc", text, {}, {}, walkers))
     sketch = FIGURES["walker"](source)
@@ -415,11 +681,19 @@ def test_power_is_drawn_without_dimensions_where_the_speed_is_archived_so(tmp_pa
             "speed": (dims, np.array([[0.5], [0.6]]))}  # fmt: skip
     text = 'name = "p"\nwalker = "A"\n[axes]\nslope = [0.01, 0.02]'
     coords = {"slope": slopes, "gait": np.array(["long"], object)}
-    sketch = FIGURES["power"](read(write(tmp_path / "p.nc", text, grid, coords, {"A": POINT})))
+    sketch = FIGURES["power"](
+        read(write(tmp_path / "p.nc", text, grid, coords, {"A": POINT}))
+    )
     # P = m g v sin γ.
-    assert np.allclose(sketch.data["power P/(m g √(g l))"], [0.1 * np.sin(0.01), 0.3 * np.sin(0.02)], rtol=1e-14)
+    assert np.allclose(
+        sketch.data["power P/(m g √(g l))"],
+        [0.1 * np.sin(0.01), 0.3 * np.sin(0.02)],
+        rtol=1e-14,
+    )
     (axes,) = sketch.panels
-    assert axes.get_xlabel() == "speed v/√(gl)" and "P/(m g √(g l))" in axes.get_title(loc="left")
+    assert axes.get_xlabel() == "speed v/√(gl)" and "P/(m g √(g l))" in axes.get_title(
+        loc="left"
+    )
 
 
 def test_contours_are_dark_on_the_light_half_of_a_map_and_cells_without_a_gait_are_hatched():
@@ -431,26 +705,46 @@ def test_contours_are_dark_on_the_light_half_of_a_map_and_cells_without_a_gait_a
 
 def test_a_page_tells_each_legend_once(sources):
     told = set()
-    first, second = (draw(sources["transition"], name, "x", told=told) for name in ("loglog", "linear"))
+    first, second = (
+        draw(sources["transition"], name, "x", told=told)
+        for name in ("loglog", "linear")
+    )
     assert first.svg.count(">long step<") == 1 and second.svg.count(">long step<") == 0
     assert draw(sources["transition"], "linear", "x").svg.count(">long step<") == 1
 
 
 def test_the_largest_exponent_and_the_survival_of_orbits_are_drawn(tmp_path):
     slopes = np.array([0.015, 0.018, 0.019])
-    exponents = {"slope": np.repeat(slopes, 2), "index": [0, 1] * 3, "exponent": [-0.2, -1, 0.1, 5, 0.3, -1]}
+    exponents = {
+        "slope": np.repeat(slopes, 2),
+        "index": [0, 1] * 3,
+        "exponent": [-0.2, -1, 0.1, 5, 0.3, -1],
+    }
     lives = {"slope": slopes, "lifetime": [np.inf, np.inf, 40.0]}
     text = 'name = "o"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.015, 0.018, 0.019]'
     tables = {"lyapunov": exponents, "survival": lives}
-    sketch = FIGURES["lyapunov"](read(write(tmp_path / "o.nc", text, {}, {}, {"D": POINT}, tables)))
+    sketch = FIGURES["lyapunov"](
+        read(write(tmp_path / "o.nc", text, {}, {}, {"D": POINT}, tables))
+    )
     top, below = sketch.panels
-    assert top.lines[1].get_ydata().tolist() == [-0.2, 0.1, 0.3] and below.lines[0].get_ydata().tolist() == [40.0]
-    assert sketch.words[3] == "Exponents are positive at slopes from 0.018 to 0.019 rad."
+    assert top.lines[1].get_ydata().tolist() == [-0.2, 0.1, 0.3] and below.lines[
+        0
+    ].get_ydata().tolist() == [40.0]
+    assert (
+        sketch.words[3] == "Exponents are positive at slopes from 0.018 to 0.019 rad."
+    )
 
 
 def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
     n = 80
-    frame = pd.DataFrame({"walker": ["C"] * n, "branch": range(n), "slope": np.linspace(0, 1, n), "period": [2.0] * n})
+    frame = pd.DataFrame(
+        {
+            "walker": ["C"] * n,
+            "branch": range(n),
+            "slope": np.linspace(0, 1, n),
+            "period": [2.0] * n,
+        }
+    )
     table = html_tables.named("special_points", frame)
     assert table.heads == ["γ", "walker", "T", "branch"]
     assert len(table.rows) == 12 and "68 more rows are in the archive." in table.note
@@ -458,7 +752,9 @@ def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
 
 
 def _present(panels):
-    """For each map, whether there is a gait in each of its cells; `as` names an earlier map with the same."""
+    """For each map, whether there is a gait in each of its cells; `as` names an earlier
+    map with the same.
+    """
     for panel in panels:
         field = panel["fields"]["present"]
         field = panels[field["as"]]["fields"]["present"] if "as" in field else field
@@ -481,12 +777,26 @@ def test_a_design_map_leads_to_its_walkers(sources):
 def _cube(tmp_path, heights):
     """A map over radius and slope at several heights, each known by its speed."""
     radius, slope = np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02])
-    speed = 10 * heights[:, None, None, None] + radius[:, None, None] + slope[:, None] + np.array([0.0, 0.5])
+    speed = (
+        10 * heights[:, None, None, None]
+        + radius[:, None, None]
+        + slope[:, None]
+        + np.array([0.0, 0.5])
+    )
     text = 'name = "cube"\nwalker = "B"\n[axes]\nslope = [0.01]\n[want]\nfigures = ["heatmap"]\n'
     # The longest axes last: the map is over the first two.
     grid = {"speed": (("R", "slope", "c_t", "gait"), np.moveaxis(speed, 0, 2))}
-    coords = {"R": radius, "slope": slope, "c_t": heights, "gait": np.array(["long", "short"], object)}
-    return draw(read(write(tmp_path / "cube.nc", text, grid, coords, {"B": POINT})), "heatmap", "test")
+    coords = {
+        "R": radius,
+        "slope": slope,
+        "c_t": heights,
+        "gait": np.array(["long", "short"], object),
+    }
+    return draw(
+        read(write(tmp_path / "cube.nc", text, grid, coords, {"B": POINT})),
+        "heatmap",
+        "test",
+    )
 
 
 def test_a_heatmap_of_three_axes_is_a_row_of_maps_for_each_value_of_the_third(tmp_path):
@@ -494,12 +804,19 @@ def test_a_heatmap_of_three_axes_is_a_row_of_maps_for_each_value_of_the_third(tm
     assert "Rows: c_t = 0.08; c_t = 0.1; c_t = 0.12." in drawing.caption
     assert set(drawing.data["c_t"]) == {0.08, 0.1, 0.12} and len(drawing.data) == 36
     np.testing.assert_allclose(
-        drawing.data["speed"] - 10 * drawing.data["c_t"] - drawing.data["R"] - drawing.data["slope"],
+        drawing.data["speed"]
+        - 10 * drawing.data["c_t"]
+        - drawing.data["R"]
+        - drawing.data["slope"],
         0.5 * (drawing.data["gait"] == "short"),
         atol=1e-12,
     )
-    commands = [shlex.split(panel["command"]) for panel in drawing.panels if "command" in panel]
-    assert {word for words in commands for word in words if word.startswith("c_t=")} == {
+    commands = [
+        shlex.split(panel["command"]) for panel in drawing.panels if "command" in panel
+    ]
+    assert {
+        word for words in commands for word in words if word.startswith("c_t=")
+    } == {
         "c_t=0.08",
         "c_t=0.1",
         "c_t=0.12",
@@ -509,11 +826,17 @@ def test_a_heatmap_of_three_axes_is_a_row_of_maps_for_each_value_of_the_third(tm
 
 def test_a_heatmap_of_many_values_says_which_it_draws(tmp_path):
     drawing = _cube(tmp_path, np.linspace(0.05, 0.15, 11))
-    assert "Rows, 4 of 11: c_t = 0.05; c_t = 0.08; c_t = 0.12; c_t = 0.15." in drawing.caption
+    assert (
+        "Rows, 4 of 11: c_t = 0.05; c_t = 0.08; c_t = 0.12; c_t = 0.15."
+        in drawing.caption
+    )
 
 
 def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
-    key, height, thigh = (np.ravel(a) for a in np.meshgrid([0.1, 0.2], [0.08, 0.1], [0.3, 0.4, 0.5], indexing="ij"))
+    key, height, thigh = (
+        np.ravel(a)
+        for a in np.meshgrid([0.1, 0.2], [0.08, 0.1], [0.3, 0.4, 0.5], indexing="ij")
+    )
     best = {
         "R": key,
         "c_t": height,
@@ -526,9 +849,20 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
     axes = "R = [0.1]\nc_t = [0.1]\nl_t = [0.3]\nslope = [0.1]"
     text = f'name = "d"\nwalker = "B"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
     coords = {"R": np.unique(key), "c_t": np.unique(height), "l_t": np.unique(thigh)}
-    drawing = draw(read(write(tmp_path / "d.nc", text, {}, coords, {"B": POINT}, {"design": best})), "design", "test")
-    assert "Rows: l_t = 0.3; l_t = 0.4; l_t = 0.5." in drawing.caption and len(drawing.data) == 12
-    commands = [shlex.split(panel["command"]) for panel in drawing.panels if "command" in panel]
+    drawing = draw(
+        read(
+            write(tmp_path / "d.nc", text, {}, coords, {"B": POINT}, {"design": best})
+        ),
+        "design",
+        "test",
+    )
+    assert (
+        "Rows: l_t = 0.3; l_t = 0.4; l_t = 0.5." in drawing.caption
+        and len(drawing.data) == 12
+    )
+    commands = [
+        shlex.split(panel["command"]) for panel in drawing.panels if "command" in panel
+    ]
     assert sum(map(len, _present(drawing.panels))) == 36 and {
         w for c in commands for w in c if w.startswith("l_t=")
     } == {
@@ -538,7 +872,9 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
     }
 
 
-def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_physical_walker(tmp_path):
+def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_physical_walker(
+    tmp_path,
+):
     mass, detuning = np.linspace(0.0, 5.97, 20), np.linspace(0.005, 1.0, 30)
     m, d = (np.ravel(a) for a in np.meshgrid(mass, detuning, indexing="ij"))
     quantity = 0.01 * d * (1 + 0.2 * m)
@@ -554,32 +890,63 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
     axes = "m_h = { from = 0.0, to = 5.97, n = 20 }\ndetuning = { from = 0.005, to = 1.0, n = 30 }\nslope = [1e-6, 0.4]"
     text = f'name = "d"\nkind = "design"\nwalker = "A"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
     source = read(
-        write(tmp_path / "d.nc", text, {}, {"m_h": mass, "detuning": detuning}, {"A": POINT}, {"design": best})
+        write(
+            tmp_path / "d.nc",
+            text,
+            {},
+            {"m_h": mass, "detuning": detuning},
+            {"A": POINT},
+            {"design": best},
+        )
     )
     with style():
         sketch = FIGURES["design"](source)
     maps = [axes for axes in sketch.figure.axes if axes.get_label() != "<colorbar>"]
     assert len(maps) == 3 and len(sketch.figure.axes) == 6
     for axes in maps:
-        # Two rings, one white and one black, around each walker: at the border of the map, one step beside its cells.
+        # Two rings, one white and one black, around each walker: at the border of the
+        # map, one step beside its cells.
         places = [tuple(line.get_xydata()[0]) for line in axes.lines]
         assert sorted(places) == sorted([(0.0, 0.0), (1.0, 0.0)] * 2)
         assert axes.get_xlim()[0] < 0.005 and axes.texts
-    assert "Circles: the exactly tuned walker (detuning 0) and the physical one (1)." in sketch.words[1]
+    assert (
+        "Circles: the exactly tuned walker (detuning 0) and the physical one (1)."
+        in sketch.words[1]
+    )
     assert "surveyed" not in sketch.data and len(sketch.data) == 600
     drawing = draw(source, "design", "test")
     assert sum(len(target["rows"]) for target in drawing.targets) <= 260
 
 
 def test_numbers_have_six_digits_and_errors_two():
-    frame = pd.DataFrame({"slope": [0.0150884379411195, 0.02, 1e-6], "error_bound": [1.3e-14, 0.03, 1e-3]})
-    assert [c.text for c in cells.column_cells("slope", frame)] == ["0.0150884", "0.02", "10⁻⁶"]
+    frame = pd.DataFrame(
+        {
+            "slope": [0.0150884379411195, 0.02, 1e-6],
+            "error_bound": [1.3e-14, 0.03, 1e-3],
+        }
+    )
+    assert [c.text for c in cells.column_cells("slope", frame)] == [
+        "0.0150884",
+        "0.02",
+        "10⁻⁶",
+    ]
     assert [c.value for c in cells.column_cells("slope", frame)] == list(frame["slope"])
-    assert [c.text for c in cells.column_cells("error_bound", frame)] == ["1.3 × 10⁻¹⁴", "0.03", "0.001"]
+    assert [c.text for c in cells.column_cells("error_bound", frame)] == [
+        "1.3 × 10⁻¹⁴",
+        "0.03",
+        "0.001",
+    ]
 
 
 def test_comparable_numbers_of_a_column_have_the_same_decimals():
-    frame = pd.DataFrame({"period": [0.757, 1.1], "mixed": [1e-6, 3.0], "zero": [0.0, 1.23456789], "walks": [1, 0]})
+    frame = pd.DataFrame(
+        {
+            "period": [0.757, 1.1],
+            "mixed": [1e-6, 3.0],
+            "zero": [0.0, 1.23456789],
+            "walks": [1, 0],
+        }
+    )
     assert [c.text for c in cells.column_cells("period", frame)] == ["0.757", "1.100"]
     assert [c.text for c in cells.column_cells("mixed", frame)] == ["10⁻⁶", "3"]
     assert [c.text for c in cells.column_cells("zero", frame)] == ["0", "1.23457"]
@@ -587,7 +954,9 @@ def test_comparable_numbers_of_a_column_have_the_same_decimals():
 
 
 def test_the_ends_of_an_interval_are_told_apart():
-    frame = pd.DataFrame({"low": [0.0182933977], "high": [0.0182933982], "slope": [0.018293398]})
+    frame = pd.DataFrame(
+        {"low": [0.0182933977], "high": [0.0182933982], "slope": [0.018293398]}
+    )
     low, high = (cells.column_cells(name, frame)[0].text for name in ("low", "high"))
     assert low != high and "(" not in low
 
@@ -597,7 +966,10 @@ def test_a_title_over_all_panels_is_that_of_each_whatever_stands_above_it():
     panels = figure.subplots(1, 2)
     panels[0].set_title("(a) detuning = 0", loc="left")
     panels[0].set_xlabel("slope (rad)")
-    assert [title_of(panels[0], side) for side in "xy"] == ["slope (rad)", "(a) detuning = 0"]
+    assert [title_of(panels[0], side) for side in "xy"] == [
+        "slope (rad)",
+        "(a) detuning = 0",
+    ]
     figure.supylabel("stance angle (rad)")
     assert [title_of(axes, "y") for axes in panels] == ["stance angle (rad)"] * 2
     assert title_of(panels[1], "x") == ""
@@ -614,17 +986,23 @@ def test_what_is_drawn_in_radians_has_second_axes_in_degrees():
     panels[1][1].set_title("speed", loc="left")
     add_degrees(figure)
     figure.draw_without_rendering()
-    # Those on top share the slope below; of the heights one is logarithmic and one a speed.
+    # Those on top share the slope below; of the heights one is logarithmic and one a
+    # speed.
     seconds = [[axes.child_axes for axes in row] for row in panels]
     assert [[len(axes) for axes in row] for row in seconds] == [[2, 1], [1, 0]]
     top, right = seconds[0][0]
     assert top.get_xlim() == pytest.approx(np.degrees(panels[0][0].get_xlim()))
     assert right.get_ylim() == pytest.approx(np.degrees(panels[0][0].get_ylim()))
     labels = [label.get_text() for label in right.get_yticklabels()]
-    assert labels == [f"{tick:g}°" for tick in right.get_yticks()] and 3 <= len(labels) <= 6
+    assert (
+        labels == [f"{tick:g}°" for tick in right.get_yticks()]
+        and 3 <= len(labels) <= 6
+    )
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0155, 0.0185), (0.01, 0.05), (1e-3, 0.1), (1e-6, 0.1)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0155, 0.0185), (0.01, 0.05), (1e-3, 0.1), (1e-6, 0.1)]
+)
 def test_ticks_of_a_logarithmic_axis_differ(low, high):
     axes = Figure().subplots()
     set_log(axes, "x")
@@ -647,19 +1025,33 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
         }
     )
     data = xr.Dataset({"slope": [1e-5, 1e-2]})
-    lines = [types.SimpleNamespace(at={"foot_mass_ratio": ratio}, data=data) for ratio in ratios]
+    lines = [
+        types.SimpleNamespace(at={"foot_mass_ratio": ratio}, data=data)
+        for ratio in ratios
+    ]
     axes = Figure().subplots()
     axes.loglog(data.slope, data.slope)
-    source = types.SimpleNamespace(table=lambda name, *columns: {"fits/transition": table}.get(name))
+    source = types.SimpleNamespace(
+        table=lambda name, *columns: {"fits/transition": table}.get(name)
+    )
     words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
     assert words == "They cross at 0.0002 (heavy) and 0.0001 (light)."
 
 
 def test_the_data_of_a_figure_says_in_words_what_is_stable():
-    sketch = Sketch("residuals", 100).finish(pd.DataFrame({"slope": [0.1, 0.2, 0.3], "stable": [1.0, 0.0, np.nan]}))
-    assert sketch.data["stable"].tolist()[:2] == ["yes", "no"] and sketch.data["stable"].isna().sum() == 1
+    sketch = Sketch("residuals", 100).finish(
+        pd.DataFrame({"slope": [0.1, 0.2, 0.3], "stable": [1.0, 0.0, np.nan]})
+    )
+    assert (
+        sketch.data["stable"].tolist()[:2] == ["yes", "no"]
+        and sketch.data["stable"].isna().sum() == 1
+    )
     assert (sketch.values["stable_low"], sketch.values["stable_high"]) == (0.1, 0.1)
-    assert folder.csv_text(sketch.data).splitlines()[1:] == ["0.1,yes", "0.2,no", "0.3,"]
+    assert folder.csv_text(sketch.data).splitlines()[1:] == [
+        "0.1,yes",
+        "0.2,no",
+        "0.3,",
+    ]
 
 
 def test_words_of_guides_and_landmarks_stand_beside_the_curves():
@@ -669,12 +1061,24 @@ def test_words_of_guides_and_landmarks_stand_beside_the_curves():
     draw_guide(axes, 0.5, "swing leg at rest")
     (words,) = axes.texts
     figure.draw_without_rendering()
-    assert words.get_window_extent().x0 >= axes.bbox.x1 and words.get_window_extent().x1 <= figure.bbox.x1
-    row = {"walker": "D", "printed": 0.5, "half_unit": 0.05, "slope": 0.6, "slope_low": 0.55, "slope_high": 0.65}
+    assert (
+        words.get_window_extent().x0 >= axes.bbox.x1
+        and words.get_window_extent().x1 <= figure.bbox.x1
+    )
+    row = {
+        "walker": "D",
+        "printed": 0.5,
+        "half_unit": 0.05,
+        "slope": 0.6,
+        "slope_low": 0.55,
+        "slope_high": 0.65,
+    }
     landmarks.draw_over_slopes(axes, pd.DataFrame([row]))
     figure.draw_without_rendering()
     lowest = axes.transData.transform((0, 0))[1]
-    assert len(axes.texts) == 3 and all(text.get_window_extent().y1 <= lowest for text in axes.texts[1:])
+    assert len(axes.texts) == 3 and all(
+        text.get_window_extent().y1 <= lowest for text in axes.texts[1:]
+    )
 
 
 def test_a_design_map_says_where_its_best_walkers_are(sources):
@@ -682,4 +1086,7 @@ def test_a_design_map_says_where_its_best_walkers_are(sources):
     table = sources["design"].table("design", "smallest_slope", "fastest_froude_speed")
     assert f"γ (rad): {plain(table['smallest_slope'].min())} (" in finding
     assert f"v/√(gl): {plain(table['fastest_froude_speed'].max())} (" in finding
-    assert re.search(r"^Smallest slope γ \(rad\): \S+ \(.+ = .+\); largest stable γ \(rad\): \S+ \(.+\); f", finding)
+    assert re.search(
+        r"^Smallest slope γ \(rad\): \S+ \(.+ = .+\); largest stable γ \(rad\): \S+ \(.+\); f",
+        finding,
+    )

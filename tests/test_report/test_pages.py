@@ -37,7 +37,15 @@ INDEX_BYTES, PAGE_BYTES = 300_000, 500_000
 
 def test_there_is_a_page_for_each_study_an_index_and_a_ledger(report):
     names = {path.stem for path in report.glob("*.html")}
-    assert names == {"index", "ledger", "transition", "tuned-walkers", "detuning", "cascade", "design"}
+    assert names == {
+        "index",
+        "ledger",
+        "transition",
+        "tuned-walkers",
+        "detuning",
+        "cascade",
+        "design",
+    }
 
 
 def test_every_link_resolves(report):
@@ -45,7 +53,9 @@ def test_every_link_resolves(report):
     for name, found in pages.items():
         for link in found.all("href"):
             file, _, anchor = link.partition("#")
-            if link.startswith("data:") or (file == "" and re.fullmatch(r"m\w+|image\w+", anchor)):
+            if link.startswith("data:") or (
+                file == "" and re.fullmatch(r"m\w+|image\w+", anchor)
+            ):
                 continue
             assert (report / (file or name)).is_file(), f"{name}: {link}"
             if anchor:
@@ -55,15 +65,28 @@ def test_every_link_resolves(report):
 def test_pages_hold_to_their_budgets_and_name_no_outside_address(report):
     for path in report.glob("*.html"):
         text = path.read_text()
-        assert len(text.encode()) < (INDEX_BYTES if path.name == "index.html" else PAGE_BYTES)
-        assert not re.search(r"https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", text), path.name
+        assert len(text.encode()) < (
+            INDEX_BYTES if path.name == "index.html" else PAGE_BYTES
+        )
+        assert not re.search(r"https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", text), (
+            path.name
+        )
 
 
-@pytest.mark.parametrize(("line", "option"), [("", " --accuracy 1.23456789e-06"), ("accuracy = 1.23456789e-6\n", "")])
+@pytest.mark.parametrize(
+    ("line", "option"),
+    [("", " --accuracy 1.23456789e-06"), ("accuracy = 1.23456789e-6\n", "")],
+)
 def test_the_commands_of_a_page_make_its_archive(tmp_path, line, option):
     """One that was run to an accuracy and has another name than its study since."""
     text = f'name = "sweep"\n{line}walker = "D"\n[axes]\nslope = [0.01]\n'
-    path = write(tmp_path / "moved.nc", text, {"stance_angle": ("slope", [0.2])}, {"slope": [0.01]}, {"D": POINT})
+    path = write(
+        tmp_path / "moved.nc",
+        text,
+        {"stance_angle": ("slope", [0.2])},
+        {"slope": [0.01]},
+        {"D": POINT},
+    )
     with netCDF4.Dataset(path, "a") as file:
         file.accuracy = 1.23456789e-6
     pages.write([path], tmp_path)
@@ -71,7 +94,9 @@ def test_the_commands_of_a_page_make_its_archive(tmp_path, line, option):
     assert commands in (tmp_path / "sweep.html").read_text()
 
 
-def test_an_index_of_many_studies_and_a_map_of_ninety_thousand_points_stay_small(tmp_path):
+def test_an_index_of_many_studies_and_a_map_of_ninety_thousand_points_stay_small(
+    tmp_path,
+):
     small, big = synthetic.tuned(tmp_path), synthetic.design(tmp_path, 300)
     index = pages.write([*[small] * 6, big], tmp_path / "out")
     assert index.stat().st_size < INDEX_BYTES
@@ -88,7 +113,9 @@ def test_a_line_of_many_slopes_is_thinned(tmp_path):
 
 def test_every_number_of_a_table_is_in_an_archive(report, archives):
     known = np.array(sorted(set().union(*(numbers_in(path) for path in archives))))
-    parameters = {float(v) for w in (POINT, KNEED) for v in w.values() if isinstance(v, float)} | {0.0, 0.5, 0.2}
+    parameters = {
+        float(v) for w in (POINT, KNEED) for v in w.values() if isinstance(v, float)
+    } | {0.0, 0.5, 0.2}
     count = 0
     for path in report.glob("*.html"):
         for number in Page(path).numbers:
@@ -99,7 +126,12 @@ def test_every_number_of_a_table_is_in_an_archive(report, archives):
 
 def test_every_figure_has_its_data_beside_it(report, archives):
     known = set().union(*(numbers_in(path) for path in archives))
-    linked = [link for path in report.glob("*.html") for link in Page(path).all("href") if link.endswith(".csv")]
+    linked = [
+        link
+        for path in report.glob("*.html")
+        for link in Page(path).all("href")
+        if link.endswith(".csv")
+    ]
     assert len(linked) > 12
     for link in linked:
         assert len(pd.read_csv(report / link)), link
@@ -109,16 +141,35 @@ def test_every_figure_has_its_data_beside_it(report, archives):
 
 
 def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
-    known = {plain(number, 7) for path in archives for number in numbers_in(path)} | {"yes", "no", "–"}
-    derived = ("residual (%)", "time", "claim", "verdict")  # a ratio of archived numbers; the second step's times
+    known = {plain(number, 7) for path in archives for number in numbers_in(path)} | {
+        "yes",
+        "no",
+        "–",
+    }
+    derived = (
+        "residual (%)",
+        "time",
+        "claim",
+        "verdict",
+    )  # a ratio of archived numbers; the second step's times
     count = 0
     for path in report.glob("*.html"):
-        for series in re.findall(r'<script type="application/json" class="marks">(.*?)</script>', path.read_text()):
+        for series in re.findall(
+            r'<script type="application/json" class="marks">(.*?)</script>',
+            path.read_text(),
+        ):
             for one in json.loads(series):
-                kept = [k for k, name in enumerate(one["names"]) if name not in (*derived, "outcome", "kind")]
+                kept = [
+                    k
+                    for k, name in enumerate(one["names"])
+                    if name not in (*derived, "outcome", "kind")
+                ]
                 for row in one["rows"]:
                     values = [row[3 + k] for k in kept]
-                    assert one["label"].endswith(("thigh", "shank", "hip")) or set(values) <= known, (path.name, one)
+                    assert (
+                        one["label"].endswith(("thigh", "shank", "hip"))
+                        or set(values) <= known
+                    ), (path.name, one)
                     count += len(values)
     assert count > 1000
 
@@ -139,9 +190,18 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
     }
     text = '# Section 7: doublings\n# and falls.\nname = "figure7-more"\nwalker = ["D", "C"]'
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
-    pages.write([write(tmp_path / "a.nc", text, status, {}, {"D": POINT, "C": KNEED}, tables)], tmp_path)
-    found, source = Page(tmp_path / "figure7-more.html"), (tmp_path / "figure7-more.html").read_text()
-    assert "Figure 7 more".lower() in found.text.lower() and "Section 7: doublings and falls." in found.text
+    pages.write(
+        [write(tmp_path / "a.nc", text, status, {}, {"D": POINT, "C": KNEED}, tables)],
+        tmp_path,
+    )
+    found, source = (
+        Page(tmp_path / "figure7-more.html"),
+        (tmp_path / "figure7-more.html").read_text(),
+    )
+    assert (
+        "Figure 7 more".lower() in found.text.lower()
+        and "Section 7: doublings and falls." in found.text
+    )
     assert {0.3331, 0.9993, 0.35, 0.0190401} <= set(found.numbers)
     for words in (
         "short step, p of θ* ∝ γᵖ: γ vanishing",
@@ -158,28 +218,52 @@ def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
     names = [f"walker-{i}" for i in range(11)]
     text = f'name = "s"\nwalker = {json.dumps(names)}\n[axes]\nslope = [0.01]\nR = [0.15, 0.3]\nm_h = [2.5]\n'
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
-    coords = {"R": np.array([0.15, 0.3]), "m_h": np.array([2.5]), "detuning": np.array([0.0, 0.1, 0.2, 0.3, 1.0])}
+    coords = {
+        "R": np.array([0.15, 0.3]),
+        "m_h": np.array([2.5]),
+        "detuning": np.array([0.0, 0.1, 0.2, 0.3, 1.0]),
+    }
     varied = {"R": "R", "m_h": "m_h", "w_t": "detuning", "r_t": "detuning"}
-    made = write(tmp_path / "s.nc", text, status, coords, dict.fromkeys(names, KNEED), varied=varied)
+    made = write(
+        tmp_path / "s.nc",
+        text,
+        status,
+        coords,
+        dict.fromkeys(names, KNEED),
+        varied=varied,
+    )
     table = html_tables.walkers(read(made))
     assert table.heads == ["key", *names]
     rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
-    assert rows["R"] == {"0.15, 0.3"} and rows["m_h"] == {"2.5"} and rows["c_t"] == {"0.084"}
-    assert rows["w_t"] == rows["r_t"] == {"by detuning"} and rows["detuning"] == {"0 … 1 (5 values)"}
+    assert (
+        rows["R"] == {"0.15, 0.3"}
+        and rows["m_h"] == {"2.5"}
+        and rows["c_t"] == {"0.084"}
+    )
+    assert rows["w_t"] == rows["r_t"] == {"by detuning"} and rows["detuning"] == {
+        "0 … 1 (5 values)"
+    }
     pages.write([made], tmp_path)
     assert all(name in Page(tmp_path / "s.html").text for name in names)
 
 
 def test_numbered_figures_come_first_and_in_order(tmp_path):
     def study(name, angle=True):
-        grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))} if angle else {}
+        grid = (
+            {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))} if angle else {}
+        )
         text = f'name = "{name}"\nwalker = "D"\n[want]\nfigures = ["linear"]'
         coords = {"slope": [0.01, 0.02], "gait": np.array(["long"], object)}
         return write(tmp_path / f"{name}.nc", text, grid, coords, {"D": POINT})
 
-    pages.write([study("bowl"), study("figure11"), study("ledger-x", False), study("figure3")], tmp_path)
+    pages.write(
+        [study("bowl"), study("figure11"), study("ledger-x", False), study("figure3")],
+        tmp_path,
+    )
     text = Page(tmp_path / "index.html").text
-    places = [text.index(word) for word in ("figure 3", "figure 11", "bowl", "ledger x")]
+    places = [
+        text.index(word) for word in ("figure 3", "figure 11", "bowl", "ledger x")
+    ]
     assert places == sorted(places)
 
 
@@ -194,7 +278,9 @@ def test_numbered_figures_come_first_and_in_order(tmp_path):
 )
 def test_the_command_under_the_pointer_can_be_typed(tmp_path, walker, command):
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
-    archive = write(tmp_path / "s.nc", f'name = "s"\nwalker = {walker}', status, {}, {"w": POINT})
+    archive = write(
+        tmp_path / "s.nc", f'name = "s"\nwalker = {walker}', status, {}, {"w": POINT}
+    )
     assert read(archive).command({"walker": "w"}) == command
 
 
@@ -203,8 +289,12 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
 
 
 @pytest.mark.parametrize("trouble", ["none", "no process", "killed"])
-def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archives, tmp_path, monkeypatch, trouble):
-    """Processes that cannot be had, or are killed, are done without; every page made is told."""
+def test_pages_made_in_one_process_or_several_have_the_same_bytes(
+    report, archives, tmp_path, monkeypatch, trouble
+):
+    """Processes that cannot be had, or are killed, are done without; every page made is
+    told.
+    """
     started, own, make, told = [], os.getpid(), pages._make, []
     start = multiprocessing.context.ForkProcess.start
 
@@ -215,7 +305,11 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
         start(process)
 
     def die_elsewhere(*arguments):
-        return make(*arguments) if os.getpid() == own else os.kill(os.getpid(), signal.SIGKILL)
+        return (
+            make(*arguments)
+            if os.getpid() == own
+            else os.kill(os.getpid(), signal.SIGKILL)
+        )
 
     monkeypatch.setattr(multiprocessing.context.ForkProcess, "start", begin)
     monkeypatch.setattr(pages, "_make", die_elsewhere if trouble == "killed" else make)
@@ -228,10 +322,15 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
 
 def _files(folder):
     """Every file of a report, by its place."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
-#: `gaitsweep` with little more memory than its modules take: to import them without it may never end.
+#: `gaitsweep` with little more memory than its modules take: to import them without it
+#: may never end.
 _LITTLE_MEMORY = """
 import re, resource, sys
 import gaitsweep.pipeline.report.pages
@@ -244,7 +343,9 @@ sys.exit(commands.main(sys.argv[1:]))
 
 
 def _command(archives, folder, program=("-m", "gaitsweep"), **environment):
-    """What `gaitsweep report` returns and prints to standard error, in a process of its own."""
+    """What `gaitsweep report` returns and prints to standard error, in a process of its
+    own.
+    """
     done = subprocess.run(
         [sys.executable, "-P", *program, "report", *map(str, archives), "-o", str(folder / "out")],
         cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
@@ -256,9 +357,16 @@ def _command(archives, folder, program=("-m", "gaitsweep"), **environment):
 def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path):
     """Matplotlib reads its own settings while it is imported, and like NumPy a date."""
     (tmp_path / "matplotlibrc").write_bytes(bytes(range(128, 256)))
-    settings = {"MPLBACKEND": "nonsense", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "SOURCE_DATE_EPOCH": "x"}
+    settings = {
+        "MPLBACKEND": "nonsense",
+        "MATPLOTLIBRC": str(tmp_path / "matplotlibrc"),
+        "SOURCE_DATE_EPOCH": "x",
+    }
     code, said = _command(archives, tmp_path, **settings)
-    assert (code, [line for line in said.splitlines() if not line.endswith(" s to go")]) == (0, [])  # if it takes long
+    assert (
+        code,
+        [line for line in said.splitlines() if not line.endswith(" s to go")],
+    ) == (0, [])  # if it takes long
     assert _files(tmp_path / "out") == _files(report)
 
 
@@ -266,30 +374,43 @@ def test_a_report_without_the_memory_for_it_says_so_in_a_line(archives, tmp_path
     """Its processes, too, have none: it waited for them without end."""
     code, said = _command(archives, tmp_path, ["-c", _LITTLE_MEMORY])
     assert code
-    if code != -signal.SIGABRT:  # by which the netCDF library ends where it gets no memory
-        # Python may complain before of objects that it could not free, and lack the memory to end its line.
+    if (
+        code != -signal.SIGABRT
+    ):  # by which the netCDF library ends where it gets no memory
+        # Python may complain before of objects that it could not free, and lack the
+        # memory to end its line.
         assert "gaitsweep: " in said.splitlines()[-1] and "Internal error" not in said
 
 
 @pytest.mark.parametrize("step", ["opened", "read"])
-def test_an_archive_that_is_read_without_memory_is_not_damaged(archives, monkeypatch, step):
+def test_an_archive_that_is_read_without_memory_is_not_damaged(
+    archives, monkeypatch, step
+):
     """The netCDF library speaks of an HDF error, whatever the cause."""
     failure = Mock(side_effect=RuntimeError("NetCDF: HDF error"))
     monkeypatch.setattr(archive_reader, "_LITTLE_MEMORY", 1 << 50)
     if step == "opened":
-        monkeypatch.setattr(archive_reader, "open_netcdf", lambda *_: Mock(__enter__=failure))
+        monkeypatch.setattr(
+            archive_reader, "open_netcdf", lambda *_: Mock(__enter__=failure)
+        )
     with pytest.raises(MemoryError), archive_reader.open_archive(archives[0]):
         failure()
 
 
-def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch, capsys):
+def test_the_pages_of_a_long_report_are_counted(
+    archives, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(report_command, "_QUIET", -1.0)
     monkeypatch.setattr(report_command.terminal, "is_terminal", lambda: True)
     monkeypatch.setattr(report_command.time, "monotonic", itertools.count().__next__)
     assert commands.main(["report", *map(str, archives), "-o", str(tmp_path)]) == 0
-    counted = re.findall(r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err)
+    counted = re.findall(
+        r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err
+    )
     assert [int(made) for made, *_ in counted] == list(range(1, len(archives) + 1))
-    assert counted[-1][2] == "0" and {total for _, total, _ in counted} == {str(len(archives))}
+    assert counted[-1][2] == "0" and {total for _, total, _ in counted} == {
+        str(len(archives))
+    }
 
 
 def test_the_time_to_go_of_a_report_is_that_of_its_pages(tmp_path, monkeypatch, capsys):
@@ -310,18 +431,35 @@ def test_the_time_to_go_of_a_report_is_that_of_its_pages(tmp_path, monkeypatch, 
     assert said[0] == "1 of 300 pages, 150 s to go"
 
 
-def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tmp_path, monkeypatch):
+def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(
+    archives, tmp_path, monkeypatch
+):
     """And no file of somebody else, as the draft of an archive in the same folder."""
-    gone = [paths.of(tmp_path / name, folder._DRAFT) for name in ("x.html", "csv/x.csv")]
-    others = [paths.of(tmp_path / "x.nc", "0" * 32), tmp_path / ".x.html.5", tmp_path / f"x.html.{folder._DRAFT}"]
+    gone = [
+        paths.of(tmp_path / name, folder._DRAFT) for name in ("x.html", "csv/x.csv")
+    ]
+    others = [
+        paths.of(tmp_path / "x.nc", "0" * 32),
+        tmp_path / ".x.html.5",
+        tmp_path / f"x.html.{folder._DRAFT}",
+    ]
     (tmp_path / "csv").mkdir()
     for file in (*gone, *others):
         file.write_text("")
-    monkeypatch.setattr(pages.os, "replace", Mock(side_effect=PermissionError(13, "Permission denied", "draft")))
+    monkeypatch.setattr(
+        pages.os,
+        "replace",
+        Mock(side_effect=PermissionError(13, "Permission denied", "draft")),
+    )
     with pytest.raises(PermissionError) as refused:
         pages.write(archives[:1], tmp_path)
-    assert refused.value.filename.startswith(str(tmp_path / "")) and ".csv" in refused.value.filename
-    assert set(tmp_path.iterdir()) == {*others, tmp_path / "csv"} and not list((tmp_path / "csv").iterdir())
+    assert (
+        refused.value.filename.startswith(str(tmp_path / ""))
+        and ".csv" in refused.value.filename
+    )
+    assert set(tmp_path.iterdir()) == {*others, tmp_path / "csv"} and not list(
+        (tmp_path / "csv").iterdir()
+    )
 
 
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
@@ -337,8 +475,15 @@ def _small(folder, name, figures=("linear",)):
     grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))}
     text = f'name = "{name}"\nwalker = "D"\n[want]\nfigures = {json.dumps(figures)}'
     coords = {"slope": [0.01, 0.02], "gait": np.array(["long"], object)}
-    claims = {"id": [f"D{len(name)}"], "printed": ["1"], "verdict": ["reproduced"], "figure": [f"{name}/linear"]}
-    return write(folder / f"{name}.nc", text, grid, coords, {"D": POINT}, {"claims": claims})
+    claims = {
+        "id": [f"D{len(name)}"],
+        "printed": ["1"],
+        "verdict": ["reproduced"],
+        "figure": [f"{name}/linear"],
+    }
+    return write(
+        folder / f"{name}.nc", text, grid, coords, {"D": POINT}, {"claims": claims}
+    )
 
 
 def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
@@ -347,7 +492,9 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
     for name in ("one", "three"):
         pages.write([_small(tmp_path, name)], tmp_path)
     ledger = Page(tmp_path / "ledger.html")
-    assert {"D3", "D5"} <= set(ledger.all("id")) and "one.html#linear" in ledger.all("href")
+    assert {"D3", "D5"} <= set(ledger.all("id")) and "one.html#linear" in ledger.all(
+        "href"
+    )
     pages.write([tmp_path / "three.nc"], tmp_path, only=True)
     assert {name for name in _files(tmp_path) if not name.endswith(".nc")} == {
         "index.html",
@@ -366,8 +513,13 @@ def test_a_page_written_again_leaves_no_data_of_the_old_one(tmp_path):
     pages.write([_small(tmp_path, "s", ("loglog",))], tmp_path)
     assert (tmp_path / "csv" / "s-loglog.csv").is_file()
     pages.write([_small(tmp_path, "s")], tmp_path)
-    assert not (tmp_path / "csv" / "s-loglog.csv").exists() and (tmp_path / "csv" / "s-linear.csv").is_file()
-    assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 2  # a card, and beside the page
+    assert (
+        not (tmp_path / "csv" / "s-loglog.csv").exists()
+        and (tmp_path / "csv" / "s-linear.csv").is_file()
+    )
+    assert (tmp_path / "index.html").read_text().count(
+        '<a href="s.html">'
+    ) == 2  # a card, and beside the page
 
 
 def test_figures_with_the_same_data_share_a_file(tmp_path):
@@ -380,7 +532,9 @@ def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
     (tmp_path / "precious.csv").write_text("mine")
     pages.write([_small(tmp_path, "s")], tmp_path)
     text = (tmp_path / "s.html").read_text()
-    lie = text.replace('"files":["csv/s-linear.csv"]', '"files":["precious.csv","../s.nc"]')
+    lie = text.replace(
+        '"files":["csv/s-linear.csv"]', '"files":["precious.csv","../s.nc"]'
+    )
     assert lie != text
     (tmp_path / "s.html").write_text(lie)
     (tmp_path / "torn.html").write_text(text.replace('"slug":"s"', '"slug":3'))
@@ -394,7 +548,12 @@ def test_an_entry_is_read_from_the_head_of_a_page_and_from_nothing_else(report):
     (found,) = entry.read(page)
     assert found.slug == "transition" and found.thumbnail.startswith("<svg")
     head, _, rest = page.partition("</head>")
-    for other in ("", rest, head.replace('id="entry"', 'id="exit"'), head.replace('"slug"', '"slag"')):
+    for other in (
+        "",
+        rest,
+        head.replace('id="entry"', 'id="exit"'),
+        head.replace('"slug"', '"slag"'),
+    ):
         assert entry.read(other) == []
     assert entry.read('<script id="entry">' + "[" * 100_000 + "</script>") == []
 
@@ -406,13 +565,27 @@ def test_every_page_names_the_paper(report):
 
 def test_figures_have_alt_text_and_follow_the_pages_colours(report):
     for path in report.glob("*.html"):
-        pictures = [about for tag, about in Page(path).elements if about.get("class") == "picture"]
-        assert all(about.get("role") == "img" and len(about["aria-label"]) > 30 for about in pictures)
+        pictures = [
+            about
+            for tag, about in Page(path).elements
+            if about.get("class") == "picture"
+        ]
+        assert all(
+            about.get("role") == "img" and len(about["aria-label"]) > 30
+            for about in pictures
+        )
         drawn = "".join(re.findall(r"<svg viewBox.*?</svg>", path.read_text(), re.S))
         fixed = set(re.findall(r"(?:stroke|fill): (#[0-9a-f]{6})", drawn))
-        assert fixed <= {"#ffffff", "#101418", "#3c8fd6", "#e0691f", "#8d9399", "#8fa3b8", "#b59a85", "#6c8f6c"}, (
-            path.name
-        )
+        assert fixed <= {
+            "#ffffff",
+            "#101418",
+            "#3c8fd6",
+            "#e0691f",
+            "#8d9399",
+            "#8fa3b8",
+            "#b59a85",
+            "#6c8f6c",
+        }, path.name
 
 
 def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
@@ -427,21 +600,46 @@ def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
     )
     grid = {"stance_angle": (dims, angle), "status": (dims, np.full(angle.shape, 2, "i1")),
             "reason": (dims, np.full(angle.shape, 2, "i2"))}  # fmt: skip
-    claims = {k: ["=1+1 " + bad] for k in ("id", "printed", "source", "computed", "verdict", "figure", "command")}
+    claims = {
+        k: ["=1+1 " + bad]
+        for k in ("id", "printed", "source", "computed", "verdict", "figure", "command")
+    }
     trace = synthetic.simplest_trace(bad, {})
-    coords = {"walker": np.array(study["walker"], object), "slope": slope, "gait": np.array(["long", bad], object)}
+    coords = {
+        "walker": np.array(study["walker"], object),
+        "slope": slope,
+        "gait": np.array(["long", bad], object),
+    }
     tables = {"claims": claims, "trace": trace}
-    archive = write(tmp_path / "bad.nc", text, grid, coords, {bad: POINT, "b": KNEED}, tables, {bad: bad})
+    archive = write(
+        tmp_path / "bad.nc",
+        text,
+        grid,
+        coords,
+        {bad: POINT, "b": KNEED},
+        tables,
+        {bad: bad},
+    )
     out = pages.write([archive], tmp_path / "out").parent
-    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {tmp_path, out, out / "csv"}
+    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {
+        tmp_path,
+        out,
+        out / "csv",
+    }
     for path in out.glob("*.html"):
         found = Page(path)
-        allowed = [about.get("type") for tag, about in found.elements if tag == "script"]
+        allowed = [
+            about.get("type") for tag, about in found.elements if tag == "script"
+        ]
         assert allowed.count(None) == 1
         assert set(allowed) <= {None, "application/json"}
         assert not [tag for tag, _ in found.elements if tag == "img"]
-        assert not [a for _, about in found.elements for a in about if a.startswith("on")]
-        assert not [link for link in found.all("href") if link.lower().startswith("javascript")]
+        assert not [
+            a for _, about in found.elements for a in about if a.startswith("on")
+        ]
+        assert not [
+            link for link in found.all("href") if link.lower().startswith("javascript")
+        ]
     for path in out.glob("csv/*.csv"):
         assert not re.search(r"(^|,)\"?[=@]", path.read_text(), re.M), path.name
 
@@ -468,17 +666,27 @@ def test_the_csv_file_of_a_large_study_has_the_failures_first_and_is_counted(tmp
     status = np.ones((n, 1), "i1")
     text = 'name = "large"\nwalker = "E"\n[axes]\nslope = { from = 0.01, to = 0.02, n = 21_000 }'
     coords = {"slope": np.linspace(0.01, 0.02, n), "gait": np.array(["long"], object)}
-    for failed, note in ((100, "40 more are in the CSV file."), (n, "19940 more are in the CSV file. 1000 others")):
+    for failed, note in (
+        (100, "40 more are in the CSV file."),
+        (n, "19940 more are in the CSV file. 1000 others"),
+    ):
         status[n - failed :] = 2
         grid = {"status": (dims, status), "reason": (dims, status.astype("i2"))}
-        pages.write([write(tmp_path / "large.nc", text, grid, coords, {"E": POINT})], tmp_path)
+        pages.write(
+            [write(tmp_path / "large.nc", text, grid, coords, {"E": POINT})], tmp_path
+        )
         listed = pd.read_csv(tmp_path / "csv" / "large-absent.csv")
-        assert len(listed) == 20_000 and (listed["status"][:failed] == "not_converged").all()
+        assert (
+            len(listed) == 20_000
+            and (listed["status"][:failed] == "not_converged").all()
+        )
         page = Page(tmp_path / "large.html").text
         assert note in page and "lists 20\u202f000 of the 21\u202f000 points" in page
 
 
-def test_data_of_more_rows_than_a_spreadsheet_reads_well_is_left_to_the_archive(tmp_path, monkeypatch):
+def test_data_of_more_rows_than_a_spreadsheet_reads_well_is_left_to_the_archive(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(html_tables, "MAX_LISTED", 1)
     pages.write([_small(tmp_path, "long")], tmp_path / "out")
     assert not (tmp_path / "out" / "csv" / "long-linear.csv").exists()
@@ -498,7 +706,9 @@ def test_each_point_may_have_its_own_reason(archives):
     assert table.note == f"{n - named} more reasons are in the archive."
 
 
-def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_its_stem(tmp_path):
+def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_its_stem(
+    tmp_path,
+):
     archive = write(tmp_path / "a.v2", 'name = "a"', {}, {}, {})
     for name, jobs in (("a", 1), ("a.v2", 2)):
         (tmp_path / f"{name}.run.json").write_text(json.dumps({"jobs": jobs}))
@@ -513,7 +723,13 @@ def test_the_ledger_links_each_claim_to_its_figure(report):
 
 
 def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
-    archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
+    archive = write(
+        tmp_path / "a.nc",
+        'name = "a"',
+        {"status": ((), np.int8(0)), "reason": ((), np.int16(0))},
+        {},
+        {},
+    )
     assert pages.write([archive], tmp_path).is_file()
     assert "Solver: 1 of 1 curve complete" in Page(tmp_path / "a.html").text
 
@@ -533,10 +749,18 @@ def test_a_foreign_file_is_named(tmp_path, content):
 
 def test_the_report_loads_neither_the_tasks_nor_the_plan():
     program = "import gaitsweep.pipeline.report.pages, sys; "
-    program += "print([m for m in sys.modules if 'gaitsweep.tasks' in m or m == 'heyoka']"
+    program += (
+        "print([m for m in sys.modules if 'gaitsweep.tasks' in m or m == 'heyoka']"
+    )
     program += " + [m for m in sys.modules if m in ('gaitsweep.pipeline.graph', 'gaitsweep.pipeline.engine')])"
     root = Path(__file__).parents[2]
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=root,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"
 
 
@@ -557,7 +781,9 @@ def _contrast(one: str, other: str) -> float:
 
     def luminance(colour: str) -> float:
         parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-        linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        linear = [
+            c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts
+        ]
         return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
     high, low = sorted((luminance(one), luminance(other)), reverse=True)
@@ -579,9 +805,13 @@ def test_an_absent_number_stands_where_numbers_stand(tmp_path):
     tables = {"limits": {"family": ["1", "–"], "ratio": [np.nan, 4.66]}}
     text = 'name = "gap"\nkind = "cascade"\nwalker = "E"'
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
-    pages.write([write(tmp_path / "gap.nc", text, status, {}, {"E": POINT}, tables)], tmp_path)
+    pages.write(
+        [write(tmp_path / "gap.nc", text, status, {}, {"E": POINT}, tables)], tmp_path
+    )
     html = (tmp_path / "gap.html").read_text(encoding="utf-8")
-    assert '<th scope="col" class="num">ratio' in html and '<td class="num">–</td>' in html
+    assert (
+        '<th scope="col" class="num">ratio' in html and '<td class="num">–</td>' in html
+    )
     assert '<th scope="col" class="">family' in html and '<td class="">–</td>' in html
 
 
@@ -589,11 +819,29 @@ def test_the_slopes_of_converged_gaits_are_those_where_gaits_converged(tmp_path)
     slope = np.array([0.01, 0.02, 0.03, 0.04])
     status = np.array([[[1, 1], [0, 1], [0, 0], [1, 1]]] * 2, "i1")
     dims = ("R", "slope", "gait")
-    grid = {"stance_angle": (dims, np.where(status, np.nan, 0.1)), "status": (dims, status), "reason": (dims, status)}
+    grid = {
+        "stance_angle": (dims, np.where(status, np.nan, 0.1)),
+        "status": (dims, status),
+        "reason": (dims, status),
+    }
     text = 'name = "s"\nwalker = "B"\n[axes]\nslope = [0.01]\n'
-    source = read(write(tmp_path / "s.nc", text, grid, {"R": [0.1, 0.2], "slope": slope, "gait": GAITS}, {"B": POINT}))
+    source = read(
+        write(
+            tmp_path / "s.nc",
+            text,
+            grid,
+            {"R": [0.1, 0.2], "slope": slope, "gait": GAITS},
+            {"B": POINT},
+        )
+    )
     table = html_tables.outcomes(source, html_tables.points(source))
-    assert [cell.text for cell in table.rows[0]] == ["converged", "", "6", "0.02", "0.03"]
+    assert [cell.text for cell in table.rows[0]] == [
+        "converged",
+        "",
+        "6",
+        "0.02",
+        "0.03",
+    ]
     assert [cell.text for cell in table.rows[1]][2:] == ["10", "0.01", "0.04"]
 
 
@@ -603,14 +851,21 @@ def test_points_are_counted_as_by_the_run(archives):
         if "gait" in grid.outcomes.dims and "status" in grid.outcomes:
             status = grid.outcomes["status"].transpose(..., "gait").values
             rows = Counter(map(tuple, status.reshape(-1, status.shape[-1]).tolist()))
-            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(count(rows, STATUS_NAMES))
-            assert sum(rows.values()) == np.prod([grid.grid.sizes[axis] for axis in grid.axes])
+            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(
+                count(rows, STATUS_NAMES)
+            )
+            assert sum(rows.values()) == np.prod(
+                [grid.grid.sizes[axis] for axis in grid.axes]
+            )
             counted += len(html_tables.statuses(grid))
     assert counted > 4
 
 
 def test_one_two_and_more_points_are_spoken_of_in_english(tmp_path):
-    for n, words in ((1, "Solver: 1 of 1 point complete"), (3, "Solver: 3 of 3 points complete")):
+    for n, words in (
+        (1, "Solver: 1 of 1 point complete"),
+        (3, "Solver: 3 of 3 points complete"),
+    ):
         slopes, dims = np.linspace(0.01, 0.02, n), ("slope", "gait")
         grid = {"status": (dims, np.stack([np.zeros(n, "i1"), np.ones(n, "i1")], -1))}
         coords = {"slope": slopes, "gait": np.array(["long", "short"], object)}
@@ -621,17 +876,41 @@ def test_one_two_and_more_points_are_spoken_of_in_english(tmp_path):
 
 def test_tables_name_the_walker_of_a_file_as_the_page_does(tmp_path):
     text = 'name = "own"\nwalker = "mine.toml"\n[axes]\nm_h = [4.0]\nslope = [0.01]\n[want]\nfigures = ["angles"]'
-    trace = {"time": [0.0, 1.0], "theta_st": [0.2, -0.2], "theta_th": [-0.2, 0.2], "slope": [0.01] * 2}
-    tables = {"trace": {"walker": ["walker"] * 2, "m_h": [4.0] * 2, "gait": ["long"] * 2, **trace}}
-    pages.write([write(tmp_path / "own.nc", text, {}, {}, {"mine.toml": POINT}, tables)], tmp_path)
-    assert "the long gait of walker mine.toml, m_h = 4 at" in Page(tmp_path / "own.html").text
+    trace = {
+        "time": [0.0, 1.0],
+        "theta_st": [0.2, -0.2],
+        "theta_th": [-0.2, 0.2],
+        "slope": [0.01] * 2,
+    }
+    tables = {
+        "trace": {
+            "walker": ["walker"] * 2,
+            "m_h": [4.0] * 2,
+            "gait": ["long"] * 2,
+            **trace,
+        }
+    }
+    pages.write(
+        [write(tmp_path / "own.nc", text, {}, {}, {"mine.toml": POINT}, tables)],
+        tmp_path,
+    )
+    assert (
+        "the long gait of walker mine.toml, m_h = 4 at"
+        in Page(tmp_path / "own.html").text
+    )
 
 
 def test_a_table_shows_codes_as_words_and_units_as_in_print():
-    frame = pd.DataFrame({"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]})
+    frame = pd.DataFrame(
+        {"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]}
+    )
     frame.attrs["units"] = {"speed": "m s-1"}
     table = html_tables.named("design", frame)
-    assert [cell.text for cell in table.rows[0]] == ["end: steps vanish", "my_walker", "0.5"]
+    assert [cell.text for cell in table.rows[0]] == [
+        "end: steps vanish",
+        "my_walker",
+        "0.5",
+    ]
     assert table.heads[2] == "speed (m s⁻¹)"
 
 
@@ -640,8 +919,12 @@ def test_a_claim_is_shown_with_its_words_a_picture_and_a_command(report):
     claim = text[text.index('id="E4"') : text.index('id="Z5"')]
     assert "approximately as observed" in claim and "figure 5" in claim
     assert "printed 2.828, computed 3.69, from 3.1 to 3.9 by rounding" in claim
-    assert "<code>gaitsweep run transition.toml</code>" in claim and 'href="#E4"' in claim
-    assert "<svg" not in text[text.index('id="Z5"') : text.index("</main>")]  # nothing is printed for it
+    assert (
+        "<code>gaitsweep run transition.toml</code>" in claim and 'href="#E4"' in claim
+    )
+    assert (
+        "<svg" not in text[text.index('id="Z5"') : text.index("</main>")]
+    )  # nothing is printed for it
     table = pd.read_csv(report / "csv" / "ledger.csv")
     assert list(table["id"]) == ["E2", "E3", "E4", "Z5"]
     assert table["printed"][2] == 2.828 and table["interval_high"][2] == 3.9
@@ -657,14 +940,23 @@ def test_a_bar_holds_all_its_numbers_in_proportion():
     row = {"value": 0.0191, "printed_value": 0.020, "printed_half_unit": 5e-4, "interval_low": 0.018,
            "interval_high": 0.0203}  # fmt: skip
     bar = ledger._bar(row)
-    places = [bar[name] for name in ("low", "value", "printed_from", "printed", "high", "printed_to")]
+    places = [
+        bar[name]
+        for name in ("low", "value", "printed_from", "printed", "high", "printed_to")
+    ]
     assert places == sorted(places) and places[0] > 0 and places[-1] < 100
-    assert (bar["value"] - bar["low"]) / (bar["high"] - bar["low"]) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
+    assert (bar["value"] - bar["low"]) / (bar["high"] - bar["low"]) == pytest.approx(
+        0.0011 / 0.0023, rel=1e-3
+    )
     # 8 % of the span is left free on either side.
-    assert (places[0], places[-1]) == pytest.approx((100 * 0.08 / 1.16, 100 * 1.08 / 1.16), abs=0.02)
+    assert (places[0], places[-1]) == pytest.approx(
+        (100 * 0.08 / 1.16, 100 * 1.08 / 1.16), abs=0.02
+    )
     assert ledger._bar({"value": 1.0}) is None
     # Equal numbers are drawn in one place, however many digits they differ in.
-    close = ledger._bar({"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0})
+    close = ledger._bar(
+        {"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0}
+    )
     assert abs(close["value"] - close["printed"]) < 0.1
 
 
@@ -679,15 +971,23 @@ def test_verdicts_have_signs():
     [
         ("slope^(1/3) at slopes 1e-8 to 0.2", "slope¹ᐟ³ at slopes 10⁻⁸ to 0.2"),
         ("x'/y' -> 0, P ~ v^4, 7.4e-06", "ẋ/ẏ → 0, P ∝ v⁴, 7.4 × 10⁻⁶"),
-        ("passes -1 at 0.015 +- 1.01e-15 (0.018-0.0203)", "passes −1 at 0.015 ± 1.01 × 10⁻¹⁵ (0.018–0.0203)"),
-        ("v^3.95, physical-straight, zero-slope", "v^3.95, physical-straight, zero-slope"),
+        (
+            "passes -1 at 0.015 +- 1.01e-15 (0.018-0.0203)",
+            "passes −1 at 0.015 ± 1.01 × 10⁻¹⁵ (0.018–0.0203)",
+        ),
+        (
+            "v^3.95, physical-straight, zero-slope",
+            "v^3.95, physical-straight, zero-slope",
+        ),
     ],
 )
 def test_signs_are_typeset(text, shown):
     assert typeset(text) == shown
 
 
-def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(tmp_path, monkeypatch):
+def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(
+    tmp_path, monkeypatch
+):
     path = _small(tmp_path, "s")
 
     def stumble(*_):
@@ -695,9 +995,13 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
 
     monkeypatch.setattr(pages, "_study_page", stumble)
     # It is laid out for the pages only.
-    with pytest.raises(ArchiveError, match=r"s\.nc is damaged: The attribute `title` is missing\."):
+    with pytest.raises(
+        ArchiveError, match=r"s\.nc is damaged: The attribute `title` is missing\."
+    ):
         pages.write([path], tmp_path / "out")
-    monkeypatch.setattr("gaitsweep.pipeline.archive.structure.misfits", lambda file: iter(()))
+    monkeypatch.setattr(
+        "gaitsweep.pipeline.archive.structure.misfits", lambda file: iter(())
+    )
     with netCDF4.Dataset(path, "a") as file:
         sums = {"stance_angle": archive_reader._checksum(file["stance_angle"])}
         file.checksums = json.dumps(sums)
@@ -705,14 +1009,19 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
         pages.write([path], tmp_path / "out")
     with netCDF4.Dataset(path, "a") as file:
         file["stance_angle"][0] = 3.0
-    with pytest.raises(ArchiveError, match=r"s\.nc is damaged: `stance_angle` is not as it was written\."):
+    with pytest.raises(
+        ArchiveError,
+        match=r"s\.nc is damaged: `stance_angle` is not as it was written\.",
+    ):
         pages.write([path], tmp_path / "out")
 
 
 def test_an_archive_damaged_inside_is_answered_in_one_line(tmp_path):
     path = synthetic.tuned(tmp_path)
     whole = path.read_bytes()
-    values = np.geomspace(1e-5, 0.06, 70).tobytes()  # the slopes, as they lie in the file
+    values = np.geomspace(
+        1e-5, 0.06, 70
+    ).tobytes()  # the slopes, as they lie in the file
     start = whole.index(values)
     path.write_bytes(whole[: start + 200])
     with pytest.raises(ArchiveError) as caught:
@@ -724,7 +1033,12 @@ def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
     names = [f"study{k}" for k in range(6)]
     archives = [_small(tmp_path, name) for name in names]
     with ThreadPoolExecutor(3) as pool:
-        list(pool.map(lambda path: _report_in_another_process(path, tmp_path / "out"), archives))
+        list(
+            pool.map(
+                lambda path: _report_in_another_process(path, tmp_path / "out"),
+                archives,
+            )
+        )
     links = Page(tmp_path / "out" / "index.html").all("href")
     assert {f"{name}.html" for name in names} <= set(links)
 
@@ -732,21 +1046,41 @@ def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
 def _report_in_another_process(path, out):
     code = "import sys; from pathlib import Path; from gaitsweep.pipeline.report import pages\n"
     code += "pages.write(*map(eval, sys.argv[1:]))"
-    subprocess.run([sys.executable, "-c", code, f"[Path({str(path)!r})]", f"Path({str(out)!r})"], check=True)
+    subprocess.run(
+        [sys.executable, "-c", code, f"[Path({str(path)!r})]", f"Path({str(out)!r})"],
+        check=True,
+    )
 
 
 def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
     dims, nothing = ("slope", "gait"), np.full((3, 2), np.nan)
-    figures = ["linear", "loglog", "multipliers", "power", "losses", "heelstrike", "angles", "claims", "heatmap"]
+    figures = [
+        "linear",
+        "loglog",
+        "multipliers",
+        "power",
+        "losses",
+        "heelstrike",
+        "angles",
+        "claims",
+        "heatmap",
+    ]
     text = f'name = "none"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02, 0.03]\n[want]\nfigures = {json.dumps(figures)}'
     names = ("stance_angle", "spectral_radius", "speed", "power", "loss_normal", "loss_tangential", "loss_kneestrike",
              "heelstrike_rate_ratio")  # fmt: skip
     grid = dict.fromkeys(names, (dims, nothing))
-    grid |= {"status": (dims, np.ones((3, 2), "i1")), "reason": (dims, np.ones((3, 2), "i2"))}
+    grid |= {
+        "status": (dims, np.ones((3, 2), "i1")),
+        "reason": (dims, np.ones((3, 2), "i2")),
+    }
     coords = {"slope": [0.01, 0.02, 0.03], "gait": np.array(["long", "short"], object)}
-    pages.write([write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path)
+    pages.write(
+        [write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path
+    )
     text = Page(tmp_path / "none.html").text
-    assert text.count("the archive holds nothing to draw it from") == len(figures) - 1  # claims are shown in the ledger
+    assert (
+        text.count("the archive holds nothing to draw it from") == len(figures) - 1
+    )  # claims are shown in the ledger
     assert "Solver: 3 no gait" in text
 
 
@@ -754,9 +1088,16 @@ def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
     name = "ходок 歩行 مشّاء"
     dims = ("walker", "slope", "gait")
     text = f'name = "w"\nwalker = ["{name}", "b"]\n[axes]\nslope = [0.01]\n[want]\nfigures = ["loglog", "walker"]'
-    coords = {"walker": np.array([name, "b"], object), "slope": [0.01, 0.02], "gait": np.array(["long"], object)}
+    coords = {
+        "walker": np.array([name, "b"], object),
+        "slope": [0.01, 0.02],
+        "gait": np.array(["long"], object),
+    }
     grid = {"stance_angle": (dims, np.array([[[0.1], [0.2]], [[0.15], [0.25]]]))}
-    pages.write([write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})], tmp_path)
+    pages.write(
+        [write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})],
+        tmp_path,
+    )
     assert name in Page(tmp_path / "w.html").text
     assert name in (tmp_path / "csv" / "w-loglog.csv").read_text(encoding="utf-8")
 
@@ -764,4 +1105,7 @@ def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
 def test_no_page_has_an_identifier_twice(report):
     for path in report.glob("*.html"):
         found = re.findall(r'\sid="([^"]+)"', path.read_text())
-        assert len(found) == len(set(found)), (path.name, sorted(i for i in found if found.count(i) > 1))
+        assert len(found) == len(set(found)), (
+            path.name,
+            sorted(i for i in found if found.count(i) > 1),
+        )

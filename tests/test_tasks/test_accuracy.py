@@ -1,4 +1,6 @@
-"""Points to a wanted accuracy: polynomials and integrated gaits agree, within bounds that are no larger than asked."""
+"""Points to a wanted accuracy: polynomials and integrated gaits agree, within bounds
+that are no larger than asked.
+"""
 
 import itertools
 from dataclasses import replace
@@ -8,13 +10,29 @@ import pytest
 
 import gaitsweep
 from gaitsweep.tasks import interpolate, solve_at_slope, status
-from gaitsweep.tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
+from gaitsweep.tasks.accuracy import (
+    OF_INTEGRATION,
+    is_interpolated,
+    nodes_for,
+    significant_bits,
+)
 from gaitsweep.tasks.families.box import roots
 from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.fixed_points.multipliers import characteristic_errors, multiplier_bounds, multipliers
+from gaitsweep.tasks.fixed_points.multipliers import (
+    characteristic_errors,
+    multiplier_bounds,
+    multipliers,
+)
 from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
-from gaitsweep.tasks.interpolate import Interpolation, Sampled, _gaits, _tied, fit_panels, panels_over
+from gaitsweep.tasks.interpolate import (
+    Interpolation,
+    Sampled,
+    _gaits,
+    _tied,
+    fit_panels,
+    panels_over,
+)
 from gaitsweep.tasks.measures.gaits import Part, Wanted, round_bits, to_accuracy
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.registry import GAITS
@@ -28,7 +46,13 @@ RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: The angle alone, to three digits.
 ANGLE = Wanted(("stance_angle",), set(), accuracy=1e-3)
 LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
-LINES = [("D", {}), ("E", {"foot_mass_ratio": 0.2}), ("A", {"detuning": 0.4}), ("C", {}), ("physical", {})]
+LINES = [
+    ("D", {}),
+    ("E", {"foot_mass_ratio": 0.2}),
+    ("A", {"detuning": 0.4}),
+    ("C", {}),
+    ("physical", {}),
+]
 
 
 def coarse(walker, slope, accuracy, want=SMOOTH, gaits=GAITS, **overrides):
@@ -36,7 +60,13 @@ def coarse(walker, slope, accuracy, want=SMOOTH, gaits=GAITS, **overrides):
     found = atlas({"line": line, "coarse": True}, [])
     asked = {"slope": np.asarray(slope, float), "want": want, "gaits": gaits}
     return points(
-        {"line": line, **asked, "accuracy": accuracy, "interpolated": is_interpolated(want, accuracy)}, [found]
+        {
+            "line": line,
+            **asked,
+            "accuracy": accuracy,
+            "interpolated": is_interpolated(want, accuracy),
+        },
+        [found],
     )
 
 
@@ -44,9 +74,15 @@ def slopes(walker, **overrides):
     """Slopes of a line, everywhere and from 1e-12 to 0.1 beside its folds and ends."""
     draw = np.random.default_rng(2)
     _, found = branches(walker, **overrides)
-    ends = np.concatenate([b.q[[first, last]] for b in found for first, last in b.pieces()])
-    near = ends[:, None] + 10.0 ** draw.uniform(-12, -1, (len(ends), 24)) * draw.choice([-1, 1], (len(ends), 24))
-    slope = np.exp(np.concatenate([draw.uniform(np.log(1e-6), np.log(0.4), 300), near.ravel()]))
+    ends = np.concatenate(
+        [b.q[[first, last]] for b in found for first, last in b.pieces()]
+    )
+    near = ends[:, None] + 10.0 ** draw.uniform(-12, -1, (len(ends), 24)) * draw.choice(
+        [-1, 1], (len(ends), 24)
+    )
+    slope = np.exp(
+        np.concatenate([draw.uniform(np.log(1e-6), np.log(0.4), 300), near.ravel()])
+    )
     return np.unique(slope[slope < 0.45])
 
 
@@ -56,14 +92,20 @@ def test_gaits_are_as_accurate_as_asked_and_the_same_ones(walker, overrides):
     best = solved(walker, slope, **overrides)
     for accuracy in (1e-2, 1e-4, 1e-6, 1e-9, 1e-11):
         out = coarse(walker, slope, accuracy, **overrides)
-        np.testing.assert_array_equal(np.isin(out["status"], status.SOLVED), best["status"] == status.CONVERGED)
+        np.testing.assert_array_equal(
+            np.isin(out["status"], status.SOLVED), best["status"] == status.CONVERGED
+        )
         for name in ("branch", "piece"):
             np.testing.assert_array_equal(out[name], best[name])
         there = best["status"] == status.CONVERGED
         bound = (out["error_bound"] + best["error_bound"])[there]
         assert (out["error_bound"][out["status"] == status.CONVERGED] <= accuracy).all()
         assert (out["status"] == status.CONVERGED)[there].mean() > 0.99
-        off = {name: np.abs(out[name] - best[name])[there] for name in SMOOTH if out[name].dtype == float}
+        off = {
+            name: np.abs(out[name] - best[name])[there]
+            for name in SMOOTH
+            if out[name].dtype == float
+        }
         for name in ("stance_angle", "period"):
             assert (off[name] <= bound * np.abs(best[name][there])).all(), name
         fastest = np.max([np.abs(best[name]) for name in RATES], axis=0)[there]
@@ -71,11 +113,17 @@ def test_gaits_are_as_accurate_as_asked_and_the_same_ones(walker, overrides):
             assert (off[name] <= bound * fastest).all(), name
         total = sum(np.nan_to_num(best[name]) for name in LOSSES)[there]
         for name in LOSSES:
-            assert (np.nan_to_num(off[name]) <= (2 * accuracy + 1e-9) * total).all(), name
-        own = np.hypot(*(out[name] - best[name] for name in ("multiplier_real", "multiplier_imag")))
+            assert (np.nan_to_num(off[name]) <= (2 * accuracy + 1e-9) * total).all(), (
+                name
+            )
+        own = np.hypot(
+            *(out[name] - best[name] for name in ("multiplier_real", "multiplier_imag"))
+        )
         widest = (out["multiplier_error_bound"] + best["multiplier_error_bound"])[there]
         assert (own.max(axis=-1)[there] <= widest).all()
-        np.testing.assert_array_equal(out["spectral_radius"][there] < 1, best["spectral_radius"][there] < 1)
+        np.testing.assert_array_equal(
+            out["spectral_radius"][there] < 1, best["spectral_radius"][there] < 1
+        )
 
 
 def test_bounds_of_polynomials_are_not_idle():
@@ -98,7 +146,16 @@ def test_hardly_anything_is_integrated(monkeypatch):
     line = {"walker": "C", "set": {}}
     found = atlas({"line": line, "coarse": True}, [])
     monkeypatch.setattr(Problem, "stride", counted)
-    points({"line": line, "slope": slope, "want": ("stance_angle",), "accuracy": 1e-6, "interpolated": True}, [found])
+    points(
+        {
+            "line": line,
+            "slope": slope,
+            "want": ("stance_angle",),
+            "accuracy": 1e-6,
+            "interpolated": True,
+        },
+        [found],
+    )
     assert sum(lanes) < 0.1 * 2 * len(slope)
 
 
@@ -109,11 +166,15 @@ def test_a_point_does_not_depend_on_the_other_slopes():
         some = coarse("physical-straight", slope[part], 1e-6)
         for name in SMOOTH:
             if name != "reason":
-                np.testing.assert_array_equal(some[name], whole[name][part], err_msg=name)
+                np.testing.assert_array_equal(
+                    some[name], whole[name][part], err_msg=name
+                )
 
 
 def test_a_polynomial_that_is_wrong_somewhere_is_not_used(monkeypatch):
-    """A value changed at a node shows at the points drawn, or the panel is halved until what is left is right."""
+    """A value changed at a node shows at the points drawn, or the panel is halved until
+    what is left is right.
+    """
     slope = np.geomspace(1e-4, 0.1, 300)
     right, original = coarse("A", slope, 1e-6, SMOOTH), Interpolation._solve
     spoiled = []
@@ -135,13 +196,19 @@ def test_a_polynomial_that_is_wrong_somewhere_is_not_used(monkeypatch):
     np.testing.assert_array_equal(out["status"], right["status"])
 
 
-@pytest.mark.parametrize("folds", [(False, False), (True, False), (False, True), (True, True)])
+@pytest.mark.parametrize(
+    "folds", [(False, False), (True, False), (False, True), (True, True)]
+)
 def test_panels_of_a_known_function(folds):
-    """Near a fold a root of the distance in ln slope; the bound holds everywhere and is reached by halving."""
+    """Near a fold a root of the distance in ln slope; the bound holds everywhere and is
+    reached by halving.
+    """
 
     def value(q):
         distance = (q - -3.7) if folds[0] else (-1.2 - q)
-        return np.stack([np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)])
+        return np.stack(
+            [np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)]
+        )
 
     def solve(panels, ranges):
         return [Sampled(value(q), np.ones((2, len(q))), 1e-14, 1) for q in ranges]
@@ -149,7 +216,10 @@ def test_panels_of_a_known_function(folds):
     both = folds == (True, True)
     asked = np.linspace(-3.7, -1.2, 4001)[1:-1]
     asked_panels = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
-    sheets = [sheet for _, sheet in fit_panels(asked_panels, 10, 1e-9, solve, lambda span: True)]
+    sheets = [
+        sheet
+        for _, sheet in fit_panels(asked_panels, 10, 1e-9, solve, lambda span: True)
+    ]
     assert all(sheet.chart for sheet in sheets)
     edges = [sheet.span.bounds for sheet in sheets]
     assert edges[0][0] == pytest.approx(-3.7)
@@ -160,18 +230,28 @@ def test_panels_of_a_known_function(folds):
         q = asked[(asked >= low) & (asked <= high)]
         points = sheet.span.points(q)
         inside = sheet.is_measured(points)
-        assert (np.abs(sheet.chart(points) - value(q))[:, inside] <= sheet.chart.error).all()
+        assert (
+            np.abs(sheet.chart(points) - value(q))[:, inside] <= sheet.chart.error
+        ).all()
         assert sheet.chart.error <= 1e-9
 
 
 def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
-    """Each alone: a bound of the gaits, a wave that the nodes do not see, one that ends in the last coefficients."""
+    """Each alone: a bound of the gaits, a wave that the nodes do not see, one that ends
+    in the last coefficients.
+    """
     nodes, root = 8, panels_over(0, -3.0, -2.5, (False, False), np.array([-2.7]))
 
     def error(value, bound=0.0):
         def solve(panels, ranges):
-            x = [span.points(q)[:, 0] for (_, span), q in zip(panels, ranges, strict=True)]
-            return [Sampled(value(each)[None], np.full((1, len(each)), 0.5), bound, 1) for each in x]
+            x = [
+                span.points(q)[:, 0]
+                for (_, span), q in zip(panels, ranges, strict=True)
+            ]
+            return [
+                Sampled(value(each)[None], np.full((1, len(each)), 0.5), bound, 1)
+                for each in x
+            ]
 
         ((_, sheet),) = fit_panels(root, nodes, 1e3, solve, lambda span: True)
         return sheet.chart.error
@@ -182,27 +262,36 @@ def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
     hidden = error(lambda x: 1e-3 * np.cos(nodes * np.arccos(x)))  # zero at the nodes
     assert 8 * 1e-3 / 0.5 * 0.9 < hidden <= 8 * 1e-3 / 0.5 * (1 + 1e-9)
     for last in (1, 2):
-        assert error(lambda x, n=last: 1e-3 * np.cos((nodes - n) * np.arccos(x))) == pytest.approx(1e-3 / 0.5, rel=1e-6)
+        assert error(
+            lambda x, n=last: 1e-3 * np.cos((nodes - n) * np.arccos(x))
+        ) == pytest.approx(1e-3 / 0.5, rel=1e-6)
 
 
 def test_a_panel_whose_gaits_are_not_all_found_is_not_used():
     (root,) = panels_over(0, -2.9, -2.5, (False, False), np.array([-2.7]))
 
     def solve(panels, ranges):
-        return [Sampled(np.ones((1, len(q))), np.ones((1, len(q))), np.inf, 1) for q in ranges]
+        return [
+            Sampled(np.ones((1, len(q))), np.ones((1, len(q))), np.inf, 1)
+            for q in ranges
+        ]
 
     made = fit_panels([root], 8, 1e-3, solve, lambda span: span.part[0] == 0)
     assert made and not any(sheet.chart for _, sheet in made)
 
 
 def test_a_panel_of_two_folds_is_inverted():
-    span = replace(Span.between(np.array([-3.0, -2.0]), 0, (True, True)), part=(0.25, 0.5))
+    span = replace(
+        Span.between(np.array([-3.0, -2.0]), 0, (True, True)), part=(0.25, 0.5)
+    )
     x = np.linspace(-1, 1, 9)[:, None]
     np.testing.assert_allclose(span.points(span.log_slope(x)), x, atol=1e-12)
 
 
 def test_gaits_of_a_label_beside_a_fold_are_integrated():
-    """Where their angles differ by four accuracies or less, which is near the fold alone."""
+    """Where their angles differ by four accuracies or less, which is near the fold
+    alone.
+    """
     problem, found = branches("physical-straight")
     fold = [b.q[first] for b in found for first in b.turns()]
     slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
@@ -218,15 +307,29 @@ def test_gaits_of_a_label_beside_a_fold_are_integrated():
 
 def test_gaits_whose_stability_errors_could_change_are_integrated():
     problem, found = branches("D")
-    want = ("stance_angle", "spectral_radius", "multiplier_real", "multiplier_imag", "multiplier_error_bound")
-    slope = 0.015088437941119463 * (1 + np.array([-0.1, -1e-6, 1e-6, 0.1]))  # the proved flip of the long gait
+    want = (
+        "stance_angle",
+        "spectral_radius",
+        "multiplier_real",
+        "multiplier_imag",
+        "multiplier_error_bound",
+    )
+    slope = 0.015088437941119463 * (
+        1 + np.array([-0.1, -1e-6, 1e-6, 0.1])
+    )  # the proved flip of the long gait
     made = Interpolation(problem, found, Wanted(want, set(), accuracy=1e-3), slope)
     _, integrated = made.parts(slope)
-    assert sorted(i for indices in integrated.values() for i in indices.tolist()) == [1, 2]
+    assert sorted(i for indices in integrated.values() for i in indices.tolist()) == [
+        1,
+        2,
+    ]
 
 
 def test_gaits_of_a_label_that_errors_could_order_are_integrated():
-    angles = {0: [0.2, 0.2, 0.2], 1: [0.2039, 0.2041, 0.2039]}  # four accuracies are 0.004
+    angles = {
+        0: [0.2, 0.2, 0.2],
+        1: [0.2039, 0.2041, 0.2039],
+    }  # four accuracies are 0.004
     ratio = {0: np.full(3, 0.3), 1: np.array([0.3, 0.3, 0.7])}
     parts = [Part(np.arange(3), np.array(angles[k]), ratio[k], {}) for k in (0, 1)]
     assert _tied(parts, 3, 0.004).tolist() == [True, False, False]
@@ -269,7 +372,12 @@ def test_gaits_that_are_not_found_share_no_panel(monkeypatch):
 
     def lost(*args):
         solved = original(*args)
-        return {**solved, "status": np.where(np.arange(len(q)) == 2, status.NOT_CONVERGED, solved["status"])}
+        return {
+            **solved,
+            "status": np.where(
+                np.arange(len(q)) == 2, status.NOT_CONVERGED, solved["status"]
+            ),
+        }
 
     problem, found = branches("A")
     made = Interpolation(problem, found, ANGLE, np.array([0.01]))
@@ -288,31 +396,44 @@ def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     measured = made._measured(guesses, q, len(q))
     assert (measured.lipschitz > curvature(problem, guesses.w, q)[0]).all()
     # Estimates of single points scatter.
-    np.testing.assert_array_less(rounding_std(problem, guesses.w, q).mean(axis=1) / 3, measured.rounding_std.T[0])
+    np.testing.assert_array_less(
+        rounding_std(problem, guesses.w, q).mean(axis=1) / 3, measured.rounding_std.T[0]
+    )
 
 
 @pytest.mark.parametrize("walker", ["D", "C"])
 def test_a_variable_follows_from_the_quantities_that_it_needs(walker):
     problem, slope = Problem(resolve(walker)), np.array([0.01, 0.02])
-    for name in (name for name in SMOOTH if not name.startswith(("multiplier", "spectral"))):
+    for name in (
+        name for name in SMOOTH if not name.startswith(("multiplier", "spectral"))
+    ):
         smooth = Smooth.of(problem.walker, (name,), problem.m)
         every = {each: np.array([0.3, 0.4]) + k for k, each in enumerate(smooth.names)}
         needed = {smooth.names[k]: every[smooth.names[k]] for k in smooth.needed}
-        one, other = (smooth.gaits(slope, columns, 1e-3, (0, 0))[name] for columns in (needed, every))
+        one, other = (
+            smooth.gaits(slope, columns, 1e-3, (0, 0))[name]
+            for columns in (needed, every)
+        )
         np.testing.assert_array_equal(one, other)
         assert np.isfinite(one).all() or ("knee" in name and walker == "D")
-        assert len(needed) <= 2 + (name == "kneestrike_time")  # which is a share of the period
+        assert len(needed) <= 2 + (
+            name == "kneestrike_time"
+        )  # which is a share of the period
 
 
 def test_the_error_of_a_derivative_is_that_of_all_its_entries():
     problem, _ = branches("D")
     smooth = Smooth.of(problem.walker, ("multiplier_real", "multiplier_error_bound"), 2)
     J = np.array([[0.3, -2.0], [0.4, 0.5]])
-    columns = {name: np.array([J[int(name[0]), int(name[1])]]) for name in smooth.entries}
+    columns = {
+        name: np.array([J[int(name[0]), int(name[1])]]) for name in smooth.entries
+    }
     found = smooth.multipliers(columns, 1e-3)["multiplier_error_bound"]
     # Every entry off by 1e-3 of the largest.
     error = characteristic_errors(J[:, :, None], np.array([np.sqrt(4) * 1e-3 * 2.0]))
-    np.testing.assert_allclose(found, multiplier_bounds(multipliers(J[:, :, None], 3), error), rtol=0.1)
+    np.testing.assert_allclose(
+        found, multiplier_bounds(multipliers(J[:, :, None], 3), error), rtol=0.1
+    )
 
 
 def test_rounding_to_bits():
@@ -328,7 +449,10 @@ def test_rounding_to_bits():
     np.testing.assert_array_equal(round_bits(others, 8), others)
     assert round_bits(np.array([1 + 2.0**-9]), 8) == 1.0  # a tie, to even
     for accuracy in (1e-2, 3e-6, 1e-15):
-        assert 0.5 ** (significant_bits(accuracy) + 1) <= accuracy / 8 or significant_bits(accuracy) == 52
+        assert (
+            0.5 ** (significant_bits(accuracy) + 1) <= accuracy / 8
+            or significant_bits(accuracy) == 52
+        )
 
 
 def test_a_bound_beyond_the_accuracy_is_told():
@@ -349,7 +473,9 @@ def test_a_bound_beyond_the_accuracy_is_told():
 
 
 def test_more_digits_than_doubles_give_are_computed():
-    """Beside vanishing slopes doubles give eleven digits; accuracies beyond take long double, then 113 bits."""
+    """Beside vanishing slopes doubles give eleven digits; accuracies beyond take long
+    double, then 113 bits.
+    """
     usual, best = solved("D", [1e-6]), coarse("D", [1e-6], 1e-15)
     assert usual["error_bound"][0, 0] > 1e-15
     assert (best["status"][0, :2] == status.CONVERGED).all()
@@ -369,10 +495,14 @@ def test_the_number_of_nodes_rises_with_the_digits():
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("walker", ["D", "E", "B", "A", "C", "physical"])
 def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
-    """10,000 gaits, a third of them beside folds and ends, against long double and 113 bits."""
+    """10,000 gaits, a third of them beside folds and ends, against long double and 113
+    bits.
+    """
     draw = np.random.default_rng(11)
     _, found = branches(walker)
-    slope = np.concatenate([slopes(walker), np.exp(draw.uniform(np.log(1e-6), np.log(0.4), 8000))])
+    slope = np.concatenate(
+        [slopes(walker), np.exp(draw.uniform(np.log(1e-6), np.log(0.4), 8000))]
+    )
     covered = np.zeros(len(slope), int)
     for branch in found:
         for first, last in branch.pieces():
@@ -381,22 +511,44 @@ def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
     exact = coarse(walker, slope, 1e-15)
     there = np.isin(exact["status"], status.SOLVED)
     fastest = np.max([np.abs(exact[name]) for name in RATES], axis=0)
-    for accuracy in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-13):
+    for accuracy in (
+        1e-2,
+        1e-3,
+        1e-4,
+        1e-5,
+        1e-6,
+        1e-7,
+        1e-8,
+        1e-9,
+        1e-10,
+        1e-11,
+        1e-13,
+    ):
         out = coarse(walker, slope, accuracy)
         np.testing.assert_array_equal(np.isin(out["status"], status.SOLVED), there)
-        off = [np.abs(out[name] / exact[name] - 1) for name in ("stance_angle", "period")]
+        off = [
+            np.abs(out[name] / exact[name] - 1) for name in ("stance_angle", "period")
+        ]
         off += [np.abs(out[name] - exact[name]) / fastest for name in RATES]
-        ratio = (np.max(off, axis=0) / (out["error_bound"] + exact["error_bound"]))[there]
-        tell(f"{walker} {accuracy:g}: {there.sum()} gaits, largest error over bound {ratio.max():.2f}")
+        ratio = (np.max(off, axis=0) / (out["error_bound"] + exact["error_bound"]))[
+            there
+        ]
+        tell(
+            f"{walker} {accuracy:g}: {there.sum()} gaits, largest error over bound {ratio.max():.2f}"
+        )
         assert (ratio <= 1).all()
 
 
 def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_ends():
     nodes, places = 12, []
     for k in range(200):
-        samples = Span.between(np.array([-3.0 - 0.01 * k, -2.0]), 0).samples(nodes)[:, 0]
+        samples = Span.between(np.array([-3.0 - 0.01 * k, -2.0]), 0).samples(nodes)[
+            :, 0
+        ]
         np.testing.assert_allclose(samples[:nodes], roots(nodes))
-        places.append(nodes / np.pi * np.arccos(-samples[nodes:]) - np.arange(nodes + 1))
+        places.append(
+            nodes / np.pi * np.arccos(-samples[nodes:]) - np.arange(nodes + 1)
+        )
     places = np.array(places)
     low, high = np.full((2, nodes + 1), [[-0.5], [0.5]])
     low[0], high[-1] = 0.1, -0.1
@@ -404,11 +556,17 @@ def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_en
     assert (np.ptp(places, axis=0) > 0.9 * (high - low)).all()
 
 
-@pytest.mark.parametrize(("name", "slopes"), [("D", [1e-8]), ("A", np.geomspace(1e-8, 1e-5, 40))])
+@pytest.mark.parametrize(
+    ("name", "slopes"), [("D", [1e-8]), ("A", np.geomspace(1e-8, 1e-5, 40))]
+)
 def test_more_digits_are_used_where_long_double_does_not_suffice(name, slopes):
-    """Its rounding did, but not with its last step: an accuracy of 3e-14 was missed where one of 1e-14 was met."""
+    """Its rounding did, but not with its last step: an accuracy of 3e-14 was missed
+    where one of 1e-14 was met.
+    """
     for accuracy in (1e-13, 3e-14, 1e-14, 3e-15):
-        gaits = gaitsweep.gaits(name, np.array(slopes), accuracy=accuracy).isel(gait=[0, 1])
+        gaits = gaitsweep.gaits(name, np.array(slopes), accuracy=accuracy).isel(
+            gait=[0, 1]
+        )
         assert (gaits.status == 0).all() and (gaits.error_bound <= accuracy).all()
 
 

@@ -1,4 +1,6 @@
-"""Patches and lines give the same gaits, and those of 113 bits, in six families and in random cells."""
+"""Patches and lines give the same gaits, and those of 113 bits, in six families and in
+random cells.
+"""
 
 import copy
 from dataclasses import dataclass, field, replace
@@ -27,9 +29,15 @@ from soak.missed import neighbour
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 VALUES = ("stance_angle", *RATES, "period")
-WANT = (*VALUES, "kneestrike_time", "spectral_radius", "multiplier_error_bound", *ALWAYS)
-#: Walker, keys with their ranges, and the window of slopes [rad]. Folds and ends of all kinds lie inside, in the last
-#: families tuned walkers too, and branches that touch.
+WANT = (
+    *VALUES,
+    "kneestrike_time",
+    "spectral_radius",
+    "multiplier_error_bound",
+    *ALWAYS,
+)
+#: Walker, keys with their ranges, and the window of slopes [rad]. Folds and ends of all
+#: kinds lie inside, in the last families tuned walkers too, and branches that touch.
 FAMILIES = {
     "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.003, 0.03)),
     "E": ("E", {"foot_mass_ratio": (0.001, 0.2)}, (0.001, 0.08)),
@@ -41,18 +49,25 @@ FAMILIES = {
     "C detuned": ("C", {"detuning": (0.0, 0.5)}, (0.001, 0.08)),
     "C with hip mass": ("C", {"m_h": (0.0, 6.0)}, (0.001, 0.2)),
     "C where branches part": ("C", {"m_h": (0.0, 6.0)}, (0.004, 0.08)),
-    "physical": ("physical", {"w_s": (0.024, 0.026), "R": (0.195, 0.205)}, (0.018, 0.055)),
+    "physical": (
+        "physical",
+        {"w_s": (0.024, 0.026), "R": (0.195, 0.205)},
+        (0.018, 0.055),
+    ),
     "straight": ("physical-straight", {"R": (0.05, 0.4)}, (0.001, 0.08)),
 }
 #: Keys of families that have another value than their walker's.
 FIXED = {"C where branches part": {"detuning": 5 / 6}}
-#: Slopes of a line, and how many of them lie near its folds and ends, at distances from 1e-9 to 1e-2 in ln slope.
+#: Slopes of a line, and how many of them lie near its folds and ends, at distances from
+#: 1e-9 to 1e-2 in ln slope.
 EACH, NEAR = 20, 3
 
 
 @dataclass
 class Outcome:
-    """Points compared by both roads, their gaits, those of lines that patches gave, and what differs."""
+    """Points compared by both roads, their gaits, those of lines that patches gave, and
+    what differs.
+    """
 
     points: int = 0
     gaits: int = 0
@@ -72,20 +87,27 @@ class Outcome:
 
 
 def slopes(random, branches, window):
-    """Slopes of a line: in a window, and near folds and ends of its branches that lie in it; the number of these."""
+    """Slopes of a line: in a window, and near folds and ends of its branches that lie
+    in it; the number of these.
+    """
     low, high = np.log(window)
     places = [b.q[at] for b in branches for at in b.turns()]
     places += [b.q[-k] for b in branches for k in (0, 1)]
     places = [q for q in places if low < q < high]
     near = [
-        random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-9, -2) for _ in places and range(NEAR)
+        random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-9, -2)
+        for _ in places and range(NEAR)
     ]
     near = np.clip(near, low, high)
-    return np.exp(np.sort([*near, *random.uniform(low, high, EACH - len(near))])), len(near)
+    return np.exp(np.sort([*near, *random.uniform(low, high, EACH - len(near))])), len(
+        near
+    )
 
 
 def plane_of(keys, lines=900):
-    """A plane of keys with their ranges, of so many lines that charts are not made in vain."""
+    """A plane of keys with their ranges, of so many lines that charts are not made in
+    vain.
+    """
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     return {
         "keys": list(keys),
@@ -100,7 +122,9 @@ def charted(line, keys, window, many=900, **params):
     """Parameters of lines over a plane, and its charts for a window of slopes."""
     asked = {"plane": plane_of(keys, many), "want": WANT, **params}
     ends = dict(zip(("slope_from", "slope_to"), window, strict=True))
-    return asked, solve_planes.charts({**asked, "line": line, **ends, "slopes": EACH, "whole": True}, [])
+    return asked, solve_planes.charts(
+        {**asked, "line": line, **ends, "slopes": EACH, "whole": True}, []
+    )
 
 
 def off(one, other, bounded_by):
@@ -111,21 +135,33 @@ def off(one, other, bounded_by):
     return np.max(each, axis=0) / bounded_by
 
 
-def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, many=900):
-    """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits.
+def compare(
+    outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, many=900
+):
+    """Compare both roads on some lines of a family, and some of their gaits with those
+    of 113 bits.
 
-    Charts are made as for so `many` lines, and other keys are `fixed`. Every fourth line is a corner of the plane.
-    Charts are made for a window of slopes, whatever slopes the lines have.
+    Charts are made as for so `many` lines, and other keys are `fixed`. Every fourth
+    line is a corner of the plane. Charts are made for a window of slopes, whatever
+    slopes the lines have.
     """
     walker, keys, window = family
     random = np.random.default_rng(seed)
-    drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
-    drawn[3::4] = [{key: float(random.choice(side)) for key, side in keys.items()} for _ in drawn[3::4]]
+    drawn = [
+        {key: float(random.uniform(*side)) for key, side in keys.items()}
+        for _ in range(count)
+    ]
+    drawn[3::4] = [
+        {key: float(random.choice(side)) for key, side in keys.items()}
+        for _ in drawn[3::4]
+    ]
     every = [{"walker": walker, "set": {**fixed, **one}} for one in drawn]
     asked, made = charted(every[0], keys, window, many)
     surveyed = []
     for k in range(0, count, 24):
-        surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [window[0]], "want": ALWAYS}, [])
+        surveyed += lines_side_by_side(
+            {"lines": every[k : k + 24], "slope": [window[0]], "want": ALWAYS}, []
+        )
     found = []
     for line, (atlas, _) in zip(every, surveyed, strict=True):
         slope, near = slopes(random, from_arrays(atlas), window)
@@ -139,17 +175,32 @@ def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, m
             outcome.wrong.append(("a point fails", line, by_patch, slope))
         if not np.array_equal(one["status"], other["status"]):
             at = np.argwhere(one["status"] != other["status"]).tolist()
-            said = [(slope[i], GAITS[g], int(one["status"][i, g]), int(other["status"][i, g])) for i, g in at]
+            said = [
+                (
+                    slope[i],
+                    GAITS[g],
+                    int(one["status"][i, g]),
+                    int(other["status"][i, g]),
+                )
+                for i, g in at
+            ]
             outcome.wrong.append((walker, line["set"], by_patch, said))
             continue
         there = other["status"] == 0
         outcome.gaits += there.sum()
-        one, other = ({key: v[there] for key, v in each.items() if key in WANT} for each in (one, other))
+        one, other = (
+            {key: v[there] for key, v in each.items() if key in WANT}
+            for each in (one, other)
+        )
         share = off(one, other, one["error_bound"] + other["error_bound"])
         bound = one["multiplier_error_bound"] + other["multiplier_error_bound"]
-        share = np.maximum(share, np.abs(one["spectral_radius"] - other["spectral_radius"]) / bound)
+        share = np.maximum(
+            share, np.abs(one["spectral_radius"] - other["spectral_radius"]) / bound
+        )
         outcome.worst = max(outcome.worst, share.max(initial=0))
-        if share.max(initial=0) > 1 or not np.array_equal(np.isnan(one["period"]), np.isnan(other["period"])):
+        if share.max(initial=0) > 1 or not np.array_equal(
+            np.isnan(one["period"]), np.isnan(other["period"])
+        ):
             outcome.wrong.append((walker, line["set"], by_patch, share.max()))
         at_slope = np.nonzero(there)[0]
         found += [
@@ -165,12 +216,20 @@ def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, m
 
 
 def error_of(line, slope, gait):
-    """Error of a gait, over its bound, against Lagrange's equations and impacts in 113 bits."""
-    # Exactly these doubles: beside a fold, what their shortest decimals differ by moves gaits by more than bounds.
-    table = {k: mp.mpf(v) if type(v) is float else v for k, v in resolve(line["walker"], line["set"]).table().items()}
+    """Error of a gait, over its bound, against Lagrange's equations and impacts in 113
+    bits.
+    """
+    # Exactly these doubles: beside a fold, what their shortest decimals differ by moves
+    # gaits by more than bounds.
+    table = {
+        k: mp.mpf(v) if type(v) is float else v
+        for k, v in resolve(line["walker"], line["set"]).table().items()
+    }
     names = VALUES[:4] if table["knees"] else VALUES[:3]
     times = ("kneestrike_time", "period") if table["knees"] else ("period",)
-    _, exact, _ = extended.solve(table, mp.mpf(float(slope)), [gait[name] for name in (*names, *times)])
+    _, exact, _ = extended.solve(
+        table, mp.mpf(float(slope)), [gait[name] for name in (*names, *times)]
+    )
     fastest = max(abs(gait[name]) for name in RATES)
     errors = [
         abs(mp.mpf(gait[name]) - value) / (fastest if name in RATES else value)
@@ -182,10 +241,19 @@ def error_of(line, slope, gait):
 
 @pytest.mark.parametrize("count", [3, pytest.param(84, marks=pytest.mark.soak)])
 def test_both_roads_agree(count, tell):
-    """The short test takes the families whose lines are cheap, the long one 20,160 points and 600 references."""
+    """The short test takes the families whose lines are cheap, the long one 20,160
+    points and 600 references.
+    """
     outcome = Outcome()
     for name in FAMILIES if count > 3 else ("B", "E", "E with offset", "A detuned"):
-        compare(outcome, FAMILIES[name], count, 50 if count > 3 else 1, FIXED.get(name, {}), many=3600)
+        compare(
+            outcome,
+            FAMILIES[name],
+            count,
+            50 if count > 3 else 1,
+            FIXED.get(name, {}),
+            many=3600,
+        )
     tell(str(outcome))
     assert not outcome.wrong
     assert outcome.by_patch > 0.6 * outcome.points and outcome.near >= 5 * (count > 3)
@@ -193,32 +261,56 @@ def test_both_roads_agree(count, tell):
 
 
 def drawn_cell(seed):
-    """A walker off by up to 30 %, or detuned, with one or two keys free over part of a cell: its family, other keys."""
+    """A walker off by up to 30 %, or detuned, with one or two keys free over part of a
+    cell: its family, other keys.
+    """
     random, (walker, fixed, slope) = np.random.default_rng(seed), neighbour(seed)
     table = resolve(walker, fixed).table()
-    sizes = {"mass": resolve(walker, fixed).total_mass, "length": resolve(walker, fixed).leg}
+    sizes = {
+        "mass": resolve(walker, fixed).total_mass,
+        "length": resolve(walker, fixed).leg,
+    }
     derived = [key for key in fixed if key in WIDEST]
     # What a derived key does not own, and is not at the border of its range.
-    others = [key for key in OTHERS if table[key] and not (derived == ["foot_mass_ratio"] and KEYS[key] == "mass")]
+    others = [
+        key
+        for key in OTHERS
+        if table[key] and not (derived == ["foot_mass_ratio"] and KEYS[key] == "mass")
+    ]
     others += ["m_h"] * ("foot_mass_ratio" not in fixed)
     keys = {}
-    for key in (derived + random.permutation(others).tolist())[: int(random.integers(1, 3))]:
+    for key in (derived + random.permutation(others).tolist())[
+        : int(random.integers(1, 3))
+    ]:
         low = fixed.get(key, table.get(key))
         widest = WIDEST[key] if key in WIDEST else sizes[KEYS[key]] / 8
         keys[key] = (low, low + widest * float(random.uniform(0.05, 1.0)))
-    window = np.minimum(slope * np.exp([-random.uniform(0, 2), random.uniform(0, 1)]), [0.2, 0.4])
-    return (walker, keys, tuple(window.tolist())), {key: value for key, value in fixed.items() if key not in keys}
+    window = np.minimum(
+        slope * np.exp([-random.uniform(0, 2), random.uniform(0, 1)]), [0.2, 0.4]
+    )
+    return (walker, keys, tuple(window.tolist())), {
+        key: value for key, value in fixed.items() if key not in keys
+    }
 
 
-#: Width of the widest cell of derived keys, and keys that no derived key owns where they are not masses.
-WIDEST, OTHERS = {"detuning": 0.5, "foot_mass_ratio": 0.125}, ("m_t", "m_s", "R", "l_t", "l_s")
+#: Width of the widest cell of derived keys, and keys that no derived key owns where
+#: they are not masses.
+WIDEST, OTHERS = (
+    {"detuning": 0.5, "foot_mass_ratio": 0.125},
+    ("m_t", "m_s", "R", "l_t", "l_s"),
+)
 CELLS = [range(k, k + 50) for k in range(0, 1000, 50)]
 
 
 def test_bounds_hold_where_steps_nearly_vanish():
-    """Rounding grows over the size of the steps, by orders of magnitude between the nodes of a patch."""
+    """Rounding grows over the size of the steps, by orders of magnitude between the
+    nodes of a patch.
+    """
     walker, keys, window = FAMILIES["A"]
-    line = {"walker": walker, "set": {"detuning": 0.8915702140413136, "m_h": 1.063408551130624}}
+    line = {
+        "walker": walker,
+        "set": {"detuning": 0.8915702140413136, "m_h": 1.063408551130624},
+    }
     asked, made = charted(line, keys, window)
     slope = 0.01527403951198892
     ((_, one),) = lines({**asked, "lines": [line], "slope": np.array([slope])}, [made])
@@ -232,12 +324,16 @@ def test_bounds_hold_where_steps_nearly_vanish():
         ((_, one),) = lines({**asked, **own}, [made])
         ((_, other),) = lines_side_by_side({**own, "want": WANT}, [])
         assert one["status"].tolist() == other["status"].tolist()
-        np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-9)
+        np.testing.assert_allclose(
+            one["stance_angle"], other["stance_angle"], rtol=1e-9
+        )
     assert np.nanmin(one["stance_angle"]) > 0.1
 
 
 def test_gaits_of_the_first_value_of_an_axis_are_not_missed():
-    """The smallest slope of the lowest surveyed line says little of that at the border, 0.00098."""
+    """The smallest slope of the lowest surveyed line says little of that at the border,
+    0.00098.
+    """
     line = {"walker": "A", "set": {"detuning": 0.1}}
     asked, made = charted(line, {"detuning": (0.1, 0.5)}, (1e-3, 1e-3))
     own = {"lines": [line], "slope": np.array([1e-3])}
@@ -246,14 +342,27 @@ def test_gaits_of_the_first_value_of_an_axis_are_not_missed():
     assert one["status"].tolist() == other["status"].tolist() == [[0, 1, 0, 1]]
 
 
-@pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
+@pytest.mark.parametrize(
+    "seeds",
+    [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)],
+)
 def test_nothing_is_wrong_in_random_cells(seeds, tell):
-    """Lines of cells of 64, with points near folds and ends; one gait of every tenth cell in 113 bits."""
+    """Lines of cells of 64, with points near folds and ends; one gait of every tenth
+    cell in 113 bits.
+    """
     outcome, drawn = Outcome(), 0
     for seed in seeds:
         try:
             family, fixed = drawn_cell(seed)
-            compare(outcome, family, 4, int(seed % 10 == 0), fixed, seed, 300 if len(family[1]) == 1 else 900)
+            compare(
+                outcome,
+                family,
+                4,
+                int(seed % 10 == 0),
+                fixed,
+                seed,
+                300 if len(family[1]) == 1 else 900,
+            )
         except WalkerError:  # some walker of the cell cannot be
             continue
         drawn += 1
@@ -262,18 +371,30 @@ def test_nothing_is_wrong_in_random_cells(seeds, tell):
     assert outcome.worst_exact <= 1 and drawn > 0.9 * len(seeds)
 
 
-LONG = [pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name not in ("B", "E")]
+LONG = [
+    pytest.param(name, marks=pytest.mark.soak)
+    for name in FAMILIES
+    if name not in ("B", "E")
+]
 
 
 @pytest.mark.parametrize("name", ["B", "E", *LONG])
 def test_wrong_patches_change_no_accepted_value(name):
     walker, keys, window = FAMILIES[name]
     family = Family.of({"walker": walker, "set": FIXED.get(name, {})}, tuple(keys))
-    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
-    cells = make_cells(family, box, tuple(np.log(window)), lambda part: 3600 * box.share(part), EACH).made
+    box = Box(
+        tuple(keys),
+        *(tuple(side) for side in zip(*keys.values(), strict=True)),
+        log=True,
+    )
+    cells = make_cells(
+        family, box, tuple(np.log(window)), lambda part: 3600 * box.share(part), EACH
+    ).made
     right = max(cells, key=lambda cell: len(cell.patches) * box.share(cell.box))
     at = right.box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
-    slope = np.exp(np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7]))
+    slope = np.exp(
+        np.log(window[0]) + np.log(window[1] / window[0]) * np.array([0.2, 0.7])
+    )
 
     def solved(cell):
         return solve(family, cell, at, slope, Wanted(WANT, set(GAITS)))
@@ -285,23 +406,35 @@ def test_wrong_patches_change_no_accepted_value(name):
         """Every gait of an accepted point is one of the right gaits there."""
         for line, k in np.argwhere(accepted & still):
             for g in np.flatnonzero(other["status"][line, k] == 0):
-                period, bound = other["period"][line, k, g], other["error_bound"][line, k, g]
+                period, bound = (
+                    other["period"][line, k, g],
+                    other["error_bound"][line, k, g],
+                )
                 bounds = bound + np.nan_to_num(out["error_bound"][line, k])
                 assert (np.abs(out["period"][line, k] / period - 1) <= bounds).any()
 
     wrong = copy.deepcopy(right)
     wrong.patches = [
-        replace(p, gaits=replace(p.gaits, coefficients=p.gaits.coefficients * (1 + 1e-3))) for p in right.patches
+        replace(
+            p, gaits=replace(p.gaits, coefficients=p.gaits.coefficients * (1 + 1e-3))
+        )
+        for p in right.patches
     ]
     other, still = solved(wrong)
     assert_unchanged(other, still)
     assert not still.all()  # farther from their predictions than any that was measured
-    wrong.patches = [replace(patch, gaits=replace(patch.gaits, error=1.0)) for patch in wrong.patches]
+    wrong.patches = [
+        replace(patch, gaits=replace(patch.gaits, error=1.0)) for patch in wrong.patches
+    ]
     other, still = solved(wrong)
     assert_unchanged(other, still)
     assert still[accepted].mean() > 0.7
     a, b, *others = wrong.patches
-    wrong.patches = [replace(a, gaits=b.gaits, span=b.span), replace(b, gaits=a.gaits, span=a.span), *others]
+    wrong.patches = [
+        replace(a, gaits=b.gaits, span=b.span),
+        replace(b, gaits=a.gaits, span=a.span),
+        *others,
+    ]
     assert_unchanged(*solved(wrong))
     maker = _Maker(family, right.box, tuple(np.log(window)), Lines(family), 10**4)
     maker.begin()

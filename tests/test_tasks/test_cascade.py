@@ -1,4 +1,6 @@
-"""Period-n gaits: the scaling of the logistic map, D's published flip, C's, and the families of other periods."""
+"""Period-n gaits: the scaling of the logistic map, D's published flip, C's, and the
+families of other periods.
+"""
 
 from dataclasses import replace
 
@@ -20,12 +22,22 @@ from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
 
 #: Period doublings of x -> r x (1 - x), and where they accumulate.
-LOGISTIC = [3.0, 3.449489742783178, 3.544090359551923, 3.564407266095433, 3.568759419543826, 3.569691609801374]
+LOGISTIC = [
+    3.0,
+    3.449489742783178,
+    3.544090359551923,
+    3.564407266095433,
+    3.568759419543826,
+    3.569691609801374,
+]
 
 
 def doublings(walker, low, high, n=2, **options):
     line = {"walker": walker, "set": {}}
-    return cascade({"line": line, "slope": np.linspace(low, high, n), **options}, [_atlas(walker, ())])
+    return cascade(
+        {"line": line, "slope": np.linspace(low, high, n), **options},
+        [_atlas(walker, ())],
+    )
 
 
 def test_scaling_of_the_logistic_map():
@@ -45,23 +57,36 @@ def test_the_cascade_of_d():
     assert slopes[1] == pytest.approx(0.0176693748625, rel=1e-10)
     assert found["cascade/ratio"][-1] == pytest.approx(DELTA, abs=0.05)
     assert (found["cascade/error_bound"] < 1e-10).all()
-    assert columns.table_columns()["cascade/error_bound"][1] == "largest relative error of the slope"
+    assert (
+        columns.table_columns()["cascade/error_bound"][1]
+        == "largest relative error of the slope"
+    )
     assert found["cascade/walks"].all()
     assert found["accumulation/slope"] == pytest.approx(0.018293397965, abs=2e-10)
     assert found["accumulation/high"] - found["accumulation/low"] < 1e-9
-    assert found["accumulation/stopped"].tolist() == ["The longest period of the search, 64, is reached."]
-    # Orbits from a thousandth around the gait, 200 of them at each of 11 slopes: lost from 0.019040 to 0.019045.
+    assert found["accumulation/stopped"].tolist() == [
+        "The longest period of the search, 64, is reached."
+    ]
+    # Orbits from a thousandth around the gait, 200 of them at each of 11 slopes: lost
+    # from 0.019040 to 0.019045.
     assert 0.01903 < found["lost/low"][0] < found["lost/high"][0] < 0.01906
 
 
 def test_a_cascade_tells_why_it_stopped():
     found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
-    assert found["cascade/period"].tolist() == [1] and found["cascade/family"].tolist() == ["1"]
+    assert found["cascade/period"].tolist() == [1] and found[
+        "cascade/family"
+    ].tolist() == ["1"]
     (stopped,) = found["accumulation/stopped"]
     assert "nothing/reason" not in found
-    assert stopped == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
+    assert (
+        stopped
+        == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
+    )
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
-    assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
+    assert none.startswith(
+        "No flip of period 1: the branch leaves the window at a slope of 0.01"
+    )
 
 
 def test_a_flip_that_does_not_lie_between_its_points_is_not_taken(monkeypatch):
@@ -76,25 +101,44 @@ def test_a_flip_that_does_not_lie_between_its_points_is_not_taken(monkeypatch):
 
     found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
 
-    assert found["accumulation/stopped"][0].startswith("No flip of period 1: the next one could not be located")
+    assert found["accumulation/stopped"][0].startswith(
+        "No flip of period 1: the next one could not be located"
+    )
 
 
 def test_a_cascade_tells_what_it_could_not_begin_with():
     absent = doublings("physical-straight", 0.005, 0.01, steps=0)
-    assert absent["accumulation/stopped"].tolist() == ["No long gait at slopes from 0.005 to 0.01."]
-    assert (absent["accumulation/family"][0], absent["accumulation/flips"][0]) == ("1", 0)
+    assert absent["accumulation/stopped"].tolist() == [
+        "No long gait at slopes from 0.005 to 0.01."
+    ]
+    assert (absent["accumulation/family"][0], absent["accumulation/flips"][0]) == (
+        "1",
+        0,
+    )
     assert absent["nothing/reason"].tolist() == absent["accumulation/stopped"].tolist()
-    assert "families of other periods" in OPTIONS["cascade"]["starts"].meaning  # to which `starts` belongs
+    assert (
+        "families of other periods" in OPTIONS["cascade"]["starts"].meaning
+    )  # to which `starts` belongs
     absent = doublings("D", 0.001, 0.002, families=[5], periods=20, starts=20, steps=0)
-    assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at slopes from 0.001 to 0.002."]
+    assert absent["accumulation/stopped"].tolist() == [
+        "No gait of period 5 was found at slopes from 0.001 to 0.002."
+    ]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(monkeypatch, sign):
-    """Of doublings towards smaller slopes it was searched down to negative ones, and its ends were exchanged."""
+def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
+    monkeypatch, sign
+):
+    """Of doublings towards smaller slopes it was searched down to negative ones, and
+    its ends were exchanged.
+    """
     flips = 0.1 + sign * 0.04 * (1 - DELTA ** -np.arange(4.0))
     problem, searched = Problem(resolve("D")), []
-    (gait,) = (flip for branch in from_arrays(_atlas("D", ())) for flip in flips_of(problem, branch))
+    (gait,) = (
+        flip
+        for branch in from_arrays(_atlas("D", ()))
+        for flip in flips_of(problem, branch)
+    )
     gaits = [replace(gait, Z=np.vstack([gait.w, [[q]]])) for q in np.log(flips)]
 
     def lost(problem, starts, low, high, strides):
@@ -105,7 +149,9 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
     family = [locate_cascade._Event("flip", gait, 0.0) for gait in gaits]
     monkeypatch.setattr(locate_cascade, "_follow_family", lambda *_: (family, ""))
     monkeypatch.setattr(locate_cascade, "lost", lost)
-    found = cascade({"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}])
+    found = cascade(
+        {"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}]
+    )
     assert searched == [pytest.approx((0.1 + sign * 0.04, 0.1 + sign * 0.06))]
     ends = sorted((0.1 + sign * 0.045, 0.1 + sign * 0.05))
     assert [found["lost/low"][0], found["lost/high"][0]] == pytest.approx(ends)
@@ -113,9 +159,15 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
 
 def test_a_cascade_begins_where_its_branch_does():
     """Where the window begins below the branch, nothing was located, and nothing said."""
-    line, own = {"walker": "A", "set": {"detuning": 0.2}}, _atlas("A", (("detuning", 0.2),))
+    line, own = (
+        {"walker": "A", "set": {"detuning": 0.2}},
+        _atlas("A", (("detuning", 0.2),)),
+    )
     low, high = (
-        cascade({"line": line, "slope": np.array([begin, 0.1]), "periods": 1, "steps": 0}, [own])
+        cascade(
+            {"line": line, "slope": np.array([begin, 0.1]), "periods": 1, "steps": 0},
+            [own],
+        )
         for begin in (1e-4, 0.02)
     )
     assert low["cascade/kind"].tolist() == high["cascade/kind"].tolist() == ["flip"]
@@ -129,19 +181,30 @@ def test_the_first_flips_of_c():
 
 
 def test_the_period_three_family_near_0_0125():
-    found = doublings("D", 0.0122, 0.0130, n=3, families=[3], periods=12, starts=200, steps=60)
+    found = doublings(
+        "D", 0.0122, 0.0130, n=3, families=[3], periods=12, starts=200, steps=60
+    )
     assert found["cascade/kind"].tolist() == ["fold", "flip", "flip", "flip"]
-    assert found["cascade/slope"][:2] == pytest.approx([0.0122808216, 0.0126349598], abs=1e-9)
+    assert found["cascade/slope"][:2] == pytest.approx(
+        [0.0122808216, 0.0126349598], abs=1e-9
+    )
     assert found["cascade/walks"].all()
-    # Of 600 starts of a lattice some stay at 0.01292 and all leave for period one at 0.01294.
+    # Of 600 starts of a lattice some stay at 0.01292 and all leave for period one at
+    # 0.01294.
     assert 0.01290 < found["lost/low"][0] < found["lost/high"][0] < 0.01294
 
 
 def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
     """Each of sixty was corrected by itself."""
     problem, corrected, newton = Problem(resolve("D")), [], locate_cascade.newton
-    monkeypatch.setattr(locate_cascade, "newton", lambda *a, **k: corrected.append(a[1].shape[1]) or newton(*a, **k))
-    found = locate_cascade.search_cycles(problem, from_arrays(_atlas("D", ())), 0.0126, 3, 200)
+    monkeypatch.setattr(
+        locate_cascade,
+        "newton",
+        lambda *a, **k: corrected.append(a[1].shape[1]) or newton(*a, **k),
+    )
+    found = locate_cascade.search_cycles(
+        problem, from_arrays(_atlas("D", ())), 0.0126, 3, 200
+    )
     assert [gait.at.stride.steps for gait in found] == [3, 3]  # of both sides of a fold
     assert len(corrected) == 1 and corrected[0] > 2
 
@@ -149,43 +212,77 @@ def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
 def test_of_a_fold_one_side_is_followed(monkeypatch):
     """Both were, through all their doublings, and one was dropped."""
     followed, switch = [], locate_cascade.doubled
-    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[0].problem.steps) or switch(*a))
-    found = doublings("D", 0.0122, 0.0128, n=4, families=[3], periods=6, steps=0, starts=200)
-    assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [3]
+    monkeypatch.setattr(
+        locate_cascade,
+        "doubled",
+        lambda *a: followed.append(a[0].problem.steps) or switch(*a),
+    )
+    found = doublings(
+        "D", 0.0122, 0.0128, n=4, families=[3], periods=6, steps=0, starts=200
+    )
+    assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [
+        3
+    ]
 
 
 def test_events_are_located_in_few_evaluations(monkeypatch):
-    """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
+    """A dozen corrections were made for each, of four or five evaluations: from the far
+    ends, and of these anew.
+    """
     problem = Problem(resolve("D"))
-    (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
-    begun, evaluated, rounding_step = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02), [], defining.rounding_step
-    monkeypatch.setattr(defining, "rounding_step", lambda *a: evaluated.append(1) or rounding_step(*a))
-    event, _ = locate_cascade._first_event(problem, begun, "flip", *np.log([0.0145, 0.016]))
+    (start,) = locate_cascade._first_gaits(
+        problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1
+    )
+    begun, evaluated, rounding_step = (
+        (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02),
+        [],
+        defining.rounding_step,
+    )
+    monkeypatch.setattr(
+        defining, "rounding_step", lambda *a: evaluated.append(1) or rounding_step(*a)
+    )
+    event, _ = locate_cascade._first_event(
+        problem, begun, "flip", *np.log([0.0145, 0.016])
+    )
     assert event.slope == pytest.approx(0.015088437941119463562, rel=1e-13)
     assert 0 < len(evaluated) < 8
 
 
 def test_an_event_that_is_not_located_is_told(monkeypatch):
-    monkeypatch.setattr(defining, "_NEWTON", replace(defining._NEWTON, max_iterations=1))
-    (stopped,) = doublings("D", 0.0145, 0.0195, periods=2, steps=0)["accumulation/stopped"]
-    assert stopped.startswith("No flip of period 1: the next one could not be located, near a slope of 0.01")
+    monkeypatch.setattr(
+        defining, "_NEWTON", replace(defining._NEWTON, max_iterations=1)
+    )
+    (stopped,) = doublings("D", 0.0145, 0.0195, periods=2, steps=0)[
+        "accumulation/stopped"
+    ]
+    assert stopped.startswith(
+        "No flip of period 1: the next one could not be located, near a slope of 0.01"
+    )
 
 
 def test_a_walkers_cascade_begins_at_a_neighbours_gait():
     """Corners of a walker's rounding had atlases of their own."""
     line = {"walker": "E", "set": {"foot_mass_ratio": 3e-3}}
     options = {"slope": np.array([0.0135, 0.018]), "periods": 1, "steps": 0}
-    own = cascade({"line": line, **options}, [_atlas("E", (("foot_mass_ratio", 3e-3),))])
-    near = cascade({"line": line, "near": {"walker": "D", "set": {}}, **options}, [_atlas("D", ())])
+    own = cascade(
+        {"line": line, **options}, [_atlas("E", (("foot_mass_ratio", 3e-3),))]
+    )
+    near = cascade(
+        {"line": line, "near": {"walker": "D", "set": {}}, **options}, [_atlas("D", ())]
+    )
     assert own["cascade/kind"].tolist() == near["cascade/kind"].tolist() == ["flip"]
     assert near["cascade/slope"] == pytest.approx(own["cascade/slope"], rel=1e-12)
 
 
 def test_first_intervals_far_from_the_law_are_no_hindrance():
-    """B's period two lasts over a factor of twenty in slope, its period four over a tenth."""
+    """B's period two lasts over a factor of twenty in slope, its period four over a
+    tenth.
+    """
     found = doublings("B", 3e-4, 0.03, periods=4, steps=0)
     assert found["cascade/period"].tolist() == [1, 2, 4]
-    assert found["cascade/slope"] == pytest.approx([0.000490856, 0.0104758, 0.0116164], rel=1e-5)
+    assert found["cascade/slope"] == pytest.approx(
+        [0.000490856, 0.0104758, 0.0116164], rel=1e-5
+    )
 
 
 def test_orbits_last_below_the_end_of_walking_and_not_above():
@@ -193,8 +290,14 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     slopes = np.array([0.012, 0.0165, 0.0185, 0.0193])
     _, gaits = gaits_at(problem, from_arrays(_atlas("D", ())), slopes, "long")
     spread = 1 + 1e-3 * np.linspace(-1, 1, 16)
-    last = [surviving_slopes(problem, gaits[:, k : k + 1] * spread, slopes[k : k + 1], 120)[0] for k in range(4)]
-    # At 0.012 they settle on period one, which is no attractor of a cascade beyond its doublings.
+    last = [
+        surviving_slopes(problem, gaits[:, k : k + 1] * spread, slopes[k : k + 1], 120)[
+            0
+        ]
+        for k in range(4)
+    ]
+    # At 0.012 they settle on period one, which is no attractor of a cascade beyond its
+    # doublings.
     assert last == [False, True, True, False]
     alone = surviving_slopes(problem, gaits[:, 2:3] * spread, slopes, 120)
     assert alone.tolist()[2:] == [True, False]
@@ -226,4 +329,6 @@ def test_a_loss_without_a_slope_says_why(monkeypatch):
     ):
         monkeypatch.setattr(locate_cascade, "lost", lambda *_, found=bracket: found)
         found = doublings("D", 0.014, 0.0195, periods=8, steps=5)
-        assert found["lost/reason"][0].startswith(sentence) and bool(found["lost/reason"][0]) == bool(sentence)
+        assert found["lost/reason"][0].startswith(sentence) and bool(
+            found["lost/reason"][0]
+        ) == bool(sentence)

@@ -1,4 +1,6 @@
-"""Charts: where nodes are added, what bounds their errors, and where gaits of sheets are known."""
+"""Charts: where nodes are added, what bounds their errors, and where gaits of sheets
+are known.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -9,11 +11,21 @@ import pytest
 from gaitsweep.tasks.families.box import Refused, roots
 from gaitsweep.tasks.families.chart import Chart, fit
 from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.interpolate import Sampled, Sheet, _margins, fit_panels, panels_over
+from gaitsweep.tasks.interpolate import (
+    Sampled,
+    Sheet,
+    _margins,
+    fit_panels,
+    panels_over,
+)
 
 
-def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3), total=10**9):
-    """Sizes of the charts that `fit` tries, whose errors and last coefficients are functions of their sizes."""
+def growing(
+    error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3), total=10**9
+):
+    """Sizes of the charts that `fit` tries, whose errors and last coefficients are
+    functions of their sizes.
+    """
     tried = []
 
     def attempt(sizes, before):
@@ -28,17 +40,28 @@ def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3)
 
 
 def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():
-    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-7, 1e-6))
+    chart, tried = growing(
+        lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-7, 1e-6)
+    )
     assert tried == [(4, 3), (4, 5), (4, 7)] and chart.sizes == (4, 7)
-    # Or a tenth of the largest; no more than there may be, and then the chart is fair, or refused.
-    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-10, 1e-9))
+    # Or a tenth of the largest; no more than there may be, and then the chart is fair,
+    # or refused.
+    chart, tried = growing(
+        lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-10, 1e-9)
+    )
     assert tried == [(4, 3), (4, 5), (4, 7)]
     _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 0.0))
     assert tried == [(4, 3), (7, 3), (9, 3)]
-    # By as many as the coefficients' falling lets expect, and at most 1.6 times as many, until there are enough in all.
+    # By as many as the coefficients' falling lets expect, and at most 1.6 times as
+    # many, until there are enough in all.
     _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), most=(13, 33))
     assert tried[-1] == (13, 33)
-    _, tried = growing(lambda n: 1e-3, lambda n: (0.0, 10.0 ** -(n[1] / 2)), most=(4, 99), first=(4, 10))
+    _, tried = growing(
+        lambda n: 1e-3,
+        lambda n: (0.0, 10.0 ** -(n[1] / 2)),
+        most=(4, 99),
+        first=(4, 10),
+    )
     assert tried[1] == (4, 15)
     assert growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), total=35)[1][-1] == (7, 5)
     for tails in ((1e-3, 0.0), (0.0, 1e-3)):
@@ -46,7 +69,13 @@ def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error
             growing(lambda n: 1.001e-3, lambda n, tails=tails: tails, fair=1e-3)
         assert refused.value.axis == 0  # of the keys, of which there is one
     with pytest.raises(Refused) as refused:
-        growing(lambda n: 2.0, lambda n: (9.0, 1.0, 5.0), most=(4, 3, 3), keys=2, first=(4, 3, 3))
+        growing(
+            lambda n: 2.0,
+            lambda n: (9.0, 1.0, 5.0),
+            most=(4, 3, 3),
+            keys=2,
+            first=(4, 3, 3),
+        )
     assert refused.value.axis == 1
     # What is not a number is not good, and neither fair.
     _, tried = growing(lambda n: np.nan if n[1] < 5 else 1e-7, lambda n: (0.0, 1e-3))
@@ -60,16 +89,24 @@ def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error
 
 def test_last_coefficients_count_over_the_sizes_of_their_values():
     chart = Chart((2, 3), np.arange(12.0).reshape(6, 2), size=np.array([1.0, 2.0]))
-    assert chart.tails().tolist() == [[6 + 8 + 10, (7 + 9 + 11) / 2], [4 + 10, (5 + 11) / 2]]
+    assert chart.tails().tolist() == [
+        [6 + 8 + 10, (7 + 9 + 11) / 2],
+        [4 + 10, (5 + 11) / 2],
+    ]
     assert chart.tails(2)[1].tolist() == [2 + 4 + 8 + 10, (3 + 5 + 9 + 11) / 2]
-    signs = replace(chart, coefficients=chart.coefficients * [[1], [-1], [1], [1], [-1], [1]])
+    signs = replace(
+        chart, coefficients=chart.coefficients * [[1], [-1], [1], [1], [-1], [1]]
+    )
     assert signs.tails().tolist() == chart.tails().tolist()
     assert signs.range_of(1) == (1 - 3 - 5 - 7 - 9 - 11, 1 + 3 + 5 + 7 + 9 + 11)
 
 
 def test_a_value_at_a_point_has_the_same_bits_in_any_company():
     draw = np.random.default_rng(0)
-    chart, points = Chart((7, 5), draw.normal(size=(35, 4))), draw.uniform(-1, 1, (200, 2))
+    chart, points = (
+        Chart((7, 5), draw.normal(size=(35, 4))),
+        draw.uniform(-1, 1, (200, 2)),
+    )
     whole = chart(points)
     for some in (slice(0, 1), slice(50, 193), slice(199, None)):
         np.testing.assert_array_equal(chart(points[some]), whole[:, some])
@@ -101,18 +138,38 @@ def test_nothing_is_known_nearer_to_a_fold_than_a_quarter_of_the_way_to_the_near
     assert known(replace(both, part=(0.5, 1.0))) == [True, True, True, False, False]
     assert known(Span.between(ends, 0)) == [True] * 5
     # Steps that vanish are described up to the end of the span.
-    assert known(Span(Chart((), ends[None]), vanishing=(0.0, 5.0))) == [True, True, True, True, False]
+    assert known(Span(Chart((), ends[None]), vanishing=(0.0, 5.0))) == [
+        True,
+        True,
+        True,
+        True,
+        False,
+    ]
 
 
 def test_panels_begin_and_end_at_folds_where_their_pieces_do():
-    panels = panels_over(3, -4.3, -1.2, (True, True), np.array([-4.2, -3.5, -2.5, -1.3]))
+    panels = panels_over(
+        3, -4.3, -1.2, (True, True), np.array([-4.2, -3.5, -2.5, -1.3])
+    )
     assert [piece for piece, _ in panels] == [3] * 4
-    assert [span.folds for _, span in panels] == [(True, False), (False, False), (False, False), (False, True)]
-    assert [span.bounds for _, span in panels] == [(-4.3, -4.0), (-4.0, -3.0), (-3.0, -2.0), (-2.0, -1.2)]
+    assert [span.folds for _, span in panels] == [
+        (True, False),
+        (False, False),
+        (False, False),
+        (False, True),
+    ]
+    assert [span.bounds for _, span in panels] == [
+        (-4.3, -4.0),
+        (-4.0, -3.0),
+        (-3.0, -2.0),
+        (-2.0, -1.2),
+    ]
 
 
 @pytest.mark.parametrize("at_fold", [False, True])
-def test_gaits_whose_own_bound_is_too_large_are_sought_in_halves_beside_folds_alone(at_fold):
+def test_gaits_whose_own_bound_is_too_large_are_sought_in_halves_beside_folds_alone(
+    at_fold,
+):
     tried = []
 
     def solve(panels, slopes):
@@ -130,4 +187,7 @@ def test_gaits_whose_own_bound_is_too_large_are_sought_in_halves_beside_folds_al
 
 
 def test_polynomials_give_no_gait_that_an_end_or_its_error_reaches():
-    assert _margins(SimpleNamespace(folds=(True, False), end_errors=(1e-3, 1e-5))) == (0.0, 1e-9 + 8e-5)
+    assert _margins(SimpleNamespace(folds=(True, False), end_errors=(1e-3, 1e-5))) == (
+        0.0,
+        1e-9 + 8e-5,
+    )

@@ -1,4 +1,6 @@
-"""Checks of whole branches: a sound one passes unchanged, a damaged one is mended, cut or reported."""
+"""Checks of whole branches: a sound one passes unchanged, a damaged one is mended, cut
+or reported.
+"""
 
 from collections import Counter
 from dataclasses import replace
@@ -23,7 +25,13 @@ from lines import branches
 
 def plain(branch, nodes=None):
     nodes = np.arange(len(branch.q)) if nodes is None else nodes
-    return Branch(branch.m, branch.Z[:, nodes], branch.tangent[:, nodes], np.zeros(len(nodes)), branch.why)
+    return Branch(
+        branch.m,
+        branch.Z[:, nodes],
+        branch.tangent[:, nodes],
+        np.zeros(len(nodes)),
+        branch.why,
+    )
 
 
 @pytest.mark.parametrize("name", ["B", "C", "physical", "physical-straight"])
@@ -39,7 +47,10 @@ def test_a_part_of_a_branch_keeps_what_is_known_of_the_end_it_has():
     first, last = branch.part(np.arange(n - 1)), branch.part(np.arange(1, n))
     assert branch.part(np.arange(n)).end_errors == (0.25, 0.5)
     assert (first.end_errors, last.end_errors) == ((0.25, 0), (0, 0.5))
-    assert (first.why, last.why) == ((branch.why[0], "no further point"), ("no further point", branch.why[1]))
+    assert (first.why, last.why) == (
+        (branch.why[0], "no further point"),
+        ("no further point", branch.why[1]),
+    )
 
 
 def test_both_segments_beside_a_fold_fail_where_the_slope_does_not_turn():
@@ -61,19 +72,29 @@ def test_a_branch_of_few_nodes_is_mended():
     mended = run(problem, checked(few, few.Z[:, 0]))
     assert mended.why == branch.why and len(mended.q) > len(few.q)
     assert not run(problem, checks._failing(mended)).any()
-    # What was inserted lies on the branch, whose nodes are apart by up to the root of two.
+    # What was inserted lies on the branch, whose nodes are apart by up to the root of
+    # two.
     for Z in mended.Z.T:
         assert np.abs(branch.Z - Z[:, None]).max(axis=0).min() < 0.75
 
 
-@pytest.mark.parametrize("x", [[-0.3, -0.2, -0.1, 0.0, 4e-8, 0.1, 0.2], [-0.3, -0.2, -4e-8, 0.0, 0.1, 0.2, 0.3]])
+@pytest.mark.parametrize(
+    "x",
+    [[-0.3, -0.2, -0.1, 0.0, 4e-8, 0.1, 0.2], [-0.3, -0.2, -4e-8, 0.0, 0.1, 0.2, 0.3]],
+)
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_node_beside_a_fold_is_not_the_fold(x, side):
     """Whose slope differs from the fold's by rounding."""
     x = np.array(x)
-    Z, tangent = np.array([x, x, side * x**2]), np.array([np.ones(7), np.ones(7), 2 * side * x])
+    Z, tangent = (
+        np.array([x, x, side * x**2]),
+        np.array([np.ones(7), np.ones(7), 2 * side * x]),
+    )
     (fold,) = np.flatnonzero(x == 0)
-    assert Branch(1, Z, tangent, np.zeros(7), ("", "")).pieces() == [(0, fold), (fold, 6)]
+    assert Branch(1, Z, tangent, np.zeros(7), ("", "")).pieces() == [
+        (0, fold),
+        (fold, 6),
+    ]
 
 
 def test_one_node_is_left_as_it_is():
@@ -94,7 +115,9 @@ def test_of_a_branch_that_is_cut_the_part_with_its_gait_remains_or_the_longest()
     last = next(k for k in range(3, n) if apart[2:k].sum() > 2 * apart[:2].sum())
     few = plain(branch, np.array([0, 1, 2, last, n - 1]))
     for cut, kept in (([2], [last, n - 1]), ([0, 1], [2, last, n - 1])):
-        np.testing.assert_array_equal(few.part_of(branch.Z[:, 0] + 1e-12, np.array(cut)).Z, branch.Z[:, kept])
+        np.testing.assert_array_equal(
+            few.part_of(branch.Z[:, 0] + 1e-12, np.array(cut)).Z, branch.Z[:, kept]
+        )
 
 
 def test_a_narrow_window_is_sampled_on_few_segments(monkeypatch):
@@ -112,7 +135,9 @@ def test_a_narrow_window_is_sampled_on_few_segments(monkeypatch):
     every = branch.at(np.arange(0, len(branch.q) - 1, 1 / 64))
     inside = (every[-1] >= np.log(0.011)) & (every[-1] <= np.log(0.02))
     assert inner.shape[1] == len(place) == inside.sum() + 2
-    assert narrow.shape[1] >= 2 and np.exp(narrow[-1, [0, -1]]) == pytest.approx([0.011, 0.01101], rel=1e-12)
+    assert narrow.shape[1] >= 2 and np.exp(narrow[-1, [0, -1]]) == pytest.approx(
+        [0.011, 0.01101], rel=1e-12
+    )
 
 
 def test_a_polynomial_that_goes_astray_between_two_nodes_is_longer_than_its_chord():
@@ -133,10 +158,16 @@ def test_segments_are_split_side_by_side_by_nodes_between_their_own():
     new = np.arange(k + 1, len(split.q), 2)
     assert len(split.q) == 2 * n - 1 - k
     np.testing.assert_array_equal(np.delete(split.Z, new, axis=1), branch.Z)
-    assert ((split.direction[:, new] * (split.Z[:, new + 1] - split.Z[:, new - 1])).sum(axis=0) > 0).all()
+    assert (
+        (split.direction[:, new] * (split.Z[:, new + 1] - split.Z[:, new - 1])).sum(
+            axis=0
+        )
+        > 0
+    ).all()
     point = correct(problem, split.Z[:, new], split.direction[:, new])
     np.testing.assert_allclose(point.Z, split.Z[:, new], atol=1e-12)
-    # A tangent that bends the polynomial to the other gait, which is not taken for one between the nodes.
+    # A tangent that bends the polynomial to the other gait, which is not taken for one
+    # between the nodes.
     low, high = branch.q[k - 1 : k + 1]
     ((_, beside, _),) = other.guesses(np.array([(low + high) / 2]))
     tangent = branch.tangent.copy()
@@ -144,8 +175,14 @@ def test_segments_are_split_side_by_side_by_nodes_between_their_own():
     tangent[:-1, k] -= 8 / (high - low) * tangent[-1, k] * bend
     alone = replace(branch, tangent=tangent).part(np.array([k - 1, k]))
     middle = alone.evaluate(np.array([0]), np.array([(low + high) / 2]))
-    assert alone.axis == len(middle) - 1 and correct(problem, middle, branch.direction[:, k - 1 : k]).ok
-    strange = run(problem, checks._split(replace(branch, tangent=tangent), np.array([k - 1, n - 3])))
+    assert (
+        alone.axis == len(middle) - 1
+        and correct(problem, middle, branch.direction[:, k - 1 : k]).ok
+    )
+    strange = run(
+        problem,
+        checks._split(replace(branch, tangent=tangent), np.array([k - 1, n - 3])),
+    )
     np.testing.assert_array_equal(np.delete(strange.Z, n - 2, axis=1), branch.Z)
 
 
@@ -161,10 +198,15 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     kept = run(problem, checked(damaged, Z[:, -1]))
     assert "no further point" in kept.why and len(kept.lost()) >= 1
     assert np.isin(kept.Z[0], branch.Z[0]).mean() > 0.9
-    assert (run(problem, checked(damaged, Z[:, 0])).Z[:, 0] == Z[:, 0]).all() and (kept.Z[:, -1] == Z[:, -1]).all()
+    assert (run(problem, checked(damaged, Z[:, 0])).Z[:, 0] == Z[:, 0]).all() and (
+        kept.Z[:, -1] == Z[:, -1]
+    ).all()
     assert "lost" in [p["kind"] for p in special_points(problem, kept)]
     run(problem, measure(kept, COARSE))
-    assert all("continuation was lost at" in sentence for sentence in np.array(_reasons(problem, [kept]))[[1, 5]])
+    assert all(
+        "continuation was lost at" in sentence
+        for sentence in np.array(_reasons(problem, [kept]))[[1, 5]]
+    )
     assert "lost" not in outside("long", [], "searched")
 
 
@@ -173,25 +215,47 @@ def test_slopes_that_branches_span_are_told_in_order_and_once():
     assert ranges(pieces) == "0.01 to 0.06; 0.2; 0.3 to 0.4"
 
 
-@pytest.mark.parametrize("end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "end_fall"])
+@pytest.mark.parametrize(
+    "end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "end_fall"]
+)
 def test_an_end_whose_condition_does_not_hold_is_none(end):
     problem, found = branches("C", detuning=0.3)
     branch = next(b for b in found if b.why[1] != end)
     claimed = replace(branch, why=(branch.why[0], end))
-    assert run(problem, checked(claimed, branch.Z[:, 0])).why == (branch.why[0], "no further point")
+    assert run(problem, checked(claimed, branch.Z[:, 0])).why == (
+        branch.why[0],
+        "no further point",
+    )
 
 
 def test_a_branch_before_a_fall_takes_few_corrections(monkeypatch):
-    """Its tail took 900 steps, and each of its 1,200 failing segments was split by itself: half a minute."""
+    """Its tail took 900 steps, and each of its 1,200 failing segments was split by
+    itself: half a minute.
+    """
     calls = Counter()
 
     def counted(module, name):
         original = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *a, **k: calls.update([name]) or original(*a, **k))
+        monkeypatch.setattr(
+            module, name, lambda *a, **k: calls.update([name]) or original(*a, **k)
+        )
 
     counted(Tracks, "advance")
     counted(tracking, "bordered_newton")
-    legs = {"units": "SI", "g": 9.81, "knees": False, "l": 1.0, "m": 3, "c": 0.3, "r": 0.2, "R": 0.3}
-    branches = from_arrays(atlas({"line": {"walker": legs, "set": {}}, "coarse": True}, []))
-    assert max(branch.Z[-2].max() for branch in branches) > 10  # a period close to the longest
+    legs = {
+        "units": "SI",
+        "g": 9.81,
+        "knees": False,
+        "l": 1.0,
+        "m": 3,
+        "c": 0.3,
+        "r": 0.2,
+        "R": 0.3,
+    }
+    branches = from_arrays(
+        atlas({"line": {"walker": legs, "set": {}}, "coarse": True}, [])
+    )
+    assert (
+        max(branch.Z[-2].max() for branch in branches) > 10
+    )  # a period close to the longest
     assert calls["advance"] < 400 and calls["bordered_newton"] < 500

@@ -1,4 +1,6 @@
-"""The ledger: every claim once, verdicts by one rule, and the numbers PHYSICS pins down."""
+"""The ledger: every claim once, verdicts by one rule, and the numbers PHYSICS pins
+down.
+"""
 
 import tomllib
 from pathlib import Path
@@ -12,7 +14,14 @@ from gaitsweep.tasks.paper import claim as rule
 from gaitsweep.tasks.paper import kneed_chaos, lines, zero_slope
 from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from gaitsweep.tasks.paper.lines import paper_of
-from gaitsweep.tasks.paper.rounding_intervals import HALF_UNITS, LANDMARKS, changed, interval, place, sensitivities
+from gaitsweep.tasks.paper.rounding_intervals import (
+    HALF_UNITS,
+    LANDMARKS,
+    changed,
+    interval,
+    place,
+    sensitivities,
+)
 from gaitsweep.tasks.paper.zero_slope import mass_limit
 from gaitsweep.tasks.registry import TASKS
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -80,14 +89,32 @@ def test_verdicts_follow_from_intervals():
 
 
 def test_the_sentence_of_a_claim_formats_lists_and_names_value_by_value(monkeypatch):
-    monkeypatch.setattr(rule, "TEXTS", {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}})
-    monkeypatch.setitem(rule._SAID, "Q1", "{value:.1f} of {low:g}-{high:g}: {each:.2g}; {named:.3f}; {named[B][1]:g}")
+    monkeypatch.setattr(
+        rule,
+        "TEXTS",
+        {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}},
+    )
+    monkeypatch.setitem(
+        rule._SAID,
+        "Q1",
+        "{value:.1f} of {low:g}-{high:g}: {each:.2g}; {named:.3f}; {named[B][1]:g}",
+    )
     monkeypatch.setitem(rule.PRINTED, "Q1", rule.NOT_PRINTED)
     monkeypatch.setattr(rule, "CLAIMS", {})
     named = {"A": 0.5, "B": [1.0, 2.0]}
-    rule.claim("Q1")(lambda paper: rule.found("reproduced", np.float64(1), 0.5, 2.0, each=np.ones(2) / 3, named=named))
+    rule.claim("Q1")(
+        lambda paper: rule.found(
+            "reproduced", np.float64(1), 0.5, 2.0, each=np.ones(2) / 3, named=named
+        )
+    )
     result = rule.CLAIMS["Q1"].find(PAPER)
-    assert result == ClaimResult("1.0 of 0.5-2: 0.33, 0.33; A 0.500, B 1.000, 2.000; 2", "reproduced", 1.0, 0.5, 2.0)
+    assert result == ClaimResult(
+        "1.0 of 0.5-2: 0.33, 0.33; A 0.500, B 1.000, 2.000; 2",
+        "reproduced",
+        1.0,
+        0.5,
+        2.0,
+    )
     assert type(result.value) is float
 
 
@@ -97,8 +124,14 @@ STEEPEST = 3e-8
 
 def test_the_sentence_of_a_claim_says_the_constants_of_its_module(monkeypatch):
     """They stood in the sentence as well, and could differ from those that were used."""
-    monkeypatch.setattr(rule, "TEXTS", {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}})
-    monkeypatch.setitem(rule._SAID, "Q1", "up to {STEEPEST:plain}, beyond {GRID[1]:plain}")
+    monkeypatch.setattr(
+        rule,
+        "TEXTS",
+        {"Q1": {"printed": "", "quotation": "", "source": "", "figure": ""}},
+    )
+    monkeypatch.setitem(
+        rule._SAID, "Q1", "up to {STEEPEST:plain}, beyond {GRID[1]:plain}"
+    )
     monkeypatch.setitem(rule.PRINTED, "Q1", rule.NOT_PRINTED)
     monkeypatch.setattr(rule, "CLAIMS", {})
     rule.claim("Q1")(lambda paper: rule.found("reproduced"))
@@ -107,8 +140,16 @@ def test_the_sentence_of_a_claim_says_the_constants_of_its_module(monkeypatch):
 
 def test_no_sentence_repeats_a_constant():
     said = rule._SAID
-    assert not [id for id, sentence in said.items() if "1e-09" in sentence or "1e-8 to" in sentence]
-    assert "{VANISHING:g}" in said["M3"] and "{GRID[0]:plain}" in said["D1"] and "{TOLERANCE:g}" in said["Z6"]
+    assert not [
+        id
+        for id, sentence in said.items()
+        if "1e-09" in sentence or "1e-8 to" in sentence
+    ]
+    assert (
+        "{VANISHING:g}" in said["M3"]
+        and "{GRID[0]:plain}" in said["D1"]
+        and "{TOLERANCE:g}" in said["Z6"]
+    )
 
 
 def test_an_unknown_claim_is_named():
@@ -120,16 +161,22 @@ def test_a_claim_whose_gaits_are_lost_is_not_checkable(monkeypatch):
     def lost(paper):
         raise ValueError("no such gait")
 
-    monkeypatch.setitem(CLAIMS, "Q1", Claim("Q1", "a thing", "A thing.", "nowhere", "", lost))
+    monkeypatch.setitem(
+        CLAIMS, "Q1", Claim("Q1", "a thing", "A thing.", "nowhere", "", lost)
+    )
     table = claims({"lines": [], "ids": ["Q1"]}, [])
     assert table["claims/verdict"][0] == "not checkable"
     assert "no such gait" in table["claims/computed"][0]
 
 
 def test_half_units_are_those_of_the_reference():
-    reference = tomllib.loads((ROOT / "data" / "reference" / "published.toml").read_text())["parameters"]
+    reference = tomllib.loads(
+        (ROOT / "data" / "reference" / "published.toml").read_text()
+    )["parameters"]
     for name in ("physical", "physical-straight", "A-printed", "C-printed"):
-        assert HALF_UNITS[name] == {k: v for k, v in reference[name]["half_unit"].items() if v}
+        assert HALF_UNITS[name] == {
+            k: v for k, v in reference[name]["half_unit"].items() if v
+        }
 
 
 def test_exact_walkers_stay_tuned_as_their_keys_move():
@@ -151,7 +198,10 @@ def test_exact_walkers_stay_tuned_as_their_keys_move():
 )
 def test_straight_legged_claims(name, verdict, value, tolerance):
     found = CLAIMS[name].find(PAPER)
-    assert (found.verdict, found.value) == (verdict, pytest.approx(value, abs=tolerance))
+    assert (found.verdict, found.value) == (
+        verdict,
+        pytest.approx(value, abs=tolerance),
+    )
 
 
 def test_transition_of_light_feet():
@@ -174,10 +224,16 @@ def test_a_step_that_newton_loses_is_no_limit_of_stability(monkeypatch):
         return guess, np.zeros(guess.shape[1], bool)
 
     monkeypatch.setattr(zero_slope, "newton", lost)
-    forgotten = {key: value for key, value in PAPER.memory.items() if key[0].__name__ != "mass_limit"}
+    forgotten = {
+        key: value
+        for key, value in PAPER.memory.items()
+        if key[0].__name__ != "mass_limit"
+    }
     monkeypatch.setattr(PAPER, "memory", forgotten)
 
-    with pytest.raises(ArithmeticError, match="does not converge at a foot mass ratio of 0.0995"):
+    with pytest.raises(
+        ArithmeticError, match="does not converge at a foot mass ratio of 0.0995"
+    ):
         mass_limit(PAPER)
 
 
@@ -239,10 +295,18 @@ def test_sensitivities_do_not_depend_on_the_step(name):
 
 def test_sensitivity_of_a_fold_is_that_of_the_fold_found_again():
     h = 2e-5
-    moved = [min(float(np.exp(b.q.min())) for b in PAPER.line("physical-straight", w_t=w).branches) for w in (h, -h)]
+    moved = [
+        min(
+            float(np.exp(b.q.min()))
+            for b in PAPER.line("physical-straight", w_t=w).branches
+        )
+        for w in (h, -h)
+    ]
     # Central difference of relocated folds: error of order (h/leg)^2.
     again = (moved[0] - moved[1]) / (2 * h)
-    assert interval(PAPER, "smallest slope, straight").sensitivity["w_t"] == pytest.approx(again, rel=1e-5)
+    assert interval(PAPER, "smallest slope, straight").sensitivity[
+        "w_t"
+    ] == pytest.approx(again, rel=1e-5)
 
 
 def test_the_table_of_claims_is_whole():
@@ -251,14 +315,23 @@ def test_the_table_of_claims_is_whole():
     assert set(table["claims/verdict"]) <= set(VERDICTS)
     assert len({len(v) for k, v in table.items() if k.startswith("claims/")}) == 1
     most = table["rounding/matters_most"].astype(bool)
-    assert sorted(set(table["rounding/landmark"])) == sorted(table["rounding/landmark"][most])
+    assert sorted(set(table["rounding/landmark"])) == sorted(
+        table["rounding/landmark"][most]
+    )
 
 
 def read(name, walker, settings=None, **tables):
     """A claim as a study wants it whose own task gave these tables."""
     lines = [{"walker": walker, "set": settings or {}}]
-    found = claims({"lines": lines, "ids": [name]}, [{k.replace("__", "/"): np.array(v) for k, v in tables.items()}])
-    return {k.removeprefix("claims/"): v[0] for k, v in found.items() if k.startswith("claims/")}
+    found = claims(
+        {"lines": lines, "ids": [name]},
+        [{k.replace("__", "/"): np.array(v) for k, v in tables.items()}],
+    )
+    return {
+        k.removeprefix("claims/"): v[0]
+        for k, v in found.items()
+        if k.startswith("claims/")
+    }
 
 
 def test_the_count_of_gaits_is_read_from_the_study(monkeypatch):
@@ -283,7 +356,15 @@ def cascade_of_d(end=0.01904, fold=0.0122808):
     return {
         "cascade__family": ["1"] * 3 + ["3"] * 4,
         "cascade__kind": ["flip"] * 3 + ["fold"] + ["flip"] * 3,
-        "cascade__slope": [0.0150884, 0.0176694, 0.01816, fold, 0.012635, 0.0127555, 0.0127829],
+        "cascade__slope": [
+            0.0150884,
+            0.0176694,
+            0.01816,
+            fold,
+            0.012635,
+            0.0127555,
+            0.0127829,
+        ],
         "accumulation__family": ["1", "3"],
         "accumulation__slope": [0.0182934, 0.0127904],
         "accumulation__ratio": [4.67, 4.66],
@@ -312,7 +393,9 @@ def test_a_second_study_in_one_process_gets_the_row_of_a_fresh_one():
     first = read("D9", "D", **cascade_of_d())
     read("D9", "D", **cascade_of_d(fold=0.0126))
     again = read("D9", "D", **cascade_of_d())
-    assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in first.items()}
+    assert {k: v.tobytes() for k, v in again.items()} == {
+        k: v.tobytes() for k, v in first.items()
+    }
 
 
 def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_before():
@@ -331,11 +414,16 @@ def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_
         paper = paper_of([], [])
         assert paper.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
     assert len(made) == 1
-    # A study's table stands for itself: columns that were made have rows of another length.
-    assert list(paper_of(of_study[:1], [{"toy/x": np.zeros(1)}]).table("toy", "D", make)) == ["x"]
+    # A study's table stands for itself: columns that were made have rows of another
+    # length.
+    assert list(
+        paper_of(of_study[:1], [{"toy/x": np.zeros(1)}]).table("toy", "D", make)
+    ) == ["x"]
 
 
-@pytest.mark.parametrize(("value", "verdict"), [(0.72386360373, "reproduced"), (0.76, "not reproduced")])
+@pytest.mark.parametrize(
+    ("value", "verdict"), [(0.72386360373, "reproduced"), (0.76, "not reproduced")]
+)
 def test_branches_touch_where_folds_are_on_one_side_only(value, verdict):
     """At detuning 0.76 lines on both sides have two folds beside the slope."""
     found = read(
@@ -353,30 +441,43 @@ def test_branches_touch_where_folds_are_on_one_side_only(value, verdict):
 
 
 def test_feet_too_heavy_for_a_stable_gait_come_to_chaos_all_the_same():
-    """Walker E, not checked by the paper: its gait of period two is stable, doubles, and its orbits part."""
+    """Walker E, not checked by the paper: its gait of period two is stable, doubles,
+    and its orbits part.
+    """
     chaotic, said = kneed_chaos.chaos(PAPER, "E")
     assert chaotic == 1
     assert "period 2 from 0.0055" in said
 
 
-def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(monkeypatch):
+def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(
+    monkeypatch,
+):
     asked = []
 
     def lost(params, atlases):
         asked.append(params)
-        return {"lost/low": np.array([0.1 * len(asked)]), "lost/high": np.array([0.1 * len(asked) + 0.01])}
+        return {
+            "lost/low": np.array([0.1 * len(asked)]),
+            "lost/high": np.array([0.1 * len(asked) + 0.01]),
+        }
 
     monkeypatch.setattr(kneed_chaos, "cascade", lost)
     paper = MagicMock()
     paper.table = lambda _group, _walker, make: {k[8:]: v for k, v in make().items()}
-    monkeypatch.setattr(kneed_chaos, "interval", lambda _paper, name: interval(PAPER, name))
-    assert np.allclose(kneed_chaos.corner_crises(paper, "C-printed"), [(0.1, 0.11), (0.2, 0.21)])
+    monkeypatch.setattr(
+        kneed_chaos, "interval", lambda _paper, name: interval(PAPER, name)
+    )
+    assert np.allclose(
+        kneed_chaos.corner_crises(paper, "C-printed"), [(0.1, 0.11), (0.2, 0.21)]
+    )
     sensitivity = interval(PAPER, "C-printed flip").sensitivity
     lower, upper = (each["line"]["walker"] for each in asked)
     for key, half in HALF_UNITS["C-printed"].items():
         sign = np.sign(sensitivity[key])
         printed = getattr(CATALOGUE["C-printed"], key)
-        assert (lower[key], upper[key]) == pytest.approx((printed - sign * half, printed + sign * half), abs=1e-15)
+        assert (lower[key], upper[key]) == pytest.approx(
+            (printed - sign * half, printed + sign * half), abs=1e-15
+        )
 
 
 def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
@@ -386,8 +487,11 @@ def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
 
 
 def test_an_exponent_is_not_taken_across_two_curves():
-    # The machine's short step lies on one side of its fold at 0.0475 and on the other at 0.0525.
-    with pytest.raises(ValueError, match="short gaits around slope 0.05 lie on two curves"):
+    # The machine's short step lies on one side of its fold at 0.0475 and on the other
+    # at 0.0525.
+    with pytest.raises(
+        ValueError, match="short gaits around slope 0.05 lie on two curves"
+    ):
         PAPER.line("physical").exponent(lines.SHORT, 0.05)
     assert PAPER.line("physical").exponent(lines.LONG, 0.04) > 0
 
@@ -402,4 +506,7 @@ def test_a_number_allowed_by_rounding_only_is_consistent_not_reproduced():
     assert (found.verdict, rule.PRINTED["Z4"].number) == ("reproduced", 0.00015)
     kneed, printed = CLAIMS["P1"].find(PAPER), rule.PRINTED["P1"]
     assert kneed.verdict == "consistent within rounding"
-    assert kneed.low < printed.number < kneed.high and abs(kneed.value - printed.number) > printed.half_unit
+    assert (
+        kneed.low < printed.number < kneed.high
+        and abs(kneed.value - printed.number) > printed.half_unit
+    )

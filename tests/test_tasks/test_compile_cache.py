@@ -35,11 +35,14 @@ def test_who_else_may_change_a_file_is_told_by_its_owner_and_mode(status, is_sha
 
 
 @pytest.mark.parametrize(
-    ("name", "members", "is_shared"), [("me", ["me"], False), ("me", ["x"], True), ("x", [], True)]
+    ("name", "members", "is_shared"),
+    [("me", ["me"], False), ("me", ["x"], True), ("x", [], True)],
 )
 def test_a_group_of_the_user_alone_is_the_user(monkeypatch, name, members, is_shared):
     monkeypatch.setattr(
-        compile_cache.grp, "getgrgid", lambda number: compile_cache.grp.struct_group((name, "", 7, members))
+        compile_cache.grp,
+        "getgrgid",
+        lambda number: compile_cache.grp.struct_group((name, "", 7, members)),
     )
     me = compile_cache.pwd.struct_passwd(("me", "", ME, 7, "", "", ""))
     monkeypatch.setattr(compile_cache.pwd, "getpwuid", lambda number: me)
@@ -68,21 +71,35 @@ def in_the_place(path, make):
     ("change", "culprit"),
     [
         (lambda c: None, ""),
-        (lambda c: c.parent.chmod(0o1777), ""),  # as in /tmp, where nobody else can replace the folder
+        (
+            lambda c: c.parent.chmod(0o1777),
+            "",
+        ),  # as in /tmp, where nobody else can replace the folder
         (lambda c: c.parent.chmod(0o777), "home"),
         (lambda c: c.chmod(0o1777), "home/cache"),
         (lambda c: (c / "cache.db").chmod(0o666), "home/cache/cache.db"),
         (lambda c: in_the_place(c / "cache.db", os.mkfifo), "home/cache/cache.db"),
-        (lambda c: in_the_place(c / "cache.db", lambda p: p.symlink_to(c / "other")), "home/cache/cache.db"),
+        (
+            lambda c: in_the_place(c / "cache.db", lambda p: p.symlink_to(c / "other")),
+            "home/cache/cache.db",
+        ),
         (lambda c: (c / "checksums.db-wal").mkdir(), "home/cache/checksums.db-wal"),
     ],
 )
-def test_a_cache_that_others_may_change_is_not_used_and_named_once(tmp_path, cache, caplog, change, culprit):
+def test_a_cache_that_others_may_change_is_not_used_and_named_once(
+    tmp_path, cache, caplog, change, culprit
+):
     change(cache)
     with caplog.at_level(logging.WARNING):
-        assert compile_cache.usable_folder() == compile_cache.usable_folder() == (None if culprit else cache)
+        assert (
+            compile_cache.usable_folder()
+            == compile_cache.usable_folder()
+            == (None if culprit else cache)
+        )
     said = [record.getMessage() for record in caplog.records]
-    assert len(said) == bool(culprit) and all(f"not used: {tmp_path / culprit} is" in line for line in said)
+    assert len(said) == bool(culprit) and all(
+        f"not used: {tmp_path / culprit} is" in line for line in said
+    )
 
 
 def test_a_cache_of_another_user_is_not_used(cache, monkeypatch):
@@ -119,7 +136,10 @@ def test_a_database_of_another_program_is_left_alone(cache, monkeypatch):
     before = (cache / "cache.db").read_bytes()
     heyoka = pytest.importorskip("heyoka").llvm_state
     monkeypatch.setattr(
-        heyoka, "set_diskcache_enabled", lambda is_enabled: pytest.fail("used") if is_enabled else None, raising=False
+        heyoka,
+        "set_diskcache_enabled",
+        lambda is_enabled: pytest.fail("used") if is_enabled else None,
+        raising=False,
     )
     (cache / "checksums.db").unlink(missing_ok=True)
     compile_cache.use()
@@ -128,7 +148,11 @@ def test_a_database_of_another_program_is_left_alone(cache, monkeypatch):
 
 @pytest.mark.parametrize(
     ("base", "folder"),
-    [("/somewhere", "/somewhere/gaitsweep"), ("relative", "~/.cache/gaitsweep"), ("", "~/.cache/gaitsweep")],
+    [
+        ("/somewhere", "/somewhere/gaitsweep"),
+        ("relative", "~/.cache/gaitsweep"),
+        ("", "~/.cache/gaitsweep"),
+    ],
 )
 def test_a_relative_base_of_caches_is_ignored(monkeypatch, base, folder):
     """As the XDG specification has it."""

@@ -24,18 +24,31 @@ def another(tmp_path, monkeypatch):
     """Another process that has the turn of a name until its input is closed."""
     file = tmp_path / "locks"
     file.touch()
-    monkeypatch.setattr(compile_cache, "_locks", [os.open(file, os.O_RDWR)], raising=False)
+    monkeypatch.setattr(
+        compile_cache, "_locks", [os.open(file, os.O_RDWR)], raising=False
+    )
 
     def begin(name):
-        command = [sys.executable, "-S", "-c", HOLD, file, str(zlib.crc32(name.encode()))]
-        holder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        command = [
+            sys.executable,
+            "-S",
+            "-c",
+            HOLD,
+            file,
+            str(zlib.crc32(name.encode())),
+        ]
+        holder = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
         holder.stdout.readline()
         return holder
 
     return begin
 
 
-def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(another, monkeypatch):
+def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(
+    another, monkeypatch
+):
     """Both workers compiled every flow of an empty cache."""
     structure, compiled = structure_of(resolve("D", {})), []
     with another(repr((structure, 2, False, False))) as holder:
@@ -53,12 +66,18 @@ def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(anothe
     assert compiled == [(3, True), (2, False)]
 
 
-def test_a_cache_that_another_process_is_making_is_not_taken_for_damaged(another, monkeypatch, tmp_path):
-    """It was removed, and each process kept what it compiled in a file that the others did not see."""
+def test_a_cache_that_another_process_is_making_is_not_taken_for_damaged(
+    another, monkeypatch, tmp_path
+):
+    """It was removed, and each process kept what it compiled in a file that the others
+    did not see.
+    """
     monkeypatch.setitem(sys.modules, "heyoka", Mock())
     monkeypatch.setattr(compile_cache, "usable_folder", lambda: tmp_path)
     looked = threading.Event()
-    monkeypatch.setattr(compile_cache, "_is_intact", lambda folder: looked.set() or True)
+    monkeypatch.setattr(
+        compile_cache, "_is_intact", lambda folder: looked.set() or True
+    )
     with another("") as maker:
         opens = threading.Thread(target=compile_cache.use)
         opens.start()

@@ -1,4 +1,6 @@
-"""Curves in two parameters: against points located line by line, and where two branches re-pair."""
+"""Curves in two parameters: against points located line by line, and where two branches
+re-pair.
+"""
 
 import itertools
 from types import SimpleNamespace
@@ -7,7 +9,12 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.continuation import codimension_one
-from gaitsweep.tasks.continuation.codimension_one import Curve, follow, follow_both_directions, turning
+from gaitsweep.tasks.continuation.codimension_one import (
+    Curve,
+    follow,
+    follow_both_directions,
+    turning,
+)
 from gaitsweep.tasks.continuation.joint import rounding_step
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.follow_curves import _is_ordinary, curve
@@ -18,13 +25,29 @@ from lines import _atlas, branches
 
 LINE = {"walker": "C", "set": {}}
 WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}
-#: A fold of C on the way to the machine: similarity coordinates, event times, ln slope, detuning.
-FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, 1.69557706, 2.31306058, -2.05756334, 0.76301856])
+#: A fold of C on the way to the machine: similarity coordinates, event times, ln slope,
+#: detuning.
+FOLD = np.array(
+    [
+        -0.76050299,
+        -1.55377883,
+        -0.47724619,
+        1.69557706,
+        2.31306058,
+        -2.05756334,
+        0.76301856,
+    ]
+)
 SLOPE, DETUNING = 5, 6
 
 
 def folds_of_c():
-    return Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[DETUNING], (0.0, 1.0))
+    return Curve(
+        "fold",
+        lambda value: resolve("C", {"detuning": value}),
+        FOLD[DETUNING],
+        (0.0, 1.0),
+    )
 
 
 def pairs(points, tangents):
@@ -34,13 +57,19 @@ def pairs(points, tangents):
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     folds = folds_of_c()
     track = follow(folds, folds.correct(FOLD, np.eye(7)[DETUNING]), -1.0, WINDOW)
-    both = [(a, b) for a, b in pairs(track.Z.T, track.tangent.T) if turning(folds, a, b, DETUNING) is not None]
+    both = [
+        (a, b)
+        for a, b in pairs(track.Z.T, track.tangent.T)
+        if turning(folds, a, b, DETUNING) is not None
+    ]
     assert len(both) == 1
     found, error = turning(folds, *both[0], DETUNING)
-    # Branches followed at 0.72 and 0.73 show the two pairings, and a fold at 0.0902 on the far side.
+    # Branches followed at 0.72 and 0.73 show the two pairings, and a fold at 0.0902 on
+    # the far side.
     assert found[DETUNING] == pytest.approx(0.72386360373, abs=1e-9)
     assert np.exp(found[SLOPE]) == pytest.approx(0.1001868636, abs=1e-9)
-    # A bound that is measured, on the slope; differences over other steps move the turning by less.
+    # A bound that is measured, on the slope; differences over other steps move the
+    # turning by less.
     assert 1e-15 < error < 1e-8
     monkeypatch.setattr(codimension_one, "DIFFERENCE", 3e-5)
     monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
@@ -54,7 +83,9 @@ def test_the_equations_of_a_curve_have_the_derivatives_that_differences_have():
     _, derivative = folds.system(FOLD)
     for i in range(7):
         up, down = (folds.system(FOLD + sign * h * np.eye(7)[i])[0] for sign in (1, -1))
-        np.testing.assert_allclose(derivative[:, i], (up - down) / (2 * h), rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(
+            derivative[:, i], (up - down) / (2 * h), rtol=1e-5, atol=1e-7
+        )
 
 
 def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_linearly():
@@ -66,14 +97,23 @@ def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_
 
 def test_flips_agree_with_those_located_line_by_line():
     found = curve(
-        {"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning", "from": -0.02, "to": 0.22, "kinds": ["flip"]},
+        {
+            "line": LINE,
+            "slope": np.array([0.01, 0.2]),
+            "key": "detuning",
+            "from": -0.02,
+            "to": 0.22,
+            "kinds": ["flip"],
+        },
         [_atlas("C", ())],
     )
     near = np.argsort(np.abs(found["curves/value"] - 0.2))[:5]
     fit = np.polyfit(found["curves/value"][near] - 0.2, found["curves/slope"][near], 4)
     # Brent's method on the branch at detuning 0.2 (test function of the line alone).
     assert fit[-1] == pytest.approx(0.08056144479503541, abs=2e-8)
-    assert found["curves/slope"][np.argmin(np.abs(found["curves/value"]))] == pytest.approx(0.0768533651, rel=2e-3)
+    assert found["curves/slope"][
+        np.argmin(np.abs(found["curves/value"]))
+    ] == pytest.approx(0.0768533651, rel=2e-3)
     assert found["curves/walks"].all()
     # The slope of the flip is least a little off the tuned walker.
     assert found["turnings/turn"].tolist() == ["slope"]
@@ -84,32 +124,55 @@ def test_flips_agree_with_those_located_line_by_line():
 
 @pytest.mark.parametrize(
     ("walker", "key", "low", "high"),
-    [pytest.param("C", "m_h", 0.0, 0.4, marks=pytest.mark.thorough), ("A", "g", 1.0, 9.81)],
+    [
+        pytest.param("C", "m_h", 0.0, 0.4, marks=pytest.mark.thorough),
+        ("A", "g", 1.0, 9.81),
+    ],
 )
 def test_a_step_maps_the_states_along_a_curve_onto_themselves(walker, key, low, high):
     found = curve(
         {
             "line": {"walker": walker, "set": {}},
-            **{"slope": np.array([0.01, 0.2]), "key": key, "from": low, "to": high, "kinds": ["flip"]},
+            **{
+                "slope": np.array([0.01, 0.2]),
+                "key": key,
+                "from": low,
+                "to": high,
+                "kinds": ["flip"],
+            },
         },
         [_atlas(walker, ())],
     )
 
     for k in (0, -1):
-        start = [found[f"curves/{name}"][k] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+        start = [
+            found[f"curves/{name}"][k]
+            for name in ("stance_angle", "stance_rate", "thigh_rate")
+        ]
         line = {"walker": walker, "set": {key: found["curves/value"][k]}}
         mapped = map_step({**line, "slope": found["curves/slope"][k], "state": start})
         np.testing.assert_allclose(mapped["state"], start, rtol=1e-7)
-        np.testing.assert_allclose(mapped["heelstrike_time"], found["curves/period"][k], rtol=1e-7)
+        np.testing.assert_allclose(
+            mapped["heelstrike_time"], found["curves/period"][k], rtol=1e-7
+        )
     is_locked = found["curves/shank_rate"] == found["curves/thigh_rate"]
     assert is_locked.all() if walker == "A" else not is_locked.any()
 
 
 def followed(walker, key, low, high, kind, **overrides):
-    """One curve of ends: its key values, slopes and whether they are the edge of walking."""
+    """One curve of ends: its key values, slopes and whether they are the edge of
+    walking.
+    """
     line = {"walker": walker, "set": overrides}
     found = curve(
-        {"line": line, "slope": np.array([1e-3, 0.3]), "key": key, "from": low, "to": high, "kinds": [kind]},
+        {
+            "line": line,
+            "slope": np.array([1e-3, 0.3]),
+            "key": key,
+            "from": low,
+            "to": high,
+            "kinds": [kind],
+        },
         [_atlas(walker, tuple(overrides.items()))],
     )
     first = found["curves/curve"] == 0
@@ -119,7 +182,12 @@ def followed(walker, key, low, high, kind, **overrides):
 def end_at(walker, kind, **overrides):
     """The same end located on the branch of one line."""
     problem, found = branches(walker, **overrides)
-    return min(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == kind)
+    return min(
+        p["slope"]
+        for b in found
+        for p in special_points(problem, b)
+        if p["kind"] == kind
+    )
 
 
 def at(value, x, y):
@@ -132,21 +200,32 @@ def test_ends_at_no_rate_are_followed():
     kind = "end_tangential_heelstrike"
     value, slope, walks = followed("physical-straight", "c_t", 0.07, 0.112, kind)
     # Point 2 of figure 6, read off polynomials beside it on the branch of its own line.
-    assert at(0.091, value, slope) == pytest.approx(end_at("physical-straight", kind), rel=1e-10)
-    assert at(0.105, value, slope) == pytest.approx(end_at("physical-straight", kind, c_t=0.105), rel=1e-8)
+    assert at(0.091, value, slope) == pytest.approx(
+        end_at("physical-straight", kind), rel=1e-10
+    )
+    assert at(0.105, value, slope) == pytest.approx(
+        end_at("physical-straight", kind, c_t=0.105), rel=1e-8
+    )
     # Up to the borders of the range, and not beyond.
-    assert (value.min(), value.max()) == (pytest.approx(0.07, abs=1e-15), pytest.approx(0.112, abs=1e-15))
+    assert (value.min(), value.max()) == (
+        pytest.approx(0.07, abs=1e-15),
+        pytest.approx(0.112, abs=1e-15),
+    )
     assert walks.all()
 
 
 def test_ends_at_kneestrike_are_followed_past_where_heelstrike_is_at_no_rate():
-    """The short step of the detuned walker ends at kneestrike at 0.2, but heelstrike turns tangential first at 0.05."""
+    """The short step of the detuned walker ends at kneestrike at 0.2, but heelstrike
+    turns tangential first at 0.05.
+    """
     kind = "end_kneestrike_at_heelstrike"
     value, slope, walks = followed("C", "detuning", 0.0, 1.1, kind, detuning=1.0)
     assert value.min() < 0.05
     # Point 1 of the paper's figure 6.
     assert at(1.0, value, slope) == pytest.approx(end_at("physical", kind), rel=1e-9)
-    assert at(0.2, value, slope) == pytest.approx(end_at("C", kind, detuning=0.2), rel=1e-7)
+    assert at(0.2, value, slope) == pytest.approx(
+        end_at("C", kind, detuning=0.2), rel=1e-7
+    )
     assert walks[value > 0.2].all()
     assert not walks[value < 0.06].any()
 
@@ -155,27 +234,62 @@ def test_a_range_that_is_none_is_refused():
     with pytest.raises(WalkerError, match="must be less than"):
         curve({"line": LINE, "slope": np.array([0.1]), "from": 1.0, "to": 0.0}, [{}])
     with pytest.raises(WalkerError, match="not a walker key"):
-        curve({"line": LINE, "slope": np.array([0.1]), "key": "l_x", "from": 0.0, "to": 1.0}, [{}])
+        curve(
+            {
+                "line": LINE,
+                "slope": np.array([0.1]),
+                "key": "l_x",
+                "from": 0.0,
+                "to": 1.0,
+            },
+            [{}],
+        )
 
 
 @pytest.mark.parametrize(
     ("walker", "key", "low", "high", "slopes"),
     [
-        ("E", "R", 0.0, 0.3, (1e-4, 0.1)),  # its own foot is a point; flips are at the other end of the range
+        (
+            "E",
+            "R",
+            0.0,
+            0.3,
+            (1e-4, 0.1),
+        ),  # its own foot is a point; flips are at the other end of the range
         ("B", "R", 0.3, 0.4, (1e-4, 0.1)),  # its own value lies below the range
-        ("D", "foot_mass_ratio", 0.0, 0.08, (1e-3, 0.1)),  # beside its own value lies no walker
+        (
+            "D",
+            "foot_mass_ratio",
+            0.0,
+            0.08,
+            (1e-3, 0.1),
+        ),  # beside its own value lies no walker
     ],
 )
 def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
     line = {"walker": walker, "set": {}}
     found = curve(
-        {"line": line, "slope": np.array(slopes), "key": key, "from": low, "to": high, "kinds": ["flip"]},
+        {
+            "line": line,
+            "slope": np.array(slopes),
+            "key": key,
+            "from": low,
+            "to": high,
+            "kinds": ["flip"],
+        },
         [_atlas(walker, ())],
     )
     value, slope = found["curves/value"], found["curves/slope"]
     assert len(value) > 8 and found["curves/walks"].all()
-    assert low <= value.min() and value.max() <= high and slope.max() <= slopes[1] * (1 + 1e-14)
-    assert max(slope.min() / slopes[0] - 1, value.min() - low - 1e-3 * (high - low)) > -1e-14
+    assert (
+        low <= value.min()
+        and value.max() <= high
+        and slope.max() <= slopes[1] * (1 + 1e-14)
+    )
+    assert (
+        max(slope.min() / slopes[0] - 1, value.min() - low - 1e-3 * (high - low))
+        > -1e-14
+    )
     assert value.max() == pytest.approx(high, abs=1e-15)
     near = 0.31 if key == "R" and low else 0.07 if low == 0.0 and key != "R" else 0.25
     (there,) = {p["slope"] for p in flips(walker, **{key: near})}
@@ -183,19 +297,41 @@ def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
 
 
 def test_a_curve_begins_at_the_detuning_of_the_walkers_own_table():
-    """It was taken for 0, the branches for those of the tuned walker: its folds were missed, and others found."""
-    lines = [{"walker": {"base": "A", "detuning": 0.5}, "set": {}}, {"walker": "A", "set": {"detuning": 0.5}}]
-    options = {"slope": np.array([1e-3, 0.2]), "key": "detuning", "from": -0.2, "to": 0.7, "kinds": ["fold"]}
-    own, overridden = (curve({"line": line, **options}, [_atlas("A", (("detuning", 0.5),))]) for line in lines)
+    """It was taken for 0, the branches for those of the tuned walker: its folds were
+    missed, and others found.
+    """
+    lines = [
+        {"walker": {"base": "A", "detuning": 0.5}, "set": {}},
+        {"walker": "A", "set": {"detuning": 0.5}},
+    ]
+    options = {
+        "slope": np.array([1e-3, 0.2]),
+        "key": "detuning",
+        "from": -0.2,
+        "to": 0.7,
+        "kinds": ["fold"],
+    }
+    own, overridden = (
+        curve({"line": line, **options}, [_atlas("A", (("detuning", 0.5),))])
+        for line in lines
+    )
     assert own["curves/value"].max() == pytest.approx(0.7, abs=1e-15)
     for name, column in overridden.items():
         assert own[name].tolist() == column.tolist(), name
 
 
 def test_a_curve_that_returns_to_the_border_it_began_at_is_one():
-    """It was followed again from its other end: two curves, and its turning point twice."""
+    """It was followed again from its other end: two curves, and its turning point
+    twice.
+    """
     line = {"walker": "C", "set": {"detuning": 1.0}}
-    options = {"slope": np.array([0.05, 0.2]), "key": "detuning", "from": 0.65, "to": 0.73, "kinds": ["fold"]}
+    options = {
+        "slope": np.array([0.05, 0.2]),
+        "key": "detuning",
+        "from": 0.65,
+        "to": 0.73,
+        "kinds": ["fold"],
+    }
     found = curve({"line": line, **options}, [_atlas("C", (("detuning", 1.0),))])
     assert set(found["curves/curve"]) == {0}
     assert found["curves/value"][[0, -1]] == pytest.approx(0.73, abs=1e-15)
@@ -209,7 +345,9 @@ def test_a_curve_begins_where_neighbouring_walkers_have_its_equations():
     assert _is_ordinary(walker_at, [0.1 - 1e-4, 0.1, 0.1 + 1e-4], 0.2)
     assert _is_ordinary(walker_at, [0.0, 1e-4], 0.2)
     assert not _is_ordinary(walker_at, [-1e-4, 0.0, 1e-4], 0.2)
-    assert not _is_ordinary(lambda radius: resolve("E", {"R": radius}), [0.0, 1e-4], 0.2)  # another dimension
+    assert not _is_ordinary(
+        lambda radius: resolve("E", {"R": radius}), [0.0, 1e-4], 0.2
+    )  # another dimension
 
 
 def flips(walker, **overrides):
@@ -219,9 +357,18 @@ def flips(walker, **overrides):
 
 
 def test_periods_along_a_curve_are_in_the_walkers_time():
-    """On a moon the flip is where it was; its step takes longer by the square root of gravity."""
+    """On a moon the flip is where it was; its step takes longer by the square root of
+    gravity.
+    """
     found = curve(
-        {"line": LINE, "slope": np.array([0.05, 0.1]), "key": "g", "from": 1.0, "to": 9.81, "kinds": ["flip"]},
+        {
+            "line": LINE,
+            "slope": np.array([0.05, 0.1]),
+            "key": "g",
+            "from": 1.0,
+            "to": 9.81,
+            "kinds": ["flip"],
+        },
         [_atlas("C", ())],
     )
     tempo = found["curves/period"] * np.sqrt(found["curves/value"])
@@ -232,9 +379,15 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
     dice = np.random.default_rng(3)
     m, n, size = 3, 4, 6
     matrix = dice.normal(size=(n, size, size))
-    y, derivative = dice.uniform(0.1, 1.0, (m, n)), dice.normal(size=(size - 1, size - 1, n))
+    y, derivative = (
+        dice.uniform(0.1, 1.0, (m, n)),
+        dice.normal(size=(size - 1, size - 1, n)),
+    )
     found = (
-        rounding_step(matrix, SimpleNamespace(m=m, stride=SimpleNamespace(y=y, derivative=derivative)))
+        rounding_step(
+            matrix,
+            SimpleNamespace(m=m, stride=SimpleNamespace(y=y, derivative=derivative)),
+        )
         / np.finfo(float).eps
     )
     for lane in range(n):
@@ -242,12 +395,17 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
         inverse = np.linalg.inv(matrix[lane])[[*range(m), -1]]
         error = np.abs(inverse) @ np.r_[share, np.ones(size - m)]
         for k in range(m):
-            error += np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k])) * share[k]
+            error += (
+                np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k]))
+                * share[k]
+            )
         assert found[lane] == pytest.approx(6 * error.max(), rel=1e-9)
 
 
 class Plane(Curve):
-    """A curve of one equation in ln slope and the key, without a gait; `equation` gives its value and derivatives."""
+    """A curve of one equation in ln slope and the key, without a gait; `equation` gives
+    its value and derivatives.
+    """
 
     def __init__(self, equation):
         self.equation, self.scale, self.m = equation, 1.0, 0
@@ -280,12 +438,19 @@ def test_a_closed_curve_is_gone_round_once(begin):
     assert stopped == ("closed", "closed")
     assert Z[0] == pytest.approx(Z[-1], abs=1e-14)
     angles = np.unwrap(np.arctan2(Z[:, 2], Z[:, 1]))
-    assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi) and len(set(np.sign(np.diff(angles)))) == 1
+    assert (
+        abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi)
+        and len(set(np.sign(np.diff(angles)))) == 1
+    )
     # Each turning point once.
     turns = [turning(curve, a, b, 2) for a, b in pairs(Z, tangent)]
-    assert sorted(turn[0][2] for turn in turns if turn is not None) == pytest.approx([-1.0, 1.0])
+    assert sorted(turn[0][2] for turn in turns if turn is not None) == pytest.approx(
+        [-1.0, 1.0]
+    )
     # One that leaves the window ends there, though it would close.
-    arc, _, stopped = follow_both_directions(curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)})
+    arc, _, stopped = follow_both_directions(
+        curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)}
+    )
     assert stopped == ("border", "border")
     assert arc[[0, -1], 1] == pytest.approx([0.9, 0.9])
 
@@ -293,18 +458,24 @@ def test_a_closed_curve_is_gone_round_once(begin):
 def test_a_long_curve_is_followed_to_the_border():
     """It ended after 300 points, without a word."""
     curve = Plane(lambda q, key: (key - np.sin(q) / 4, [-np.cos(q) / 4, 1.0]))
-    Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)})
+    Z, _, stopped = follow_both_directions(
+        curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)}
+    )
     assert Z[[0, -1], 1] == pytest.approx([-40.0, 40.0])
     assert stopped == ("border", "border")
 
 
 def test_a_curve_that_is_lost_says_so():
     curve = Plane(lambda q, key: (ended(key) - q, [-1.0, 1.0]))
-    Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)})
+    Z, _, stopped = follow_both_directions(
+        curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)}
+    )
     assert stopped == ("border", "no further point")
     assert Z[-1, 2] == pytest.approx(1.5, abs=1e-3)
     # One that begins on the border has its first point there.
-    Z, _, stopped = follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
+    Z, _, stopped = follow_both_directions(
+        curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)}
+    )
     assert stopped == ("border", "border") and Z[0, 2] == 0.0
 
 
@@ -313,19 +484,36 @@ def test_a_curve_that_is_lost_says_so():
     [
         ("E", "foot_mass_ratio", 0.1, 0.015088437941119463562),
         ("A", "m_h", 1.0, None),
-        ("D", "R", 0.5, 0.015088437941119463562),  # a point foot's map has two dimensions; it raised ValueError
+        (
+            "D",
+            "R",
+            0.5,
+            0.015088437941119463562,
+        ),  # a point foot's map has two dimensions; it raised ValueError
     ],
 )
-def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(walker, key, high, slope):
-    """Differences over the key need walkers on either side: curves ended before, as if they could not be continued."""
+def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(
+    walker, key, high, slope
+):
+    """Differences over the key need walkers on either side: curves ended before, as if
+    they could not be continued.
+    """
     line, own = {"walker": walker, "set": {key: 0.5 * high}}, ((key, 0.5 * high),)
-    options = {"slope": np.array([0.01, 0.1]), "key": key, "from": 0.0, "to": high, "kinds": ["flip"]}
+    options = {
+        "slope": np.array([0.01, 0.1]),
+        "key": key,
+        "from": 0.0,
+        "to": high,
+        "kinds": ["flip"],
+    }
     curves = curve({"line": line, **options}, [_atlas(walker, own)])
     (end,) = np.flatnonzero(curves["curves/value"] == 0.0)
     assert curves["curves/stopped"][end] == "border" and curves["curves/walks"].all()
     if slope is None:
         problem, found = branches(walker, **{key: 0.0})
-        points = [point for branch in found for point in special_points(problem, branch)]
+        points = [
+            point for branch in found for point in special_points(problem, branch)
+        ]
         (slope,) = [point["slope"] for point in points if point["kind"] == "flip"]
     assert curves["curves/slope"][end] == pytest.approx(slope, rel=1e-12)
 
@@ -335,7 +523,10 @@ class Shy(Plane):
 
     def correct(self, Z, border):
         point = super().correct(Z, border)
-        if np.count_nonzero(border) == 1 and np.abs(self.system(Z.ravel())[0]).max() > 1e-7:
+        if (
+            np.count_nonzero(border) == 1
+            and np.abs(self.system(Z.ravel())[0]).max() > 1e-7
+        ):
             point.ok[:] = False
         return point
 
@@ -348,7 +539,9 @@ def test_a_step_beyond_the_window_from_which_the_border_is_not_found_is_shortene
     """The curve ended before the border, as if it could be continued no further."""
     window = {"q": (-2.0, 2.0), "key": (-1.0, 2.0)}
     first = Plane(wave).through(1.0, np.sin(3) / 4)
-    plain, shy = (follow_both_directions(of(wave), first, window) for of in (Plane, Shy))
+    plain, shy = (
+        follow_both_directions(of(wave), first, window) for of in (Plane, Shy)
+    )
     assert plain[2] == shy[2] == ("border", "border")
     assert len(shy[0]) > len(plain[0])
     np.testing.assert_allclose(shy[0][[0, -1]], plain[0][[0, -1]], atol=1e-12)
@@ -364,14 +557,22 @@ class Never(Plane):
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_a_turning_point_is_that_end_of_its_bracket_whose_tangent_changes_sign_by_rounding(side):
+def test_a_turning_point_is_that_end_of_its_bracket_whose_tangent_changes_sign_by_rounding(
+    side,
+):
     """Corrected anew, both tangents had one sign: it raised."""
     curve = Plane(circle)
     found = [
-        curve.correct(np.array([0.0, np.cos(a), np.sin(a)]), np.array([0.0, -np.sin(a), np.cos(a)]))
+        curve.correct(
+            np.array([0.0, np.cos(a), np.sin(a)]),
+            np.array([0.0, -np.sin(a), np.cos(a)]),
+        )
         for a in (1e-13, 0.2)
     ]
-    ends = [(p.Z[:, 0], p.oriented(np.array([[0.0], [-1.0], [1.0]])).direction[:, 0].copy()) for p in found]
+    ends = [
+        (p.Z[:, 0], p.oriented(np.array([[0.0], [-1.0], [1.0]])).direction[:, 0].copy())
+        for p in found
+    ]
     # Just beyond where q is largest it falls; by rounding it seemed to rise.
     ends[0][1][1] *= -1
     assert ends[0][1][1] > 0 > ends[1][1][1]

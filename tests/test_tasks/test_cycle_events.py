@@ -1,4 +1,6 @@
-"""Bounds on the slopes of flips and folds of period n: against 113 bits, and their linearised equations."""
+"""Bounds on the slopes of flips and folds of period n: against 113 bits, and their
+linearised equations.
+"""
 
 import heyoka as hy
 import numpy as np
@@ -22,7 +24,9 @@ R = hy.real128
 
 def family(walker, low, high, longest, first=1):
     problem, slopes = Problem(resolve(walker)), np.linspace(low, high, 3)
-    start = locate_cascade._first_gaits(problem, problem, _atlas(walker, ()), slopes, first, 200)[0]
+    start = locate_cascade._first_gaits(
+        problem, problem, _atlas(walker, ()), slopes, first, 200
+    )[0]
     return list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
 
 
@@ -31,11 +35,19 @@ def wide(values):
 
 
 def product(a, b):
-    return np.array([[sum(x * y for x, y in zip(row, column, strict=True)) for column in b.T] for row in a], R)
+    return np.array(
+        [
+            [sum(x * y for x, y in zip(row, column, strict=True)) for column in b.T]
+            for row in a
+        ],
+        R,
+    )
 
 
 def step(exact, constants, y, times, slope):
-    """Image, event times and Jacobian of a step in 113 bits, by differences extrapolated to fourth order."""
+    """Image, event times and Jacobian of a step in 113 bits, by differences
+    extrapolated to fourth order.
+    """
     m, z = len(y), np.concatenate([y, times])
     parameters = np.array([slope, R(1), *constants], R)
 
@@ -49,12 +61,20 @@ def step(exact, constants, y, times, slope):
         return (values(ends[0]) - values(ends[1])) / (R(2) * h)
 
     h = R(2) ** -30
-    J = np.array([(R(4) * difference(i, h / R(2)) - difference(i, h)) / R(3) for i in range(len(z))], R).T
+    J = np.array(
+        [
+            (R(4) * difference(i, h / R(2)) - difference(i, h)) / R(3)
+            for i in range(len(z))
+        ],
+        R,
+    ).T
     base, G = values(z), J[m:, m:]
     if len(times) == 1:
         inverse = np.array([[R(1) / G[0, 0]]], R)
     else:
-        inverse = np.array([[G[1, 1], -G[0, 1]], [-G[1, 0], G[0, 0]]], R) / (G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0])
+        inverse = np.array([[G[1, 1], -G[0, 1]], [-G[1, 0], G[0, 0]]], R) / (
+            G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0]
+        )
     late, by_y = -product(inverse, base[m:, None]), -product(inverse, J[m:, :m])
     image = base[:m] + product(J[:m, m:], late)[:, 0]
     return image, times + late[:, 0], J[:m, :m] + product(J[:m, m:], by_y)
@@ -68,7 +88,9 @@ def determinant(a):
 
 
 def flip_in_113_bits(event):
-    """Slope of a flip: the secant method on det(M + 1), the gait at each slope by Newton on all sections."""
+    """Slope of a flip: the secant method on det(M + 1), the gait at each slope by
+    Newton on all sections.
+    """
     problem = event.gait.problem
     exact, constants = _extended_step_map(problem.structure, 1), lump(problem.walker, R)
     constants = [constants[name] for name in problem.structure.constants]
@@ -77,7 +99,9 @@ def flip_in_113_bits(event):
 
     def test(slope):
         for _ in range(8):
-            steps = [step(exact, constants, Y[:, i], times[:, i], slope) for i in range(n)]
+            steps = [
+                step(exact, constants, Y[:, i], times[:, i], slope) for i in range(n)
+            ]
             matrix, residual = np.zeros((m * n, m * n)), np.zeros(m * n)
             for i, (image, _, A) in enumerate(steps):
                 own, after = slice(m * i, m * i + m), m * ((i + 1) % n)
@@ -85,7 +109,9 @@ def flip_in_113_bits(event):
                 matrix[own, after : after + m] -= np.eye(m)
                 residual[own] = (image - Y[:, (i + 1) % n]).astype(float)
             change = -np.linalg.solve(matrix, residual).reshape(n, m).T
-            late = max(abs(float(x)) for i in range(n) for x in steps[i][1] - times[:, i])
+            late = max(
+                abs(float(x)) for i in range(n) for x in steps[i][1] - times[:, i]
+            )
             Y[:] = Y + wide(change)
             times[:] = np.array([each[1] for each in steps], R).T
             if max(np.abs(change).max(), late) < 1e-22:
@@ -113,16 +139,22 @@ CASES = [
 
 
 @pytest.mark.parametrize(("walker", "low", "high", "longest"), CASES)
-def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, longest, tell):
+def test_the_bound_of_a_flips_slope_holds_against_113_bits(
+    walker, low, high, longest, tell
+):
     for event in some(family(walker, low, high, longest)):
         slope = flip_in_113_bits(event)
         error = abs(float((R(event.slope) - slope) / slope))
-        tell(f"{walker}, period {event.gait.problem.steps}: error {error:.1e}, bound {event.error:.1e}")
+        tell(
+            f"{walker}, period {event.gait.problem.steps}: error {error:.1e}, bound {event.error:.1e}"
+        )
         assert error < event.error < 1e-11
 
 
 def shares(seed):
-    """Errors over bounds of the folds, flips and births of the branches of a random walker's gaits of n steps."""
+    """Errors over bounds of the folds, flips and births of the branches of a random
+    walker's gaits of n steps.
+    """
     walker, keys, steps, _ = drawn(seed)
     problem, branches = followed(walker, steps, **keys)
     for branch in branches:
@@ -130,7 +162,11 @@ def shares(seed):
         for record in special_points(own, branch):
             kind, of, Z = record["kind"], own, np.array(record["Z"])
             if kind == "branch_point":
-                kind, of, Z = "flip", problem.of_steps(branch.steps // 2), halved(own, Z)
+                kind, of, Z = (
+                    "flip",
+                    problem.of_steps(branch.steps // 2),
+                    halved(own, Z),
+                )
             elif kind not in ("fold", "flip"):
                 continue
             exact = exact_cycle_slope(of, kind, Z)
@@ -142,40 +178,54 @@ def shares(seed):
 def halved(problem, Z):
     """A gait that repeats after half its steps as one of so many."""
     half = problem.steps // 2
-    y, durations = (part[:half] for part in sections(Z[:-1, None], problem.m, problem.steps))
+    y, durations = (
+        part[:half] for part in sections(Z[:-1, None], problem.m, problem.steps)
+    )
     return np.append(joined(Z[:1], y, durations)[:, 0], Z[-1])
 
 
 @pytest.mark.parametrize("seed", [2, 13])
 def test_folds_flips_and_births_of_random_walkers_lie_within_their_bounds(seed):
-    """Births had the bound of a gait's rounding at its slope, which their errors exceed by a third."""
+    """Births had the bound of a gait's rounding at its slope, which their errors exceed
+    by a third.
+    """
     found = list(shares(seed))
     assert {kind for kind, *_ in found} == {2: {"flip"}, 13: {"fold", "flip"}}[seed]
     assert all(share < 1 for *_, share in found)
 
 
 @pytest.mark.soak
-def test_folds_flips_and_births_of_many_random_walkers_lie_within_their_bounds(resumed, tell):
+def test_folds_flips_and_births_of_many_random_walkers_lie_within_their_bounds(
+    resumed, tell
+):
     for seed in resumed(60):
         try:
             found = list(shares(seed))
         except WalkerError:
             continue
         resumed.found.update(kind for kind, *_ in found)
-        resumed.found["thousandths"] = max(resumed.found["thousandths"], *(round(1000 * s) for *_, s in found), 0)
+        resumed.found["thousandths"] = max(
+            resumed.found["thousandths"], *(round(1000 * s) for *_, s in found), 0
+        )
         tell(f"{resumed.state}: {dict(resumed.found)}")
         assert all(share < 1 for *_, share in found), (seed, found)
 
 
 @pytest.mark.parametrize("first", [1, 3])
 def test_a_slope_that_is_off_is_told(first):
-    """The bound is linear in what is left to a solution: a gait at another slope is off by just that."""
+    """The bound is linear in what is left to a solution: a gait at another slope is off
+    by just that.
+    """
     window = (0.0145, 0.0195) if first == 1 else (0.0122, 0.0130)
     events = family("D", *window, 2 * first, first)
-    assert [e.kind for e in events] == (["flip", "flip"] if first == 1 else ["fold", "flip", "flip"])
+    assert [e.kind for e in events] == (
+        ["flip", "flip"] if first == 1 else ["fold", "flip", "flip"]
+    )
     for event in events:
         Z = event.gait.Z[:, 0]
         for off in (1e-9, -3e-8):
             moved = Z + off * np.eye(len(Z))[-1]
-            assert slope_error(event.gait.problem, event.kind, moved) == pytest.approx(abs(off), rel=1e-3)
+            assert slope_error(event.gait.problem, event.kind, moved) == pytest.approx(
+                abs(off), rel=1e-3
+            )
         assert 0 < slope_error(event.gait.problem, event.kind, Z) < 1e-12

@@ -1,4 +1,6 @@
-"""Designs of a plane of keys: what special points predicted over the keys give is what lines give, or not accepted."""
+"""Designs of a plane of keys: what special points predicted over the keys give is what
+lines give, or not accepted.
+"""
 
 import copy
 from dataclasses import replace
@@ -10,7 +12,14 @@ from scipy.optimize import brentq
 
 from gaitsweep.tasks.continuation import defining, extremes
 from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.defining import SCALARS, foot_radius, gradient, log_froude, scalar, solve
+from gaitsweep.tasks.continuation.defining import (
+    SCALARS,
+    foot_radius,
+    gradient,
+    log_froude,
+    scalar,
+    solve,
+)
 from gaitsweep.tasks.continuation.extremes import Points, Sought, best, find
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.refine import COARSE
@@ -35,8 +44,9 @@ QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
 SLOPE = np.array([1e-6, 0.45])
 WINDOW = (float(np.log(1e-6)), float(np.log(0.45)))
 SOUGHT = Sought(WINDOW)
-#: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and flip compete for the largest
-#: speed; where gaits continue to vanishing slopes; across a curve on which the smallest slope vanishes.
+#: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and
+#: flip compete for the largest speed; where gaits continue to vanishing slopes; across
+#: a curve on which the smallest slope vanishes.
 PLANES = {
     "A": ("A", {"detuning": (0.45, 0.65), "m_h": (0.0, 1.0)}),
     "C": ("C", {"detuning": (0.85, 1.0), "m_h": (0.0, 1.0)}),
@@ -52,7 +62,13 @@ def designs(name, n, seed=0):
     values = {key: draw.uniform(low, high, n) for key, (low, high) in keys.items()}
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     lines = {"line": {"walker": walker, "set": values}, "slope": SLOPE}
-    cell = {"keys": list(keys), "low": low, "high": high, "log": [False] * len(keys), "lines": 900}
+    cell = {
+        "keys": list(keys),
+        "low": low,
+        "high": high,
+        "log": [False] * len(keys),
+        "lines": 900,
+    }
     return lines, {**lines, "plane": cell}
 
 
@@ -69,7 +85,11 @@ def made():
         if name not in kept:
             walker, keys = PLANES[name]
             family = Family.of({"walker": walker, "set": {}}, tuple(keys))
-            box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
+            box = Box(
+                tuple(keys),
+                *(tuple(side) for side in zip(*keys.values(), strict=True)),
+                log=True,
+            )
             (landscape,) = make(family, box, SOUGHT, 1000)
             kept[name] = family, landscape
         return kept[name]
@@ -85,7 +105,11 @@ def test_both_roads_agree_within_their_bounds(name):
     assert np.array_equal(one["smallest_at"], other["smallest_at"])
     assert np.array_equal(one["stability_lost_by"], other["stability_lost_by"])
     for quantity in QUANTITIES:
-        a, b, bound = one[quantity], other[quantity], one[f"{quantity}_error"] + other[f"{quantity}_error"]
+        a, b, bound = (
+            one[quantity],
+            other[quantity],
+            one[f"{quantity}_error"] + other[f"{quantity}_error"],
+        )
         assert np.array_equal(np.isnan(a), np.isnan(b))
         there = np.isfinite(a) & (a > 0)
         assert (np.abs(a[there] / b[there] - 1) <= bound[there]).all()
@@ -109,9 +133,18 @@ def test_a_design_does_not_depend_on_its_company():
     together = computed(plane)
     for i in range(12):
         alone = computed(
-            {**plane, "line": {**plane["line"], "set": {k: v[i : i + 1] for k, v in plane["line"]["set"].items()}}}
+            {
+                **plane,
+                "line": {
+                    **plane["line"],
+                    "set": {k: v[i : i + 1] for k, v in plane["line"]["set"].items()},
+                },
+            }
         )
-        assert all(np.array_equal(v, together[k][i : i + 1], equal_nan=v.dtype.kind == "f") for k, v in alone.items())
+        assert all(
+            np.array_equal(v, together[k][i : i + 1], equal_nan=v.dtype.kind == "f")
+            for k, v in alone.items()
+        )
 
 
 def solved(family, landscape, keys):
@@ -138,13 +171,18 @@ def test_wrong_polynomials_change_no_accepted_value(made, by):
     assert accepted.mean() > 0.95
     wrong = copy.deepcopy(right)
     wrong.manifolds = [
-        replace(m, chart=replace(m.chart, coefficients=m.chart.coefficients * (1 + by))) for m in right.manifolds
+        replace(m, chart=replace(m.chart, coefficients=m.chart.coefficients * (1 + by)))
+        for m in right.manifolds
     ]
     other, still = solved(family, wrong, keys)
-    assert by < 1e-4 or not still.any()  # farther from their predictions than any that was measured
+    assert (
+        by < 1e-4 or not still.any()
+    )  # farther from their predictions than any that was measured
     assert_accepted_agree(out, other, still & accepted)
     # Whatever the distance, the step's own length bounds what is left of it.
-    wrong.manifolds = [replace(m, chart=replace(m.chart, error=1.0)) for m in wrong.manifolds]
+    wrong.manifolds = [
+        replace(m, chart=replace(m.chart, error=1.0)) for m in wrong.manifolds
+    ]
     other, still = solved(family, wrong, keys)
     assert by > 1e-4 or still.mean() > 0.9
     assert_accepted_agree(out, other, still & accepted)
@@ -182,13 +220,18 @@ def test_a_dropped_manifold_is_found_again(made):
 
 
 def test_flags_that_no_line_has_are_not_known():
-    patterns = {np.array([1, 6], np.int8).tobytes(), np.array([1, 0], np.int8).tobytes()}
+    patterns = {
+        np.array([1, 6], np.int8).tobytes(),
+        np.array([1, 0], np.int8).tobytes(),
+    }
     flags = np.array([[1, 6], [1, -1], [3, -1], [1, 2], [-1, -1]], np.int8)
     assert is_known(flags, patterns).tolist() == [True, True, False, False, True]
 
 
 def test_stability_ends_where_two_flips_meet(made):
-    """Just before the curve on which they meet a line has a window of stable gaits, just beyond it none."""
+    """Just before the curve on which they meet a line has a window of stable gaits,
+    just beyond it none.
+    """
     _, landscape = made("A")
     (cut,) = [m.region for m in landscape.manifolds if m.region.is_root]
     assert cut.turns and (cut.axis, cut.side) == (0, 1)
@@ -196,19 +239,34 @@ def test_stability_ends_where_two_flips_meet(made):
         unit = landscape.box.unit(np.array([[0.5, m_h]]))
         unit[0, 0] = cut.at(unit)[0]
         at = float(landscape.box.at(unit)[0, 0])
-        line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5]), "m_h": np.full(2, m_h)}}
+        line = {
+            "walker": "A",
+            "set": {
+                "detuning": np.array([at - 2e-5, at + 2e-5]),
+                "m_h": np.full(2, m_h),
+            },
+        }
         both = computed({"line": line, "slope": SLOPE})
         assert both["stability_lost_by"].tolist() == ["flip", "never stable"]
 
 
 def tuned_at(detuning):
-    """Foot radius at which a leg's centre of mass lies on the line from hip to foot centre."""
-    return brentq(lambda R: statics(resolve("A", {"R": R, "detuning": detuning}))["leg_offset"], 0.2, 0.4, xtol=1e-15)
+    """Foot radius at which a leg's centre of mass lies on the line from hip to foot
+    centre.
+    """
+    return brentq(
+        lambda R: statics(resolve("A", {"R": R, "detuning": detuning}))["leg_offset"],
+        0.2,
+        0.4,
+        xtol=1e-15,
+    )
 
 
 def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
-    """Of a leg whose centre of mass is off by d, a step of angle a loses a^4 and d^2: the slope that pays for it, over
-    the step's length, is least where a is of the order of d^(1/2), the slope of d^(3/2)."""
+    """Of a leg whose centre of mass is off by d, a step of angle a loses a^4 and d^2:
+    the slope that pays for it, over the step's length, is least where a is of the order
+    of d^(1/2), the slope of d^(3/2).
+    """
     _, landscape = made("tuned")
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert sorted(cut.side for cut in cuts) == [-1, 1]
@@ -220,22 +278,34 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
 
 
 def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
-    family, box = Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)), Box(("R",), (0.27,), (0.3,))
+    family, box = (
+        Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)),
+        Box(("R",), (0.27,), (0.3,)),
+    )
     (landscape,) = make(family, box, SOUGHT, 1000)
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 0, 3)] * 2
     for cut in cuts:
-        assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(tuned_at(0.2), rel=1e-12)
+        assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(
+            tuned_at(0.2), rel=1e-12
+        )
 
 
 def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
-    """Within its window the smallest slope vanishes at R = 0.2; the map took thrice as long as its lines."""
-    R, m_h = np.delete(np.linspace(0.02, 0.4, 20), 9), np.linspace(0.0, 10.0, 21)  # without tuned walkers
+    """Within its window the smallest slope vanishes at R = 0.2; the map took thrice as
+    long as its lines.
+    """
+    R, m_h = (
+        np.delete(np.linspace(0.02, 0.4, 20), 9),
+        np.linspace(0.0, 10.0, 21),
+    )  # without tuned walkers
     family = Family.of({"walker": "A"}, ("R", "m_h"))
     window = float(np.log(1e-4)), float(np.log(0.2))
     whole = Box(("R", "m_h"), (0.02, 0.0), (0.4, 10.0), log=True)
     parts = make(family, whole, Sought(window, -0.2), 420)
-    assert [part.why for part in parts] == ["", ""] and parts[0].box.high[0] == pytest.approx(0.2, rel=1e-12)
+    assert [part.why for part in parts] == ["", ""] and parts[0].box.high[
+        0
+    ] == pytest.approx(0.2, rel=1e-12)
     draw = np.random.default_rng(1)
     keys = np.column_stack([draw.choice(R, 12), draw.choice(m_h, 12)])
     for part in parts:
@@ -244,9 +314,16 @@ def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
         accepted = _solve(family, part, own, np.arange(len(own)), rows)
         assert accepted.sum() >= 3
         line = {"walker": "A", "set": {"R": own[:, 0], "m_h": own[:, 1]}}
-        lines = computed({"line": line, "slope": np.array([1e-4, 0.2]), "at_speed": np.exp(-0.2)})
-        for name, column in [(name, name) for name in QUANTITIES[:2]] + [("least_cost", "slope_at_least_cost")]:
-            log_slope, error = rows.at[name]["log_slope"], rows.at[name]["error"] + lines[f"{name}_error"]
+        lines = computed(
+            {"line": line, "slope": np.array([1e-4, 0.2]), "at_speed": np.exp(-0.2)}
+        )
+        for name, column in [(name, name) for name in QUANTITIES[:2]] + [
+            ("least_cost", "slope_at_least_cost")
+        ]:
+            log_slope, error = (
+                rows.at[name]["log_slope"],
+                rows.at[name]["error"] + lines[f"{name}_error"],
+            )
             off = np.abs(np.exp(log_slope) / lines[column] - 1)
             assert (np.isnan(log_slope) == np.isnan(lines[column]))[accepted].all()
             assert (off <= error)[accepted & np.isfinite(off)].all()
@@ -260,7 +337,10 @@ def test_parts_that_are_refused_cost_no_more_than_lines(monkeypatch):
         raise Refused("always")
 
     monkeypatch.setattr(_Surveyor, "landscape", refuse)
-    family, box = Family.of({"walker": "A"}, ("detuning",)), Box(("detuning",), (0.1,), (0.9,))
+    family, box = (
+        Family.of({"walker": "A"}, ("detuning",)),
+        Box(("detuning",), (0.1,), (0.9,)),
+    )
     parts = make(family, box, SOUGHT, 800)
     assert len(tried) == 9 and not [part for part in parts if not part.why]
 
@@ -272,7 +352,12 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
     keys = np.array([[tuned_at(0.2) + side * d, 0.2] for d in away])
     rows, accepted = solved(family, landscape, keys)
     # Nearest to the curve the smallest slope lies below the window.
-    assert accepted.tolist() == [False, False, True, True] or accepted.tolist() == [False, True, True, True]
+    assert accepted.tolist() == [False, False, True, True] or accepted.tolist() == [
+        False,
+        True,
+        True,
+        True,
+    ]
     line = {"walker": "A", "set": {"R": keys[2:, 0], "detuning": keys[2:, 1]}}
     lines = computed({"line": line, "slope": SLOPE})
     smallest = rows.at["smallest_slope"]
@@ -282,7 +367,9 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
     wrong = copy.deepcopy(landscape)
     for k, m in enumerate(wrong.manifolds):
         if powers := m.region.powers:
-            wrong.manifolds[k] = replace(m, region=replace(m.region, powers=(1.001, *powers[1:])))
+            wrong.manifolds[k] = replace(
+                m, region=replace(m.region, powers=(1.001, *powers[1:]))
+            )
     assert not solved(family, wrong, keys)[1].any()
 
 
@@ -298,8 +385,13 @@ def test_coordinates_of_a_part_are_inverse(turns, side):
 
 @pytest.mark.parametrize("d", [1, 2])
 def test_a_whole_box_has_its_own_coordinates_border_included(d):
-    region, unit = Region.whole(d), np.vstack([np.random.default_rng(0).uniform(-1, 1, (9, d)), np.ones((1, d))])
-    assert region.own(unit) == pytest.approx(unit, abs=1e-15) and region.unit(unit) == pytest.approx(unit, abs=1e-15)
+    region, unit = (
+        Region.whole(d),
+        np.vstack([np.random.default_rng(0).uniform(-1, 1, (9, d)), np.ones((1, d))]),
+    )
+    assert region.own(unit) == pytest.approx(unit, abs=1e-15) and region.unit(
+        unit
+    ) == pytest.approx(unit, abs=1e-15)
     assert region.holds(unit * (1 + 4e-16)).all() and not region.is_near(unit).any()
 
 
@@ -309,14 +401,21 @@ def test_boxes_with_logarithms_have_inverse_coordinates():
     assert box.unit(box.at(unit)) == pytest.approx(unit, abs=1e-12)
     low, high = box.parts(0)
     assert low.high[0] == high.low[0] == pytest.approx(np.sqrt(0.005))
-    assert box.at(np.array([[-1.0, -1.0], [1.0, 1.0]])) == pytest.approx(np.array([[0.005, 0.0], [1.0, 6.0]]))
+    assert box.at(np.array([[-1.0, -1.0], [1.0, 1.0]])) == pytest.approx(
+        np.array([[0.005, 0.0], [1.0, 6.0]])
+    )
 
 
 @pytest.mark.parametrize("follow", [Maker.problem, Maker.static_moment])
 def test_special_points_that_go_on_where_no_walker_can_be_are_refused(follow):
-    family, box = Family.of({"walker": "B", "set": {}}, ("m_h",)), Box(("m_h",), (0.1,), (0.2,))
+    family, box = (
+        Family.of({"walker": "B", "set": {}}, ("m_h",)),
+        Box(("m_h",), (0.1,), (0.2,)),
+    )
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
-    with pytest.raises(Refused, match=r"are followed to where `m_h` must be >= 0; got -0\.(1|09)\d*\."):
+    with pytest.raises(
+        Refused, match=r"are followed to where `m_h` must be >= 0; got -0\.(1|09)\d*\."
+    ):
         follow(maker, np.array([[-5.0]]))
 
 
@@ -339,21 +438,34 @@ def test_a_cut_is_smooth_where_the_last_coefficients_of_its_curve_vanish(monkeyp
     extension = object.__new__(_Extension)
     extension.d, extension.kind = 2, "fold"
     curve = Chart((6,), np.array([[0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7]]).T)
-    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, sizes: Region(axis, side, curve, True))
+    monkeypatch.setattr(
+        _Extension,
+        "cut_along",
+        lambda _, axis, side, sizes: Region(axis, side, curve, True),
+    )
     assert extension.smooth_cut(1, 1).curve is curve
     curve.coefficients[-2] = 1e-5
     with pytest.raises(Refused, match="a fold turns along a curve that is not smooth"):
         extension.smooth_cut(1, 1)
 
 
-@pytest.mark.parametrize(("walker", "keys", "axis"), [("B", ("R", "m_s"), 0), ("A", ("detuning", "m_h"), 1)])
+@pytest.mark.parametrize(
+    ("walker", "keys", "axis"), [("B", ("R", "m_s"), 0), ("A", ("detuning", "m_h"), 1)]
+)
 def test_there_is_no_curve_of_vanishing_slopes_that_no_key_reaches(walker, keys, axis):
-    """Legs of B are tuned whatever their keys; a mass at the hip does not tune those of A."""
-    family, box = Family.of({"walker": walker, "set": {}}, keys), Box(keys, (0.05, 0.05), (0.2, 0.1))
+    """Legs of B are tuned whatever their keys; a mass at the hip does not tune those of
+    A.
+    """
+    family, box = (
+        Family.of({"walker": walker, "set": {}}, keys),
+        Box(keys, (0.05, 0.05), (0.2, 0.1)),
+    )
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     extension = _Extension(maker, "fold", 0.0, np.zeros(2), np.zeros(5))
     assert not np.isfinite(extension.vanishing(np.zeros((3, 2)), axis)).any()
-    assert extension.powers(np.zeros((5, 3)), np.zeros((3, 2)), np.zeros(3), axis, 1) == ()
+    assert (
+        extension.powers(np.zeros((5, 3)), np.zeros((3, 2)), np.zeros(3), axis, 1) == ()
+    )
 
 
 def test_a_box_is_halved_along_both_keys():
@@ -364,7 +476,9 @@ def test_a_box_is_halved_along_both_keys():
             raise Refused("on the diagonal", 0)
         return box
 
-    parts = divide(Box(("a", "b"), (0.0, 0.0), (1.0, 1.0)), make_part, lambda box: True, 8)
+    parts = divide(
+        Box(("a", "b"), (0.0, 0.0), (1.0, 1.0)), make_part, lambda box: True, 8
+    )
     on = [box for box in parts if box.low[0] < box.high[1] and box.low[1] < box.high[0]]
     area = sum((b.high[0] - b.low[0]) * (b.high[1] - b.low[1]) for b in on)
     assert area < 0.2
@@ -382,13 +496,19 @@ def test_lower_halves_stand_before_upper_ones_however_often_they_are_halved():
 
 
 def lanes(walker, **keys):
-    return Lanes(resolve_many(walker, {key: np.array([value]) for key, value in keys.items()}))
+    return Lanes(
+        resolve_many(walker, {key: np.array([value]) for key, value in keys.items()})
+    )
 
 
 @pytest.mark.parametrize(
     ("walker", "keys", "kinds"),
     [
-        ("C", {"detuning": 0.85, "m_h": 0.0}, "flip neimark_sacker fastest fold end_kneestrike_at_heelstrike"),
+        (
+            "C",
+            {"detuning": 0.85, "m_h": 0.0},
+            "flip neimark_sacker fastest fold end_kneestrike_at_heelstrike",
+        ),
         ("A", {"detuning": 0.3}, "flip fold end_zero_step"),
         ("E", {"foot_mass_ratio": 0.3}, "flip neimark_sacker"),
     ],
@@ -399,34 +519,62 @@ def test_every_kind_of_point_is_found_under_its_name(walker, keys, kinds):
     points = find(problem, surveyed, SOUGHT)
     ends = "any slope" if walker == "E" else "end_tangential_heelstrike"
     assert set(points.kind) == {*kinds.split(), "label", "window", ends}
-    changes = sum(int(((branch.ratio[1:] - 0.5) * (branch.ratio[:-1] - 0.5) < 0).sum()) for branch in surveyed[0])
+    changes = sum(
+        int(((branch.ratio[1:] - 0.5) * (branch.ratio[:-1] - 0.5) < 0).sum())
+        for branch in surveyed[0]
+    )
     assert (points.kind == "label").sum() == changes
     # Where the ratio has a pole its sign changes too, but no step's label.
     for Z in points.Z[:, (points.kind == "label") & points.walks].T:
-        assert gait_ratio(evaluate(problem, Z[:, None]).stride)[0] == pytest.approx(0.5, abs=1e-9)
+        assert gait_ratio(evaluate(problem, Z[:, None]).stride)[0] == pytest.approx(
+            0.5, abs=1e-9
+        )
 
 
 def test_the_scalars_vanish_at_points_known_otherwise():
-    """A flip and a fold have the multipliers -1 and 1; where the speed is greatest that of both neighbours is less."""
+    """A flip and a fold have the multipliers -1 and 1; where the speed is greatest that
+    of both neighbours is less.
+    """
     problem = lanes("C", detuning=0.85, m_h=0.0)
     points = find(problem, survey_lines(problem, COARSE), SOUGHT)
-    assert {"fold", "flip", "neimark_sacker", "fastest", "end_kneestrike_at_heelstrike"} <= set(points.kind)
+    assert {
+        "fold",
+        "flip",
+        "neimark_sacker",
+        "fastest",
+        "end_kneestrike_at_heelstrike",
+    } <= set(points.kind)
     value = {"flip": -1.0, "fold": 1.0}
     for k in np.flatnonzero(points.walks):
         kind, Z = str(points.kind[k]), points.Z[:, [k]]
         at = evaluate(problem, Z)
-        if kind in SCALARS and kind != "window" and np.isfinite(at.stride.jacobian).all():
+        if (
+            kind in SCALARS
+            and kind != "window"
+            and np.isfinite(at.stride.jacobian).all()
+        ):
             assert abs(scalar(kind, at)[0]) < 1e-9 * np.abs(points.rows[:, k]).max()
-        values = np.linalg.eigvals(at.jacobians[0]) if kind in (*value, "neimark_sacker") else np.zeros(0)
+        values = (
+            np.linalg.eigvals(at.jacobians[0])
+            if kind in (*value, "neimark_sacker")
+            else np.zeros(0)
+        )
         if kind in value:
-            assert np.abs(values - value[kind]).min() < (1e-9 if kind == "flip" else 1e-5)
+            assert np.abs(values - value[kind]).min() < (
+                1e-9 if kind == "flip" else 1e-5
+            )
         if kind == "neimark_sacker":
             pairs = [values[i] * values[j] for i in range(3) for j in range(i)]
             assert np.abs(np.array(pairs) - 1).min() < 1e-9
         if kind == "fastest":
             step = 1e-4
-            others = [solve(problem, "window", Z, Z[-1] + sign * step).Z for sign in (-1, 1)]
-            v = [log_froude(each, foot_radius(problem))[0] for each in (others[0], Z, others[1])]
+            others = [
+                solve(problem, "window", Z, Z[-1] + sign * step).Z for sign in (-1, 1)
+            ]
+            v = [
+                log_froude(each, foot_radius(problem))[0]
+                for each in (others[0], Z, others[1])
+            ]
             assert abs(v[2] - v[0]) < 5e-3 * abs(v[0] - 2 * v[1] + v[2])
 
 
@@ -434,9 +582,20 @@ def test_a_row_of_differences_is_the_derivative():
     problem = lanes("A", detuning=0.3, m_h=0.5)
     Z = np.array([[np.log(0.3)], [-0.9], [-0.5], [2.0], [np.log(0.03)]])
     move = 1e-4 * np.random.default_rng(0).normal(size=(5, 1))
-    for kind in ("flip", "fold", "neimark_sacker", "fastest", "end_tangential_heelstrike", "speed"):
-        there, here = (scalar(kind, evaluate(problem, Z + sign * move))[0] for sign in (1, -1))
-        assert there - here == pytest.approx(2 * float(gradient(problem, kind, Z)[:, 0] @ move[:, 0]), rel=1e-4)
+    for kind in (
+        "flip",
+        "fold",
+        "neimark_sacker",
+        "fastest",
+        "end_tangential_heelstrike",
+        "speed",
+    ):
+        there, here = (
+            scalar(kind, evaluate(problem, Z + sign * move))[0] for sign in (1, -1)
+        )
+        assert there - here == pytest.approx(
+            2 * float(gradient(problem, kind, Z)[:, 0] @ move[:, 0]), rel=1e-4
+        )
 
 
 def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
@@ -452,8 +611,14 @@ def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
 
 def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
     surveyed = []
-    monkeypatch.setattr(landscapes, "survey_lines", lambda problem, _: surveyed.append(len(problem.lanes)))
-    monkeypatch.setattr(landscapes, "find", lambda problem, *_: extremes.nothing(problem))
+    monkeypatch.setattr(
+        landscapes,
+        "survey_lines",
+        lambda problem, _: surveyed.append(len(problem.lanes)),
+    )
+    monkeypatch.setattr(
+        landscapes, "find", lambda problem, *_: extremes.nothing(problem)
+    )
     walker, keys = PLANES["A"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []
@@ -471,13 +636,22 @@ def test_a_point_that_is_lost_is_refused():
     box = Box(("detuning",), (0.3,), (0.5,))
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     with pytest.raises(Refused):
-        maker.manifold("flip", np.array([0.0]), np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]))
+        maker.manifold(
+            "flip",
+            np.array([0.0]),
+            np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]),
+        )
 
 
 @pytest.fixture(scope="module")
 def extension():
-    """That of the flip of A at the middle of a range of detuning, and its point in another design."""
-    family, box = Family.of({"walker": "A", "set": {}}, ("detuning",)), Box(("detuning",), (0.2,), (0.5,))
+    """That of the flip of A at the middle of a range of detuning, and its point in
+    another design.
+    """
+    family, box = (
+        Family.of({"walker": "A", "set": {}}, ("detuning",)),
+        Box(("detuning",), (0.2,), (0.5,)),
+    )
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     problem = maker.problem(np.zeros((1, 1)))
     points = find(problem, survey_lines(problem, COARSE), SOUGHT)
@@ -485,17 +659,25 @@ def extension():
     return _Extension(maker, "flip", 0.0, np.zeros(1), points.Z[:, k])
 
 
-def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_no_nodes(extension):
+def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_no_nodes(
+    extension,
+):
     manifold = extension.manifold()
     nodes = manifold.region.unit(roots(manifold.chart.sizes[0])[:, None])
     problem, (Z, rows) = extension.problem(nodes), manifold.predict(nodes)
     assert defining.newton_step(problem, "flip", Z, rows).last_step.max() < 1e-11
-    np.testing.assert_allclose(rows, gradient(problem, "flip", Z), rtol=1e-6, atol=1e-6 * np.abs(rows).max())
+    np.testing.assert_allclose(
+        rows, gradient(problem, "flip", Z), rtol=1e-6, atol=1e-6 * np.abs(rows).max()
+    )
     c = len(Z)
-    assert (manifold.chart.tails()[:, c:] == 0).all() and (manifold.chart.tails()[:, :c] > 0).any()
+    assert (manifold.chart.tails()[:, c:] == 0).all() and (
+        manifold.chart.tails()[:, :c] > 0
+    ).any()
 
 
-def test_a_point_is_carried_no_farther_than_its_predictions_hold(extension, monkeypatch):
+def test_a_point_is_carried_no_farther_than_its_predictions_hold(
+    extension, monkeypatch
+):
     nodes, region = np.array([[-0.9], [0.9]]), Region.whole(1)
     points, there = extension.carried(nodes, region)
     assert there.all()
@@ -511,22 +693,34 @@ def test_a_point_is_carried_no_farther_than_its_predictions_hold(extension, monk
     assert extension.carried(nodes, region)[1].tolist() == [True, False]
     # A coarse chart leads there too: such points are carried, and these are lost.
     with pytest.raises(Refused, match="is lost on its way to 1 nodes"):
-        extension.chart(region, (5,), Chart.through((2,), np.vstack([points.Z, points.rows])))
+        extension.chart(
+            region, (5,), Chart.through((2,), np.vstack([points.Z, points.rows]))
+        )
 
 
-def test_points_are_followed_until_none_beside_them_is_stable_any_more(extension, monkeypatch):
+def test_points_are_followed_until_none_beside_them_is_stable_any_more(
+    extension, monkeypatch
+):
     radius = iter([2.0, 0.5, 2.0])
-    monkeypatch.setattr(makers, "other_multipliers", lambda kind, jacobian: np.array([next(radius)]))
+    monkeypatch.setattr(
+        makers, "other_multipliers", lambda kind, jacobian: np.array([next(radius)])
+    )
     _, ends, turned = extension.followed(extension.Z[:, None], np.zeros((1, 1)), 0, -1)
     assert ends == pytest.approx([-0.02 * (1 + 1.5 + 1.5**2)]) and not turned.any()
 
 
 def test_a_manifold_is_kept_beyond_all_places_at_which_it_counts_no_more(monkeypatch):
     extension, x = object.__new__(_Extension), roots(13)
-    extension.d, extension.kind, ends = 2, "fold", 0.3 + 0.1 * x + 1e-3 * np.cos(6 * np.arccos(x))
+    extension.d, extension.kind, ends = (
+        2,
+        "fold",
+        0.3 + 0.1 * x + 1e-3 * np.cos(6 * np.arccos(x)),
+    )
     points = SimpleNamespace(Z=np.zeros((5, 13)))
     monkeypatch.setattr(_Extension, "carried", lambda *_: (points, np.ones(13, bool)))
-    monkeypatch.setattr(_Extension, "followed", lambda *_: (points, ends, np.zeros(13, bool)))
+    monkeypatch.setattr(
+        _Extension, "followed", lambda *_: (points, ends, np.zeros(13, bool))
+    )
     for side in (-1, 1):
         region = extension.cut_along(0, side, (13,))
         beyond = side * (region.at(np.column_stack([0 * x, x])) - ends)
@@ -537,13 +731,17 @@ def test_a_manifold_is_kept_beyond_all_places_at_which_it_counts_no_more(monkeyp
 def test_points_and_derivatives_grow_towards_vanishing_steps_as_their_powers_say():
     region = Region(0, 1, Chart((), np.array([[0.5]])), powers=(1.0, 3.0, -2.0))
     constant = Chart((1,), np.array([[4.0, 5.0, 6.0, 7.0]]))
-    Z, rows = region.predict(constant, np.array([[0.5 - 1.5 * 0.04]]))  # at 0.04 of the way
+    Z, rows = region.predict(
+        constant, np.array([[0.5 - 1.5 * 0.04]])
+    )  # at 0.04 of the way
     np.testing.assert_allclose(Z[:, 0], [4 + np.log(0.2), 5 + 3 * np.log(0.2)])
     np.testing.assert_allclose(rows[:, 0], np.array([6.0, 7.0]) / 0.2**2)
 
 
 @pytest.mark.parametrize(("lane", "why"), [(0, "err by"), (None, None)])
-def test_a_manifold_whose_drawn_points_are_lost_is_refused(extension, lane, why, monkeypatch):
+def test_a_manifold_whose_drawn_points_are_lost_is_refused(
+    extension, lane, why, monkeypatch
+):
     region = Region.whole(1)
     chart = extension.manifold().chart
     usual = solve
@@ -571,11 +769,16 @@ def test_a_manifold_over_one_key_ends_where_it_turns():
     assert cut.turns and cut.curve.sizes == ()
     at = float(box.at(cut.curve.coefficients)[0, 0])
     line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}
-    assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == ["flip", "never stable"]
+    assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == [
+        "flip",
+        "never stable",
+    ]
 
 
 def test_a_line_without_a_point_of_a_role_has_none():
-    """Of three lines the first has two folds of long gaits, and the last one of a short gait that is not stable."""
+    """Of three lines the first has two folds of long gaits, and the last one of a short
+    gait that is not stable.
+    """
     n, yes = 3, np.ones(3, bool)
     points = Points(
         line=np.array([0, 0, 2]),
@@ -594,7 +797,9 @@ def test_a_line_without_a_point_of_a_role_has_none():
 
 
 def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
-    """The multiplier crosses -1 between nodes 1 and 2, of which only the first is stable."""
+    """The multiplier crosses -1 between nodes 1 and 2, of which only the first is
+    stable.
+    """
     nodes = SimpleNamespace(
         values={"flip": 3.074 - 2.0 * np.arange(4)},
         branch=np.zeros(4, int),
@@ -604,17 +809,37 @@ def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
     )
     monkeypatch.setattr(extremes, "evaluate", lambda problem, Z: Z[0])
     monkeypatch.setattr(extremes, "scalar", lambda kind, at, target: 3.074 - 2 * at)
-    kind, node, Z, _ = extremes._crossings(SimpleNamespace(some=lambda lanes: None), nodes, "flip", 0.0)
+    kind, node, Z, _ = extremes._crossings(
+        SimpleNamespace(some=lambda lanes: None), nodes, "flip", 0.0
+    )
     assert (kind, node.tolist()) == ("flip", [1]) and Z[0] == pytest.approx([1.537])
 
 
 def test_a_point_that_wanders_off_is_another_one_even_if_it_comes_back():
-    """An iterate lies beyond, the last one near the guess again: a node of a manifold was wrong."""
-    table = {"base": "A", "w_t": -0.015206657089326378, "m_t": 2.345, "r_t": 0.1582700766369134}
-    table |= {"c_t": 0.08634876080203595, "w_s": 0.023241879712544863, "m_s": 1.013, "r_s": 0.14756397195306775}
+    """An iterate lies beyond, the last one near the guess again: a node of a manifold
+    was wrong.
+    """
+    table = {
+        "base": "A",
+        "w_t": -0.015206657089326378,
+        "m_t": 2.345,
+        "r_t": 0.1582700766369134,
+    }
+    table |= {
+        "c_t": 0.08634876080203595,
+        "w_s": 0.023241879712544863,
+        "m_s": 1.013,
+        "r_s": 0.14756397195306775,
+    }
     family = Family.of({"walker": table, "set": {}}, ("m_h",))
     walkers = family.walkers(np.array([[1.230461021906968]]))
-    guess = np.array([-0.9349689, -1.0331377, -0.5184508, 2.9497147, -2.9689430])[:, None]
+    guess = np.array([-0.9349689, -1.0331377, -0.5184508, 2.9497147, -2.9689430])[
+        :, None
+    ]
     rows = np.array([1.0282389, -5.7727299, -1.9885476, -7.1496630, 0.5656257])[:, None]
     found = solve(Lanes(walkers, common_structure(walkers)), "flip", guess, rows=rows)
-    assert not found.ok.any() and np.isinf(found.error).all() and np.array_equal(found.Z, guess)
+    assert (
+        not found.ok.any()
+        and np.isinf(found.error).all()
+        and np.array_equal(found.Z, guess)
+    )

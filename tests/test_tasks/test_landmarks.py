@@ -1,4 +1,6 @@
-"""The tables of printed landmarks, and the lines fitted to the two regimes of a short step."""
+"""The tables of printed landmarks, and the lines fitted to the two regimes of a short
+step.
+"""
 
 import numpy as np
 import pytest
@@ -16,22 +18,37 @@ PAPER = paper_of([], [])
 def _landmarks(*walkers):
     lines = [{"walker": w, "set": {}, "name": w} for w in walkers]
     table = landmarks({"lines": lines}, [PAPER.line(w).arrays for w in walkers])
-    columns = {name.removeprefix("landmarks/"): column for name, column in table.items()}
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    columns = {
+        name.removeprefix("landmarks/"): column for name, column in table.items()
+    }
+    return [
+        dict(zip(columns, row, strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
 
 
 def test_the_points_of_figure_6_are_numbered_and_lie_where_the_branches_end():
     rows = _landmarks("physical", "physical-straight")
     points = {r["point"]: r for r in rows if r["point"]}
     assert set(points) == {"1", "2", "3", "4"}
-    # Slopes of the ledger's claims P4 to P6; that of the fourth is extrapolated to steps that vanish.
+    # Slopes of the ledger's claims P4 to P6; that of the fourth is extrapolated to
+    # steps that vanish.
     expected = {"1": 0.03638698, "2": 0.05611778, "3": 0.02154161, "4": 0.02110135}
-    assert {k: r["slope"] for k, r in points.items()} == pytest.approx(expected, rel=2e-5)
+    assert {k: r["slope"] for k, r in points.items()} == pytest.approx(
+        expected, rel=2e-5
+    )
     assert points["4"]["stance_angle"] < 1e-4 and np.isnan(points["4"]["slope_low"])
     printed = {r["walker"]: r for r in rows if r["printed"] > 0}
-    assert {w: r["printed"] for w, r in printed.items()} == {"physical": 0.020, "physical-straight": 0.016}
-    assert all(r["slope_low"] < r["printed"] < r["slope_high"] for r in printed.values())
-    assert all(r["slope_low"] < r["slope"] < r["slope_high"] for r in rows if r["point"] != "4")
+    assert {w: r["printed"] for w, r in printed.items()} == {
+        "physical": 0.020,
+        "physical-straight": 0.016,
+    }
+    assert all(
+        r["slope_low"] < r["printed"] < r["slope_high"] for r in printed.values()
+    )
+    assert all(
+        r["slope_low"] < r["slope"] < r["slope_high"] for r in rows if r["point"] != "4"
+    )
 
 
 def test_landmarks_do_not_depend_on_what_their_process_computed_before():
@@ -45,7 +62,9 @@ def test_landmarks_do_not_depend_on_what_their_process_computed_before():
         used = paper_of(lines, [given[k]]).line("D").arrays
         assert used.keys() == given[k].keys()
         assert all(used[name] is values for name, values in given[k].items())
-    assert tables[0]["landmarks/slope"].tolist() == tables[2]["landmarks/slope"].tolist()
+    assert (
+        tables[0]["landmarks/slope"].tolist() == tables[2]["landmarks/slope"].tolist()
+    )
 
 
 def test_an_exact_walkers_landmark_has_no_interval_of_rounding():
@@ -58,23 +77,49 @@ def test_an_exact_walkers_landmark_has_no_interval_of_rounding():
 def test_the_loss_of_walking_is_read_from_the_tables_of_its_line():
     """What other tasks have located is tabulated, not located again."""
     lines = [{"walker": w, "set": {}, "name": w} for w in ("C", "D", "E")]
-    lost = {"lost/family": np.array(["1"]), "lost/low": np.array([0.1]), "lost/high": np.array([0.11])}
-    rounding = {"corners/low": np.array([0.08, 0.12]), "corners/high": np.array([0.09, 0.13])}
+    lost = {
+        "lost/family": np.array(["1"]),
+        "lost/low": np.array([0.1]),
+        "lost/high": np.array([0.11]),
+    }
+    rounding = {
+        "corners/low": np.array([0.08, 0.12]),
+        "corners/high": np.array([0.09, 0.13]),
+    }
     table = crises({"lines": lines}, [{**lost, **rounding}, lost, {}])
     assert table["crises/walker"].tolist() == ["C", "D"]
     assert table["crises/slope"].tolist() == [0.5 * (0.1 + 0.11)] * 2
-    assert table["crises/slope_low"].tolist() == [0.08, 0.1] and table["crises/slope_high"].tolist() == [0.13, 0.11]
+    assert table["crises/slope_low"].tolist() == [0.08, 0.1] and table[
+        "crises/slope_high"
+    ].tolist() == [0.13, 0.11]
 
 
 def test_walkers_without_rounded_parameters_have_no_corners():
-    for walker, settings in (("D", {}), ("E", {}), ("C", {"R": 0.1}), ({"l_t": 1.0}, {})):
+    for walker, settings in (
+        ("D", {}),
+        ("E", {}),
+        ("C", {"R": 0.1}),
+        ({"l_t": 1.0}, {}),
+    ):
         table = corners({"line": {"walker": walker, "set": settings}}, [{}])
-        assert {name: len(column) for name, column in table.items()} == {"corners/low": 0, "corners/high": 0}
+        assert {name: len(column) for name, column in table.items()} == {
+            "corners/low": 0,
+            "corners/high": 0,
+        }
 
 
 def test_a_study_without_walkers_of_the_paper_has_no_landmarks():
     assert (
-        landmarks({"lines": [{"walker": {"l_t": 1.0}, "set": {}}, {"walker": "C", "set": {"R": 0.1}}]}, [{}, {}]) == {}
+        landmarks(
+            {
+                "lines": [
+                    {"walker": {"l_t": 1.0}, "set": {}},
+                    {"walker": "C", "set": {"R": 0.1}},
+                ]
+            },
+            [{}, {}],
+        )
+        == {}
     )
 
 
@@ -84,6 +129,8 @@ def test_fitted_lines_recover_two_power_laws_and_their_crossing():
     crossing = (0.9 / 20) ** 1.5
     fitted = fitted_lines(slope, angle, crossing)
     assert fitted.slope == pytest.approx(crossing, rel=1e-10)
-    assert (fitted.exponent, fitted.amplitude, fitted.cube_root) == pytest.approx((1, 20, 0.9), rel=1e-10)
+    assert (fitted.exponent, fitted.amplitude, fitted.cube_root) == pytest.approx(
+        (1, 20, 0.9), rel=1e-10
+    )
     assert (fitted.below, fitted.above) == (crossing / 10, 3 * crossing)
     assert np.isnan(fitted_lines(slope[:200], angle[:200], crossing).slope)

@@ -26,7 +26,10 @@ class Outer:
 
 def outer(values):
     values = np.asarray(values, float)
-    return Outer(Inner(np.vstack([values, -values]), [values + 10, values[None, None] + 20]), values)
+    return Outer(
+        Inner(np.vstack([values, -values]), [values + 10, values[None, None] + 20]),
+        values,
+    )
 
 
 def equal(a, b):
@@ -52,6 +55,9 @@ def test_lanes_are_replaced_in_place_and_what_was_computed_of_them_is_dropped():
 
 
 def test_parts_follow_one_another():
-    parts = [Outer(np.array([[1.0, 2.0]]), np.array([3, 4])), Outer(np.array([[5.0]]), np.array([6]))]
+    parts = [
+        Outer(np.array([[1.0, 2.0]]), np.array([3, 4])),
+        Outer(np.array([[5.0]]), np.array([6])),
+    ]
     joined = join_lanes(parts)
     assert joined.inner.tolist() == [[1, 2, 5]] and joined.values.tolist() == [3, 4, 6]

@@ -1,4 +1,6 @@
-"""Lines computed side by side: the same bits as alone, and the same gaits by either road."""
+"""Lines computed side by side: the same bits as alone, and the same gaits by either
+road.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,11 @@ from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import WANT
 
 SLOPES = np.geomspace(1e-3, 0.15, 12)
-FAMILIES = {"E": ("foot_mass_ratio", 0.02, 0.45), "A": ("detuning", -0.3, 1.3), "C": ("detuning", -0.3, 1.3)}
+FAMILIES = {
+    "E": ("foot_mass_ratio", 0.02, 0.45),
+    "A": ("detuning", -0.3, 1.3),
+    "C": ("detuning", -0.3, 1.3),
+}
 
 
 def block(members, slopes=SLOPES):
@@ -21,7 +27,10 @@ def block(members, slopes=SLOPES):
 
 def drawn(name, count):
     key, low, high = FAMILIES[name]
-    return [{"walker": name, "set": {key: float(v)}} for v in np.random.default_rng(3).uniform(low, high, count)]
+    return [
+        {"walker": name, "set": {key: float(v)}}
+        for v in np.random.default_rng(3).uniform(low, high, count)
+    ]
 
 
 def assert_same(one, other):
@@ -57,7 +66,9 @@ def test_lines_that_a_process_has_surveyed_are_not_surveyed_again(monkeypatch):
     surveyed, survey = [], solve_points.atlases.survey_lines
     monkeypatch.setattr(solve_points, "_MAX_SURVEYED", 3)
     monkeypatch.setattr(
-        solve_points.atlases, "survey_lines", lambda p, t: surveyed.append(len(p.walkers)) or survey(p, t)
+        solve_points.atlases,
+        "survey_lines",
+        lambda p, t: surveyed.append(len(p.walkers)) or survey(p, t),
     )
     a, b, c, d = drawn("E", 4)
     first, later = block([a, b]), block([b, c], SLOPES[:5])
@@ -74,7 +85,9 @@ def test_lines_that_a_process_has_surveyed_are_not_surveyed_again(monkeypatch):
 
 
 def test_a_block_holds_lines_of_any_structure():
-    """Where a key passes a value at which constants vanish, the compiled code is another."""
+    """Where a key passes a value at which constants vanish, the compiled code is
+    another.
+    """
     members = [
         *({"walker": "E", "set": {"foot_mass_ratio": v}} for v in (0.0, 1e-6, 0.1)),
         *({"walker": "A", "set": {"detuning": v}} for v in (0.0, 1e-9, 0.2)),
@@ -87,17 +100,26 @@ def test_a_block_holds_lines_of_any_structure():
     np.testing.assert_allclose(limit, near, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("name", "value"), [("E", 0.15), ("A", 0.3), ("A", 1.2), ("C", 0.3), ("C", 1 / 9)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("E", 0.15), ("A", 0.3), ("A", 1.2), ("C", 0.3), ("C", 1 / 9)]
+)
 def test_both_roads_agree_within_their_bounds(name, value):
     line = {"walker": name, "set": {FAMILIES[name][0]: value}}
     fine = atlas({"line": line}, [])
-    long_road = points({"line": line, "slope": SLOPES, "want": WANT, "gaits": GAITS}, [fine])
+    long_road = points(
+        {"line": line, "slope": SLOPES, "want": WANT, "gaits": GAITS}, [fine]
+    )
     _, short_road = block([line])[0]
     for name in ("status", "branch", "piece"):
         np.testing.assert_array_equal(long_road[name], short_road[name])
     bound = long_road["error_bound"] + short_road["error_bound"]
     solved = long_road["status"] == 0
-    rates = np.max(np.abs([long_road[n][solved] for n in ("stance_rate", "thigh_rate", "shank_rate")]), axis=0)
+    rates = np.max(
+        np.abs(
+            [long_road[n][solved] for n in ("stance_rate", "thigh_rate", "shank_rate")]
+        ),
+        axis=0,
+    )
     farthest = 0.0
     for name in ("stance_angle", "period", "thigh_rate"):
         size = rates if name == "thigh_rate" else long_road[name][solved]
@@ -118,18 +140,33 @@ def test_a_block_of_lines_without_gaits():
 @pytest.mark.parametrize("name", ["D", "A", "C"])
 @pytest.mark.parametrize("trouble", [np.nan, 1e3])
 def test_a_lost_neighbour_changes_no_bit(name, trouble):
-    """A register's sines are computed in another way where one of its arguments is not finite, or large."""
+    """A register's sines are computed in another way where one of its arguments is not
+    finite, or large.
+    """
     problem = Problem(CATALOGUE[name])
     (branches, _) = block([{"walker": name, "set": {}}], np.array([0.01]))[0]
-    Z = branches["Z"][:, :: max(1, branches["Z"].shape[1] // (2 * LANES))][:, : 2 * LANES]
+    Z = branches["Z"][:, :: max(1, branches["Z"].shape[1] // (2 * LANES))][
+        :, : 2 * LANES
+    ]
     w, q = Z[:-1], Z[-1]
     alone, _ = problem.stride(w, q, slope=True, samples=4)
     lost = w.copy()
     lost[1, ::3] = trouble
     beside, _ = problem.stride(lost, q, slope=True, samples=4)
     intact = np.arange(len(q)) % 3 > 0
-    for field in ("image", "jacobian", "by_slope", "inverse", "newton", "times", "impact", "start"):
-        np.testing.assert_array_equal(getattr(alone, field)[..., intact], getattr(beside, field)[..., intact])
+    for field in (
+        "image",
+        "jacobian",
+        "by_slope",
+        "inverse",
+        "newton",
+        "times",
+        "impact",
+        "start",
+    ):
+        np.testing.assert_array_equal(
+            getattr(alone, field)[..., intact], getattr(beside, field)[..., intact]
+        )
     for a, b in zip(alone.motion, beside.motion, strict=True):
         np.testing.assert_array_equal(a[..., intact], b[..., intact])
 
@@ -139,4 +176,7 @@ def test_lanes_have_the_walkers_they_are_given():
     some = Lanes(walkers).some(np.array([2, 0, 2])).some(np.array([1, 2]))
     assert [some.walker_of(i) for i in range(2)] == [walkers[0], walkers[2]]
     one = np.ones(2)
-    np.testing.assert_array_equal(some.parameters(one, one)[2:, 1], Problem(walkers[2]).parameters(one, one)[2:, 0])
+    np.testing.assert_array_equal(
+        some.parameters(one, one)[2:, 1],
+        Problem(walkers[2]).parameters(one, one)[2:, 0],
+    )

@@ -1,4 +1,6 @@
-"""Points beside folds, at vanishing rates and in gaps of a branch: each settles, with a bound that holds."""
+"""Points beside folds, at vanishing rates and in gaps of a branch: each settles, with a
+bound that holds.
+"""
 
 from dataclasses import replace
 
@@ -32,7 +34,8 @@ GAP = {
     "R": 0.174245,
     "eps_T": 0.102999,
 }
-#: Walker, keys, slope, and the label of a gait that an earlier version reported as not converged.
+#: Walker, keys, slope, and the label of a gait that an earlier version reported as not
+#: converged.
 BESIDE_FOLDS = [
     (
         "physical",
@@ -95,10 +98,14 @@ def test_a_point_beside_a_fold_settles(walker, overrides, slope, label):
     assert repeats(walker, overrides, slope, found) < 1e-6
 
 
-@pytest.mark.parametrize(("walker", "overrides"), [("physical-straight", {}), ("C", {"detuning": 0.3})])
+@pytest.mark.parametrize(
+    ("walker", "overrides"), [("physical-straight", {}), ("C", {"detuning": 0.3})]
+)
 def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
     problem, found = branches(walker, **overrides)
-    folds = ((b, p) for b in found for p in special_points(problem, b) if p["kind"] == "fold")
+    folds = (
+        (b, p) for b in found for p in special_points(problem, b) if p["kind"] == "fold"
+    )
     for branch, fold in some(folds):
         off = branch.Z[[-1, 0]].T - np.log([fold["slope"], fold["stance_angle"]])
         at = int(np.argmin(np.abs(off).sum(axis=1)))
@@ -109,16 +116,28 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
             near = np.abs(segment - at) < 40
             index, Z, segment = index[near], Z[:, near], segment[near]
             guesses = branch.known_guesses(Z, segment, slope[index])
-            rows += compared(problem, replace(guesses, leg_passes=np.full(len(index), UNKNOWN)))
+            rows += compared(
+                problem, replace(guesses, leg_passes=np.full(len(index), UNKNOWN))
+            )
         # Both gaits at every distance.
         assert len(rows) == 24
         assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
 
 
-#: Nearly tuned, with a fold at so small a slope that its derivative in doubles is rounding.
+#: Nearly tuned, with a fold at so small a slope that its derivative in doubles is
+#: rounding.
 TINY_FOLD = {
-    **{"m_t": 2.8089367342747895, "m_s": 0.8289680150753062, "r_t": 0.1955414883828786, "r_s": 0.1349088128098967},
-    **{"c_t": 0.07592779639184609, "c_s": 0.15140079374558255, "R": 0.15182739329675565},
+    **{
+        "m_t": 2.8089367342747895,
+        "m_s": 0.8289680150753062,
+        "r_t": 0.1955414883828786,
+        "r_s": 0.1349088128098967,
+    },
+    **{
+        "c_t": 0.07592779639184609,
+        "c_s": 0.15140079374558255,
+        "R": 0.15182739329675565,
+    },
     **{"eps_T": 0.1219618966829219, "l_t": 0.4430969751069832},
 }
 
@@ -134,12 +153,18 @@ def test_gaits_beside_a_fold_at_a_tiny_slope_settle_in_more_digits(shank):
         guesses = branch.known_guesses(Z, segment, slope[index])
         gaits = settle(problem, guesses)
         assert gaits.converged.all() and gaits.step.all() and gaits.doubles.max() > 1e-3
-        # Again with derivatives in more digits, from the solution: Newton shows how far it was.
-        assert all(error <= bound < 1e-11 for _, bound, error, _, _ in compared(problem, guesses))
+        # Again with derivatives in more digits, from the solution: Newton shows how far
+        # it was.
+        assert all(
+            error <= bound < 1e-11
+            for _, bound, error, _, _ in compared(problem, guesses)
+        )
         angles.append(gaits.y[0] * gaits.scale)
     # Two gaits that part with the root of the distance.
     apart = np.abs(angles[0] / angles[1] - 1)
-    np.testing.assert_allclose(apart[1:] / apart[:-1], np.sqrt([2, 10, 10, 100]), rtol=0.05)
+    np.testing.assert_allclose(
+        apart[1:] / apart[:-1], np.sqrt([2, 10, 10, 100]), rtol=0.05
+    )
 
 
 def test_a_gait_is_kept_where_a_rate_passes_zero():
@@ -156,25 +181,42 @@ def test_no_extended_precision_is_asked_for_where_a_rate_passes_zero(monkeypatch
     from gaitsweep.tasks.step import extended_precision
 
     monkeypatch.setattr(extended_precision, "refine", None)
-    assert of_label(solved("C", 0.102715733395058), "long")["status"] == STATUSES["converged"]
+    assert (
+        of_label(solved("C", 0.102715733395058), "long")["status"]
+        == STATUSES["converged"]
+    )
 
 
 def beside_the_gap(found):
     """The branch that ends where the gap begins, and the one that begins where it ends."""
     return sorted(
-        (b for b in found if "end_earlier_strike" in b.why), key=lambda b: b.why.index("end_earlier_strike") == 0
+        (b for b in found if "end_earlier_strike" in b.why),
+        key=lambda b: b.why.index("end_earlier_strike") == 0,
     )
 
 
 def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
-    out = solved("C", [0.00415, 0.00418, 0.0042, 0.004185432668024417, 0.00428, 0.0043], **GAP)
+    out = solved(
+        "C", [0.00415, 0.00418, 0.0042, 0.004185432668024417, 0.00428, 0.0043], **GAP
+    )
     short = GAITS.index("short")
     gone = STATUSES["no_gait"]
-    np.testing.assert_array_equal(out["status"][:, short], [0, gone, gone, gone, gone, 0])
+    np.testing.assert_array_equal(
+        out["status"][:, short], [0, gone, gone, gone, gone, 0]
+    )
     problem, found = branches("C", **GAP)
-    ends = sorted(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike")
-    assert ends == [pytest.approx(0.004173662, rel=1e-6), pytest.approx(0.004285163, rel=1e-6)]
-    # The same fixed point inside the gap: in the second derivation the foot strikes before the knee.
+    ends = sorted(
+        p["slope"]
+        for b in found
+        for p in special_points(problem, b)
+        if p["kind"] == "end_earlier_strike"
+    )
+    assert ends == [
+        pytest.approx(0.004173662, rel=1e-6),
+        pytest.approx(0.004285163, rel=1e-6),
+    ]
+    # The same fixed point inside the gap: in the second derivation the foot strikes
+    # before the knee.
     low, high = beside_the_gap(found)
     q = np.log([0.0042])
     w = 0.5 * (low.Z[:-1, [-1]] + high.Z[:-1, [0]])
@@ -183,12 +225,18 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
     stride, scale = problem.stride(w, q)
     state = stride.start[:, 0] * scale[0]
     time_unit = np.sqrt(problem.walker.leg / problem.walker.g)
-    with pytest.raises(StepFailed, match="after the leg has passed the heelstrike angle"):
-        Oracle(problem.walker.table()).step(state[0], state[3:] / time_unit, 0.0042, rtol=1e-10, atol=1e-12)
+    with pytest.raises(
+        StepFailed, match="after the leg has passed the heelstrike angle"
+    ):
+        Oracle(problem.walker.table()).step(
+            state[0], state[3:] / time_unit, 0.0042, rtol=1e-10, atol=1e-12
+        )
 
 
 def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_followed():
-    """Near period 10.6 its step makes 1e12 of an error: there lie more nodes than on all the branch before."""
+    """Near period 10.6 its step makes 1e12 of an error: there lie more nodes than on
+    all the branch before.
+    """
     keys = {
         "m_t": 1.92417253908927,
         "m_s": 1.0244571768418904,
@@ -208,7 +256,9 @@ def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_fo
 
 
 def test_a_gap_between_two_nodes_is_found():
-    """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
+    """Nodes so far apart that none lies in the gap: the guard's minimum between them
+    tells.
+    """
     from gaitsweep.tasks.continuation.lockstep import run
 
     problem, found = branches("C", **GAP)
@@ -222,22 +272,40 @@ def test_a_gap_between_two_nodes_is_found():
     )
     wide = np.exp(joined.q)
     assert not ((wide > 0.004174) & (wide < 0.004285)).any()
-    assert [b.why for b in run(problem, atlas._without_gaps(joined, low.Z[:, 0], FINE))] == [low.why, high.why]
+    assert [
+        b.why for b in run(problem, atlas._without_gaps(joined, low.Z[:, 0], FINE))
+    ] == [low.why, high.why]
 
 
 def test_a_gap_where_the_released_knee_turns_is_found():
-    """It strikes at once there, while at the nodes on both sides its flexion has no extremum."""
+    """It strikes at once there, while at the nodes on both sides its flexion has no
+    extremum.
+    """
     problem, found = branches("C", detuning=-0.322324752034447)
-    ends = sorted(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike")
-    assert ends == [pytest.approx(0.14243031, rel=1e-6), pytest.approx(0.14333601, rel=1e-6)]
-    out = solved("C", [0.1424, 0.1425, 0.14329072, 0.1433, 0.1434], detuning=-0.322324752034447)
+    ends = sorted(
+        p["slope"]
+        for b in found
+        for p in special_points(problem, b)
+        if p["kind"] == "end_earlier_strike"
+    )
+    assert ends == [
+        pytest.approx(0.14243031, rel=1e-6),
+        pytest.approx(0.14333601, rel=1e-6),
+    ]
+    out = solved(
+        "C", [0.1424, 0.1425, 0.14329072, 0.1433, 0.1434], detuning=-0.322324752034447
+    )
     assert not np.isin(out["status"], FAILURES).any()
-    larger = np.nan_to_num(out["stance_angle"]).max(axis=1)  # the smaller gait has no gap
+    larger = np.nan_to_num(out["stance_angle"]).max(
+        axis=1
+    )  # the smaller gait has no gap
     np.testing.assert_array_equal(larger > 0.55, [True, False, False, False, True])
 
 
 def test_an_end_at_which_the_released_knee_turns_is_no_gap():
-    """A strike at once limits it, to rounding: finer samples may show that strike at the end itself."""
+    """A strike at once limits it, to rounding: finer samples may show that strike at
+    the end itself.
+    """
     keys = {
         "m_t": 2.890601514599421,
         "m_s": 1.1592517704213854,
@@ -267,12 +335,17 @@ def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
 
 
 def test_no_branch_is_split_where_newton_jumps():
-    """Its last segment before kneestrike meets heelstrike was split at points of other branches."""
+    """Its last segment before kneestrike meets heelstrike was split at points of other
+    branches.
+    """
     ends = {}
     for detuning in (0.11, 0.1111111111111111, 0.112):
         _problem, found = branches("C", detuning=detuning)
         (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
-        X, tangent = (np.delete(each, np.s_[branch.m : -1], axis=0) for each in (branch.Z, branch.tangent[:, :-1]))
+        X, tangent = (
+            np.delete(each, np.s_[branch.m : -1], axis=0)
+            for each in (branch.Z, branch.tangent[:, :-1])
+        )
         chords = np.diff(X)
         along = (chords * tangent).sum(axis=0) / np.linalg.norm(tangent, axis=0)
         assert (along > 0.9 * np.linalg.norm(chords, axis=0)).all()
@@ -285,40 +358,66 @@ def test_no_branch_is_split_where_newton_jumps():
 
 
 def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
-    """Beside a fold the estimate of its own node, infinite, says nothing of a point; that of a far one too little."""
+    """Beside a fold the estimate of its own node, infinite, says nothing of a point;
+    that of a far one too little.
+    """
     problem, found = branches("physical-straight")
     branch = next(b for b in found if len(b.pieces()) > 1)
     fold = branch.pieces()[0][1]
-    assert np.isinf(branch.lipschitz[fold]) and np.isfinite(np.delete(branch.lipschitz, fold)).all()
+    assert (
+        np.isinf(branch.lipschitz[fold])
+        and np.isfinite(np.delete(branch.lipschitz, fold)).all()
+    )
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
     guesses = unmeasured(problem, Z[:-1], np.exp([q]))
-    ((_, bound, error, _, _),) = compared(problem, replace(guesses, lipschitz=np.array([np.inf])))
+    ((_, bound, error, _, _),) = compared(
+        problem, replace(guesses, lipschitz=np.array([np.inf]))
+    )
     assert error <= bound < 1e-12
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(500, marks=pytest.mark.soak)])
 def test_no_point_of_a_random_line_fails(count):
-    """Walkers near A, C and the physical one, masses, lengths and offsets off by a fifth, or detuned; by both roads."""
+    """Walkers near A, C and the physical one, masses, lengths and offsets off by a
+    fifth, or detuned; by both roads.
+    """
     from gaitsweep.tasks.solve_points import lines
     from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
-    keys, failed = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"), []
+    keys, failed = (
+        ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"),
+        [],
+    )
     for k in range(count):
-        random, walker = np.random.default_rng(k), ("A", "C", "physical", "physical-straight")[k % 4]
+        random, walker = (
+            np.random.default_rng(k),
+            ("A", "C", "physical", "physical-straight")[k % 4],
+        )
         if walker in ("A", "C") and random.random() < 0.5:
             overrides = {"detuning": random.uniform(-0.3, 1.4)}
         else:
             table = CATALOGUE[walker].table()
-            overrides = {key: table[key] * (1 + random.uniform(-0.2, 0.2)) for key in keys}
+            overrides = {
+                key: table[key] * (1 + random.uniform(-0.2, 0.2)) for key in keys
+            }
         slope = np.exp(random.uniform(np.log(1e-3), np.log(0.15), 25))
         want = ("stance_angle", "status", "reason")
         if k % 8 < 4:
             out = solved(walker, slope, want=want, **overrides)
         else:
-            ((_, out),) = lines({"lines": [{"walker": walker, "set": overrides}], "slope": slope, "want": want}, [])
+            ((_, out),) = lines(
+                {
+                    "lines": [{"walker": walker, "set": overrides}],
+                    "slope": slope,
+                    "want": want,
+                },
+                [],
+            )
         for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
-            failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
+            failed.append(
+                (walker, overrides, slope[i], out["reasons"][out["reason"][i, g]])
+            )
     assert not failed
 
 
@@ -339,7 +438,11 @@ def test_a_fold_at_a_node_gets_no_node_beside_it():
         "eps_T": 0.07878795719274959,
     }
     near_c |= {"l_t": 0.2975081638879152, "l_s": 0.5104774396091883}
-    asked = {"lines": [{"walker": "C", "set": near_c}], "slope": np.geomspace(1e-3, 0.15, 9), "want": ("stance_angle",)}
+    asked = {
+        "lines": [{"walker": "C", "set": near_c}],
+        "slope": np.geomspace(1e-3, 0.15, 9),
+        "want": ("stance_angle",),
+    }
     ((found, _),) = lines(asked, [])
     apart = np.linalg.norm(np.diff(found["Z"][[0, 1, 2, -1]]), axis=0)
     assert (apart > 1e-14).all()
@@ -384,8 +487,9 @@ def test_short_gaits_of_steep_slopes_are_found(detuning):
     assert repeats("A", {"detuning": detuning}, slope[0], found) < 1e-6
 
 
-#: Walkers of one link whose legs swing faster or slower than those of the catalogue: their slope, and stance angle and
-#: period of gaits, which simulations walk for 200 steps.
+#: Walkers of one link whose legs swing faster or slower than those of the catalogue:
+#: their slope, and stance angle and period of gaits, which simulations walk for 200
+#: steps.
 FAST_AND_SLOW = [
     (
         {"l": 0.517, "m": 5.0, "c": 0.1053, "r": 0.022, "R": 0.483, "m_h": 3.19},
@@ -398,7 +502,14 @@ FAST_AND_SLOW = [
         [(0.16983, None), (0.15973966147925395, 0.264413715606)],
     ),
     (
-        {"l": 0.22697, "m": 6.79027, "c": 0.0177785601, "r": 0.23826, "R": 0.77303, "m_h": 4.37745},
+        {
+            "l": 0.22697,
+            "m": 6.79027,
+            "c": 0.0177785601,
+            "r": 0.23826,
+            "R": 0.77303,
+            "m_h": 4.37745,
+        },
         0.0044,
         [(0.73339586234200248, 2.74712925986), (0.51267, None)],
     ),
@@ -426,7 +537,16 @@ def test_gaits_of_fast_and_slow_legs_are_found(walker, slope, gaits):
 
 @pytest.mark.parametrize("centre", [0.005, 0.03, 0.05, 0.07, 0.1, 0.13, 0.2, 0.3])
 def test_both_gaits_are_found_wherever_the_mass_of_a_leg_lies(centre):
-    walker = {"l": 0.9, "m": 5.0, "c": centre, "r": centre / 2, "R": 0.1, "m_h": 5.0, "knees": False, "g": 9.81}
+    walker = {
+        "l": 0.9,
+        "m": 5.0,
+        "c": centre,
+        "r": centre / 2,
+        "R": 0.1,
+        "m_h": 5.0,
+        "knees": False,
+        "g": 9.81,
+    }
 
     found = solve_one({"walker": walker, "slope": 0.01})["gaits"]
 
@@ -435,7 +555,16 @@ def test_both_gaits_are_found_wherever_the_mass_of_a_leg_lies(centre):
 
 @pytest.mark.parametrize("centre", [0.0, -0.05])
 def test_a_leg_that_is_balanced_about_the_hip_is_searched_like_a_slow_one(centre):
-    walker = {"l": 0.9, "m": 5.0, "c": centre, "r": 0.2, "R": 0.1, "m_h": 5.0, "knees": False, "g": 9.81}
+    walker = {
+        "l": 0.9,
+        "m": 5.0,
+        "c": centre,
+        "r": 0.2,
+        "R": 0.1,
+        "m_h": 5.0,
+        "knees": False,
+        "g": 9.81,
+    }
 
     solved = solve_one({"walker": walker, "slope": 0.01})
 
@@ -446,11 +575,25 @@ def test_a_leg_that_is_balanced_about_the_hip_is_searched_like_a_slow_one(centre
 @pytest.mark.parametrize("centre", [0.04, 0.1, 0.3, 0.6, 0.9])
 @pytest.mark.parametrize("hip", [0.0, 2.0, 40.0])
 def test_a_line_has_the_long_gait_that_small_angles_prove(centre, hip):
-    """As slopes vanish, the legs of a long gait exchange places at equal rates; which periods allow it is exact."""
-    walker = resolve({"l": 0.8, "m": 1.0, "c": centre * 0.8, "r": 0.1, "R": 0.2, "m_h": hip, "knees": False})
+    """As slopes vanish, the legs of a long gait exchange places at equal rates; which
+    periods allow it is exact.
+    """
+    walker = resolve(
+        {
+            "l": 0.8,
+            "m": 1.0,
+            "c": centre * 0.8,
+            "r": 0.1,
+            "R": 0.2,
+            "m_h": hip,
+            "knees": False,
+        }
+    )
     linear = SmallAngles(walker)
     period = np.linspace(0.5, 1.5, 4001) * linear.swing
-    stance, swing = linear.exchange_rates(np.ones_like(period), period, np.zeros_like(period))
+    stance, swing = linear.exchange_rates(
+        np.ones_like(period), period, np.zeros_like(period)
+    )
     apart = swing - stance
     roots = period[:-1][(np.diff(np.sign(apart)) != 0) & (np.abs(np.diff(apart)) < 1)]
 
@@ -461,12 +604,16 @@ def test_a_line_has_the_long_gait_that_small_angles_prove(centre, hip):
 
 @pytest.mark.parametrize("slope", [1e-8, 0.02])
 def test_a_kneed_step_begins_as_small_angles_have_it(slope):
-    """The time of kneestrike is that of other rates, so both are near those of the gait."""
+    """The time of kneestrike is that of other rates, so both are near those of the
+    gait.
+    """
     problem, found = branches("C")
     gaits = [Z[:, 0] for branch in found for _, Z, _ in branch.guesses(np.log([slope]))]
     assert len(gaits) == 2
     for log_angle, rate, swing_rate, kneestrike, period, _ in gaits:
-        asked = (np.array([x]) for x in (np.exp(log_angle), period, swing_rate / rate, slope))
+        asked = (
+            np.array([x]) for x in (np.exp(log_angle), period, swing_rate / rate, slope)
+        )
 
         guess, time = SmallAngles(problem.walker).kneed_exchange(*asked)
 
@@ -492,17 +639,25 @@ def test_a_survey_misses_few_gaits_that_a_dense_search_finds(draw, numbers, rate
 
 def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     monkeypatch.setattr(
-        "gaitsweep.tasks.continuation.atlas.survey_lines", lambda problem, tolerance: [[] for _ in problem.lanes]
+        "gaitsweep.tasks.continuation.atlas.survey_lines",
+        lambda problem, tolerance: [[] for _ in problem.lanes],
     )
     outcome = missed(range(4, 8))
-    assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
+    assert (
+        outcome.lacking == outcome.gaits
+        and len(outcome.each) == outcome.gaits.total() > 0
+    )
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
 
 
 @pytest.mark.parametrize("hip", [1.0, 2.5, 2.75, 4.0])
 def test_gaits_of_large_angles_are_found(hip):
-    """Of large round feet on steep slopes, on which both gaits have angles of about a radian."""
+    """Of large round feet on steep slopes, on which both gaits have angles of about a
+    radian.
+    """
     problem = Problem(resolve("A", {"R": 0.4, "m_h": hip}))
     (branch,) = atlas.survey(problem, COARSE)
-    angles = np.exp(sorted(float(Z[0, 0]) for _, Z, _ in branch.guesses(np.log([0.22]))))
+    angles = np.exp(
+        sorted(float(Z[0, 0]) for _, Z, _ in branch.guesses(np.log([0.22])))
+    )
     assert len(angles) == 2 and 0.9 < angles[0] < angles[1] - 0.05 < 1.2

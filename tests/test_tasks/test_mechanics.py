@@ -59,7 +59,9 @@ def test_a_stride_agrees_with_the_oracle(walker):
     start = gaits.start[:, at] / gaits.start[0, at] * theta
     # Beside the gait, so that agreement is not just that of two fixed points.
     theta *= 1.005
-    rates = np.array([start[2] * 1.004, start[3], start[3]]) * np.sqrt(walker.g / walker.leg)
+    rates = np.array([start[2] * 1.004, start[3], start[3]]) * np.sqrt(
+        walker.g / walker.leg
+    )
     if walker.point_foot:
         rates[1:] = rates[0] * np.cos(2 * theta)
     step = Oracle(walker.table()).step(theta, rates, 0.04)
@@ -73,7 +75,9 @@ def test_a_stride_of_d_agrees_with_the_textbook():
     rates = np.array([-0.21, -0.21 * np.cos(0.4), -0.21 * np.cos(0.4)])
     step = SimplestWalker().step(0.2, rates, 0.01)
     image, times = stride(CATALOGUE["D"], 0.2, rates, 0.01, [step.period])
-    np.testing.assert_allclose([*image, times[-1]], [step.theta, step.rates[0], step.period], rtol=1e-11)
+    np.testing.assert_allclose(
+        [*image, times[-1]], [step.theta, step.rates[0], step.period], rtol=1e-11
+    )
 
 
 def test_a_kneed_stride_agrees_with_the_oracle():
@@ -83,8 +87,16 @@ def test_a_kneed_stride_agrees_with_the_oracle():
     first = oracle.step(0.2433, [-1.048, -0.304, -1.480], 0.036)
     time_unit = oracle.step(first.theta, first.rates, 0.036)
     before, after = first.before_heelstrike, time_unit.before_heelstrike
-    image, times = stride(walker, first.theta, before[3:5], 0.036, [time_unit.kneestrike_time, time_unit.period])
-    np.testing.assert_allclose(times, [time_unit.kneestrike_time, time_unit.period], rtol=1e-10)
+    image, times = stride(
+        walker,
+        first.theta,
+        before[3:5],
+        0.036,
+        [time_unit.kneestrike_time, time_unit.period],
+    )
+    np.testing.assert_allclose(
+        times, [time_unit.kneestrike_time, time_unit.period], rtol=1e-10
+    )
     np.testing.assert_allclose(image, [time_unit.theta, *after[3:5]], rtol=1e-9)
 
 
@@ -96,7 +108,11 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
     at = np.flatnonzero(verdict.anthropomorphic)[-1]
     scale = np.exp2(np.floor(found[0, at] / np.log(2)))
     # Near the long gait, but no fixed point: every derivative counts.
-    y = gaits.y[:, at : at + 1] * scale * np.array([1.02, 1.01, 0.99])[: problem.m, None]
+    y = (
+        gaits.y[:, at : at + 1]
+        * scale
+        * np.array([1.02, 1.01, 0.99])[: problem.m, None]
+    )
     times = gaits.times[:, at : at + 1]
 
     def image(y, slope):
@@ -116,20 +132,33 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
             8 * (image(y + e, slope).image - image(y - e, slope).image)
             - (image(y + 2 * e, slope).image - image(y - 2 * e, slope).image)
         ) / (12 * h)
-        np.testing.assert_allclose(d[:, 0], base.jacobian[:, k, 0], rtol=0, atol=1e-9 * np.abs(base.jacobian).max())
+        np.testing.assert_allclose(
+            d[:, 0],
+            base.jacobian[:, k, 0],
+            rtol=0,
+            atol=1e-9 * np.abs(base.jacobian).max(),
+        )
     h = 1e-5
     d = (
         8 * (image(y, slope + h).image - image(y, slope - h).image)
         - (image(y, slope + 2 * h).image - image(y, slope - 2 * h).image)
     ) / (12 * h)
-    np.testing.assert_allclose(d[:, 0], base.by_slope[:, 0], rtol=0, atol=1e-9 * np.abs(base.by_slope).max())
+    np.testing.assert_allclose(
+        d[:, 0], base.by_slope[:, 0], rtol=0, atol=1e-9 * np.abs(base.by_slope).max()
+    )
 
 
 def test_lanes_are_independent_of_their_neighbours():
     problem = Problem(CATALOGUE["E"])
     rng = np.random.default_rng(7)
     n = 37
-    w = np.vstack([np.log(rng.uniform(0.1, 0.3, n)), rng.uniform(-1.2, -0.9, n), rng.uniform(2.5, 3.9, n)])
+    w = np.vstack(
+        [
+            np.log(rng.uniform(0.1, 0.3, n)),
+            rng.uniform(-1.2, -0.9, n),
+            rng.uniform(2.5, 3.9, n),
+        ]
+    )
     q = np.log(rng.uniform(0.005, 0.03, n))
     together, _ = problem.stride(w, q, samples=8)
     order = rng.permutation(n)
@@ -155,15 +184,25 @@ def test_a_lost_lane_costs_only_itself():
 @pytest.mark.parametrize("name", ["A", "C"])
 @pytest.mark.parametrize("detuning", [1e-13, 2.36e-5, 0.02, 0.3])
 def test_the_offset_of_a_nearly_tuned_leg_has_all_its_digits(name, detuning):
-    """It is the leg's first moment about the line from hip to foot centre, in which thigh and shank all but cancel."""
+    """It is the leg's first moment about the line from hip to foot centre, in which
+    thigh and shank all but cancel.
+    """
     walker = resolve(name, {"detuning": detuning})
     with mpmath.workdps(60):
-        k = {key: mpmath.mpf(value) for key, value in walker.table().items() if isinstance(value, float)}
+        k = {
+            key: mpmath.mpf(value)
+            for key, value in walker.table().items()
+            if isinstance(value, float)
+        }
         d = k["l_s"] - k["R"]
         eps_s = mpmath.asin(k["l_t"] * mpmath.sin(k["eps_T"]) / d)
         leg = k["l_t"] * mpmath.cos(k["eps_T"]) + d * mpmath.cos(eps_s) + k["R"]
         thigh = k["c_t"] * mpmath.sin(k["eps_T"]) + k["w_t"] * mpmath.cos(k["eps_T"])
-        shank = k["l_t"] * mpmath.sin(k["eps_T"]) - k["c_s"] * mpmath.sin(eps_s) + k["w_s"] * mpmath.cos(eps_s)
+        shank = (
+            k["l_t"] * mpmath.sin(k["eps_T"])
+            - k["c_s"] * mpmath.sin(eps_s)
+            + k["w_s"] * mpmath.cos(eps_s)
+        )
         mass = 2 * (k["m_t"] + k["m_s"]) + k.get("m_h", 0)
         offset = float(-(k["m_t"] * thigh + k["m_s"] * shank) / mass / leg)
     structure = structure_of(walker)
@@ -171,5 +210,7 @@ def test_the_offset_of_a_nearly_tuned_leg_has_all_its_digits(name, detuning):
     found = alone[structure.constants.index("S_a_re")]
     assert found == pytest.approx(offset, rel=2.3e-16, abs=0) and found != 0
     # The same in an array of walkers, of which some are nearly tuned.
-    several = constants_of(resolve_many(name, {"detuning": np.array([0.5, detuning])}), structure)
+    several = constants_of(
+        resolve_many(name, {"detuning": np.array([0.5, detuning])}), structure
+    )
     np.testing.assert_array_equal(several[:, 1], alone)

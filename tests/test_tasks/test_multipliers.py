@@ -40,11 +40,15 @@ def random_matrices(m, n=400):
 @pytest.mark.parametrize("m", [2, 3])
 def test_coefficients_are_those_of_the_eigenvalues(m):
     matrices = random_matrices(m)
-    expected = [np.poly(values).real for values in np.linalg.eigvals(np.moveaxis(matrices, -1, 0))]
+    expected = [
+        np.poly(values).real
+        for values in np.linalg.eigvals(np.moveaxis(matrices, -1, 0))
+    ]
     signs = (-1.0) ** np.arange(1, m + 1)
     scale = characteristic(np.abs(matrices), 1.0)
     np.testing.assert_array_less(
-        np.abs(characteristic(matrices) - (np.array(expected)[:, 1:] * signs).T), 1e-12 * scale
+        np.abs(characteristic(matrices) - (np.array(expected)[:, 1:] * signs).T),
+        1e-12 * scale,
     )
 
 
@@ -69,12 +73,18 @@ def test_real_multipliers_stay_real_beside_a_complex_pair():
     values = multipliers(random_matrices(3), 3)
     moved = multiplier_changes(values, np.full((3, len(values)), 1e-13))
     beside_pair = (values.imag == 0) & (values.imag != 0).any(axis=1, keepdims=True)
-    assert beside_pair.sum() > 10 and (moved[beside_pair].real != 0).any() and (moved[beside_pair].imag == 0).all()
+    assert (
+        beside_pair.sum() > 10
+        and (moved[beside_pair].real != 0).any()
+        and (moved[beside_pair].imag == 0).all()
+    )
 
 
 @pytest.mark.parametrize("m", [2, 3])
 def test_bounds_of_changed_coefficients_are_sharp(m):
-    """A change of one coefficient moves a simple eigenvalue by a fifth less than its bound, and a double one within."""
+    """A change of one coefficient moves a simple eigenvalue by a fifth less than its
+    bound, and a double one within.
+    """
     matrices, draw = random_matrices(m), np.random.default_rng(5)
     values, scale = multipliers(matrices, m), np.abs(characteristic(matrices))
     error = np.zeros((m, matrices.shape[-1]))
@@ -97,7 +107,9 @@ def number(x):
 
 
 def derivative(step, y, times, parameters):
-    """Image and derivative of one step in 113 bits: central differences, the event times eliminated."""
+    """Image and derivative of one step in 113 bits: central differences, the event
+    times eliminated.
+    """
     m, h = step.m, step.number(2.0**-40)
     unknowns, columns = np.concatenate([y, times]), []
     for i in range(len(unknowns)):
@@ -106,22 +118,30 @@ def derivative(step, y, times, parameters):
             moved = unknowns.copy()
             moved[i] = moved[i] + sign * h
             values.append(step(moved[:m], moved[m:], parameters)[0])
-        columns.append([number((a - b) / (h + h)) for a, b in zip(*values, strict=True)])
+        columns.append(
+            [number((a - b) / (h + h)) for a, b in zip(*values, strict=True)]
+        )
     joint = mpmath.matrix(columns).T
     by_times = joint[:m, m:] * mpmath.inverse(joint[m:, m:])
     return joint[:m, :m] + mpmath.eye(m) - by_times * joint[m:, :m], joint
 
 
 def eigenvalues(matrix):
-    return np.array([complex(value) for value in mpmath.eig(matrix, left=False, right=False)])
+    return np.array(
+        [complex(value) for value in mpmath.eig(matrix, left=False, right=False)]
+    )
 
 
 def exact_multipliers(problem, found, g, slope):
-    """Multipliers (m,) of the gait in 113 bits that Newton's method reaches from one in an archive's variables."""
+    """Multipliers (m,) of the gait in 113 bits that Newton's method reaches from one in
+    an archive's variables.
+    """
     unit = np.sqrt(problem.walker.leg / problem.walker.g)
     angle = found["stance_angle"][g]
     rates = [found[name][g] * unit / angle for name in RATES][: problem.m - 1]
-    times = [found[name][g] / unit for name in ("kneestrike_time", "period")][-problem.phases :]
+    times = [found[name][g] / unit for name in ("kneestrike_time", "period")][
+        -problem.phases :
+    ]
     w = np.array([[np.log(angle), *rates, *times]]).T
     at = settle(problem, unmeasured(problem, w, np.array([slope])))
     start = Start(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0])
@@ -129,7 +149,11 @@ def exact_multipliers(problem, found, g, slope):
     assert last_step < 1e-15
     step = _extended_step_map(problem.structure, 1)
     with mpmath.workdps(34):
-        return eigenvalues(derivative(step, y, times, step.parameters(problem.walker, slope, at.scale[0]))[0])
+        return eigenvalues(
+            derivative(
+                step, y, times, step.parameters(problem.walker, slope, at.scale[0])
+            )[0]
+        )
 
 
 def compared(values, found, g):
@@ -140,7 +164,9 @@ def compared(values, found, g):
 
 
 def summed_up(rows, slack=1000):
-    """Every bound holds; in the median it is within 1,000 times the error, in nine of ten 1e-10."""
+    """Every bound holds; in the median it is within 1,000 times the error, in nine of
+    ten 1e-10.
+    """
     error, bound, size = np.array(rows).T
     assert len(error) >= 8
     assert (error <= bound).all()
@@ -156,7 +182,9 @@ def one_at(out, *at):
 def rows_of(problem, slopes, out):
     here = itertools.product(range(len(slopes)), (0, 1))
     return [
-        compared(exact_multipliers(problem, one_at(out, i), g, slopes[i]), one_at(out, i), g)
+        compared(
+            exact_multipliers(problem, one_at(out, i), g, slopes[i]), one_at(out, i), g
+        )
         for i, g in here
         if out["status"][i, g] == 0
     ]
@@ -178,11 +206,18 @@ def test_multipliers_of_lines_are_as_good_as_their_gaits(walker):
 
 @pytest.mark.parametrize("walker", ["D", "C"])
 def test_multipliers_of_vanishing_steps(walker):
-    """Whose gaits need more digits than doubles have; their derivatives are better than their bounds by far."""
+    """Whose gaits need more digits than doubles have; their derivatives are better than
+    their bounds by far.
+    """
     slopes = np.geomspace(1e-13, 1e-7, 5)
     line = {"walker": walker, "set": {}}
-    out = points({"line": line, "slope": slopes, "want": WANT, "gaits": GAITS}, [atlas({"line": line}, [])])
-    assert (summed_up(rows_of(Problem(resolve(walker)), slopes, out), slack=1e4) < 1e-12).all()
+    out = points(
+        {"line": line, "slope": slopes, "want": WANT, "gaits": GAITS},
+        [atlas({"line": line}, [])],
+    )
+    assert (
+        summed_up(rows_of(Problem(resolve(walker)), slopes, out), slack=1e4) < 1e-12
+    ).all()
 
 
 def test_multipliers_over_a_plane():
@@ -192,20 +227,34 @@ def test_multipliers_over_a_plane():
     rows = []
     for i, j in ((3, 5), (20, 20), (39, 0), (10, 33), (0, 40)):
         problem = Problem(resolve("A", {"R": radius[i], "m_h": mass[j]}))
-        here = {name: found[name].values[i, j] for name in found.data_vars if name != "reason_text"}
+        here = {
+            name: found[name].values[i, j]
+            for name in found.data_vars
+            if name != "reason_text"
+        }
         some = [g for g in (0, 1) if here["status"][g] == 0]
-        rows += [compared(exact_multipliers(problem, here, g, slope), here, g) for g in some]
+        rows += [
+            compared(exact_multipliers(problem, here, g, slope), here, g) for g in some
+        ]
     assert (summed_up(rows) < 1e-12).all()
 
 
 def exact_multipliers_of(problem, found, g, slope, n):
-    """Multipliers of a gait of n steps: Newton's method on its first section, in 113 bits."""
+    """Multipliers of a gait of n steps: Newton's method on its first section, in 113
+    bits.
+    """
     unit = np.sqrt(problem.walker.leg / problem.walker.g)
     angle = found["stance_angle"][g]
-    step, scale = _extended_step_map(problem.structure, 1), np.exp2(np.floor(np.log2(angle)))
+    step, scale = (
+        _extended_step_map(problem.structure, 1),
+        np.exp2(np.floor(np.log2(angle))),
+    )
     parameters = step.parameters(problem.walker, slope, scale)
     rates = [found[name][g] * unit for name in RATES][: problem.m - 1]
-    y, guess = step.array(np.array([angle, *rates]) / scale), found["period"][g] / unit / n
+    y, guess = (
+        step.array(np.array([angle, *rates]) / scale),
+        found["period"][g] / unit / n,
+    )
     for _ in range(4):
         at, total = y, mpmath.eye(problem.m)
         for _ in range(n):
@@ -237,16 +286,25 @@ def struck(step, y, times, parameters):
     return times
 
 
-@pytest.mark.parametrize(("steps", "slopes"), [(2, (0.0155, 0.0161, 0.0166, 0.0171)), (4, (0.0178, 0.0179))])
+@pytest.mark.parametrize(
+    ("steps", "slopes"), [(2, (0.0155, 0.0161, 0.0166, 0.0171)), (4, (0.0178, 0.0179))]
+)
 def test_multipliers_of_gaits_of_several_steps(steps, slopes):
     problem, rows = Problem(resolve("D")), []
     found = gaits("D", np.array(slopes), steps=steps)
     with mpmath.workdps(34):
         for i, slope in enumerate(slopes):
-            here = {name: found[name].values[i] for name in found.data_vars if name != "reason_text"}
+            here = {
+                name: found[name].values[i]
+                for name in found.data_vars
+                if name != "reason_text"
+            }
             some = [g for g in range(len(GAITS)) if here["status"][g] == 0]
             assert some
-            rows += [compared(exact_multipliers_of(problem, here, g, slope, steps), here, g) for g in some]
+            rows += [
+                compared(exact_multipliers_of(problem, here, g, slope, steps), here, g)
+                for g in some
+            ]
     error, bound, size = np.array(rows).T
     assert (error <= bound).all()
     assert np.median(bound / error) < 1000
@@ -263,7 +321,12 @@ def test_the_polynomial_of_several_steps_changes_with_every_unknown():
     stride, _ = several.stride(w, q)
     unit = characteristic_scale(stride)
     for i in range(len(w)):
-        ends = [several.stride(w + sign * 1e-6 * np.eye(len(w))[:, [i]], q)[0] for sign in (1, -1)]
+        ends = [
+            several.stride(w + sign * 1e-6 * np.eye(len(w))[:, [i]], q)[0]
+            for sign in (1, -1)
+        ]
         up, down = (characteristic(end.jacobian) for end in ends)
-        np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-6 / unit, rtol=2e-3, atol=2e-3)
+        np.testing.assert_allclose(
+            gradient[:, i], (up - down) / 2e-6 / unit, rtol=2e-3, atol=2e-3
+        )
     assert np.abs(gradient).max() > 0.1

@@ -1,7 +1,9 @@
-"""The bits of a lane do not depend on how many others are computed beside it, nor on where it lies among them.
+"""The bits of a lane do not depend on how many others are computed beside it, nor on
+where it lies among them.
 
-The numbers of lanes are those at which numpy changes its ways: one lane, whose leading axes become the inner ones; 256
-KiB of a matrix (3,641 lanes), from which temporaries are reused; its buffer of 8,192 numbers.
+The numbers of lanes are those at which numpy changes its ways: one lane, whose leading
+axes become the inner ones; 256 KiB of a matrix (3,641 lanes), from which temporaries
+are reused; its buffer of 8,192 numbers.
 """
 
 import dataclasses
@@ -28,7 +30,12 @@ from gaitsweep.tasks.fixed_points.multipliers import (
     multiplier_changes,
     multipliers,
 )
-from gaitsweep.tasks.fixed_points.newton import curvature, newton, newton_step, relative_sizes
+from gaitsweep.tasks.fixed_points.newton import (
+    curvature,
+    newton,
+    newton_step,
+    relative_sizes,
+)
 from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
 from gaitsweep.tasks.fixed_points.rounding import (
     characteristic_scale,
@@ -55,7 +62,8 @@ ROOT = Path(__file__).parent.parent.parent
 SIZES, FEW = (1, 7, 3000, 3641, 8192, 20000), (1, 7, 200)
 #: Gaits of which the lanes are copies.
 KNOWN = 61
-#: Walkers with straight legs, knees, and point feet, with the number of steps after which their gaits repeat.
+#: Walkers with straight legs, knees, and point feet, with the number of steps after
+#: which their gaits repeat.
 WALKERS = {"A": ("A", 1), "C": ("C", 1), "E": ("E", 1), "three steps": ("C", 3)}
 
 
@@ -84,7 +92,13 @@ def sample(name):
     q = np.linspace(*piece.q, KNOWN + 2)[1:-1]
     w, m = piece.gaits(q), problem.step.m
     y, times = np.vstack([np.ones(KNOWN), w[1:m]]), w[m:]
-    again = np.vstack([w[0], np.tile(y, (steps, 1))[1:], *(times + k * times[-1] for k in range(steps))])
+    again = np.vstack(
+        [
+            w[0],
+            np.tile(y, (steps, 1))[1:],
+            *(times + k * times[-1] for k in range(steps)),
+        ]
+    )
     guesses = unmeasured(problem, again, np.exp(q))
     at, moved = (
         settle(problem, guesses, sampled=True),
@@ -101,9 +115,15 @@ def lanes_last(named):
 def of_rounding(s):
     w, stride, scale = s.moved
     y, times = stride.y + stride.newton, stride.newton_times
-    state, values, by_unknowns = reported(s.problem, y, times, s.problem.parameters(s.slope, scale))
+    state, values, by_unknowns = reported(
+        s.problem, y, times, s.problem.parameters(s.slope, scale)
+    )
     return [
-        *(rounding(stride), characteristic_scale(stride), sensitivity(stride, values, by_unknowns)),
+        *(
+            rounding(stride),
+            characteristic_scale(stride),
+            sensitivity(stride, values, by_unknowns),
+        ),
         *(state, values, by_unknowns, reported_sizes(values)),
         *(newton_step(stride, w), relative_sizes(w, s.problem.m)),
     ]
@@ -117,12 +137,21 @@ def of_multipliers(s):
     moved = multiplier_changes(values[:, :-1], change)
     measured = measured_multipliers(jacobian, change, error, s.problem.structure.kneed)
     bounds = [multiplier_bounds(values, factor * error) for factor in (1.0, 1e6, 1e10)]
-    return [error, characteristic(jacobian), values.T, moved.T, *bounds, *lanes_last(measured)]
+    return [
+        error,
+        characteristic(jacobian),
+        values.T,
+        moved.T,
+        *bounds,
+        *lanes_last(measured),
+    ]
 
 
 def of_measures(s):
     gaits = describe(s.problem, s.at, s.slope, WANT)
-    rounded = {name: values[:, None].copy() for name, values in gaits.items() if name in WANT}
+    rounded = {
+        name: values[:, None].copy() for name, values in gaits.items() if name in WANT
+    }
     to_accuracy(rounded, 1e-6)
     return [*lanes_last(gaits), *lanes_last(rounded)]
 
@@ -144,7 +173,11 @@ def of_walkers(s):
     walkers = family.walkers(s.slope[:, None] * 3)
     angle = np.exp(s.moved[0][0])
     losses = heelstrike_losses(walkers, angle, np.vstack([-angle, 0.3 * angle]))
-    return [np.moveaxis(contact_mass(walkers, angle), 0, -1), *losses, *travel(walkers, s.slope, angle, angle).values()]
+    return [
+        np.moveaxis(contact_mass(walkers, angle), 0, -1),
+        *losses,
+        *travel(walkers, s.slope, angle, angle).values(),
+    ]
 
 
 def of_joint_equations(s):
@@ -171,7 +204,9 @@ def of_charts(s):
     x = np.stack([np.sin(7 * s.slope), np.cos(300 * s.slope)], axis=1)
     found = []
     for sizes, c in (((21,), 5), ((12, 7), 13)):
-        chart = Chart(sizes, np.sin(np.arange(np.prod(sizes) * c, dtype=float)).reshape(-1, c))
+        chart = Chart(
+            sizes, np.sin(np.arange(np.prod(sizes) * c, dtype=float)).reshape(-1, c)
+        )
         found.append(chart(x[:, : len(sizes)]))
     box = Box(("m_h", "R"), (0.1, 0.01), (30.0, 0.4), log=True)
     keys = box.at(x)
@@ -187,8 +222,26 @@ def of_newton(s):
 
 def of_polish(s):
     at = settle(s.problem, s.guesses)
-    own = (at.y, at.state, at.times, at.bound, at.doubles, at.change, at.error, at.converged, at.step, at.leg_passes)
-    return [*own, *(values for values in vars(at.stride.one).values() if isinstance(values, np.ndarray))]
+    own = (
+        at.y,
+        at.state,
+        at.times,
+        at.bound,
+        at.doubles,
+        at.change,
+        at.error,
+        at.converged,
+        at.step,
+        at.leg_passes,
+    )
+    return [
+        *own,
+        *(
+            values
+            for values in vars(at.stride.one).values()
+            if isinstance(values, np.ndarray)
+        ),
+    ]
 
 
 def of_neighbours(s):
@@ -199,7 +252,9 @@ def of_neighbours(s):
 def of_violations(s):
     motion = [part * s.at.scale for part in fine(s).one.motion]
     impact = s.at.stride.one.impact * s.at.scale
-    return lanes_last(violations.measure(s.problem.walker, motion, impact, s.at.times, s.slope))
+    return lanes_last(
+        violations.measure(s.problem.walker, motion, impact, s.at.times, s.slope)
+    )
 
 
 def fine(s):
@@ -207,19 +262,31 @@ def fine(s):
     return s.problem.map(s.at.y, s.at.times, parameters, samples=violations.SAMPLES)
 
 
-CHEAP = (of_rounding, of_multipliers, of_measures, of_smooth_quantities, of_steps, of_charts)
+CHEAP = (
+    of_rounding,
+    of_multipliers,
+    of_measures,
+    of_smooth_quantities,
+    of_steps,
+    of_charts,
+)
 #: What integrates steps.
 DEAR = (of_joint_equations, of_newton, of_polish, of_neighbours)
 
 
 def differing(name, measure, sizes):
-    """Numbers of lanes at which the bits of any differ from those that it has among the known lanes."""
+    """Numbers of lanes at which the bits of any differ from those that it has among the
+    known lanes.
+    """
     known = sample(name)
     expected = measure(known)
     for n in sizes:
         lanes = (23 + np.arange(n)) % KNOWN
         found = measure(known.some(lanes))
-        if not all(np.array_equal(a[..., lanes], b, equal_nan=True) for a, b in zip(expected, found, strict=True)):
+        if not all(
+            np.array_equal(a[..., lanes], b, equal_nan=True)
+            for a, b in zip(expected, found, strict=True)
+        ):
             yield n
 
 
@@ -243,7 +310,12 @@ def test_a_lane_is_solved_to_the_same_bits_among_a_few_others(name, measure):
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("measure", "name"),  # without those of which many need extended precision
-    [(measure, name) for measure in DEAR for name in WALKERS if (measure, name) != (of_polish, "E")],
+    [
+        (measure, name)
+        for measure in DEAR
+        for name in WALKERS
+        if (measure, name) != (of_polish, "E")
+    ],
 )
 def test_a_lane_is_solved_to_the_same_bits_among_many_others(name, measure):
     assert not list(differing(name, measure, SIZES[2:]))

@@ -1,4 +1,6 @@
-"""The same gaits with each optimisation off: equal bits where they are promised, elsewhere within both bounds."""
+"""The same gaits with each optimisation off: equal bits where they are promised,
+elsewhere within both bounds.
+"""
 
 import functools
 import os
@@ -27,22 +29,39 @@ SLOPES = np.geomspace(1.1e-3, 0.14, 8)
 SMOOTH = tuple(name for name in WANT if name not in OF_INTEGRATION)
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Walkers and a key of each with its range.
-FAMILIES = {"A": ("detuning", 0.1, 1.2), "E": ("foot_mass_ratio", 0.05, 0.4), "C": ("detuning", 0.1, 0.4)}
+FAMILIES = {
+    "A": ("detuning", 0.1, 1.2),
+    "E": ("foot_mass_ratio", 0.05, 0.4),
+    "C": ("detuning", 0.1, 0.4),
+}
 FAMILIES |= {"physical": ("m_h", 0.1, 1.0)}
 #: The same as a plane whose gaits patches give, with the slope.
-PLANES = {"A": (0.2, 0.4, 0.02), "E": (0.1, 0.2, 0.011), "C": (0.1, 0.2, 0.03), "physical": (0.1, 0.3, 0.03)}
+PLANES = {
+    "A": (0.2, 0.4, 0.02),
+    "E": (0.1, 0.2, 0.011),
+    "C": (0.1, 0.2, 0.03),
+    "physical": (0.1, 0.3, 0.03),
+}
 
 
 def members(name):
     key, low, high = FAMILIES[name]
-    return [{"walker": name, "set": {key: float(value)}} for value in np.linspace(low, high, 3)]
+    return [
+        {"walker": name, "set": {key: float(value)}}
+        for value in np.linspace(low, high, 3)
+    ]
 
 
 def lines(name, block=3, **options):
-    """Gaits of the lines of a family, a dict of arrays for each; so many lines side by side."""
+    """Gaits of the lines of a family, a dict of arrays for each; so many lines side by
+    side.
+    """
     asked = {"slope": SLOPES, "want": WANT, "gaits": GAITS, **options}
     every = members(name)
-    blocks = [solve_points.lines({"lines": every[k : k + block], **asked}, []) for k in range(0, len(every), block)]
+    blocks = [
+        solve_points.lines({"lines": every[k : k + block], **asked}, [])
+        for k in range(0, len(every), block)
+    ]
     return [found for each in blocks for _, found in each]
 
 
@@ -51,7 +70,9 @@ def long_lines(name, want=WANT, coarse=False, **options):
     asked = {"slope": SLOPES, "want": want, "gaits": GAITS, **options}
     atlas_of = functools.partial(solve_points.atlas, inputs=[])
     return [
-        solve_points.points({"line": line, **asked}, [atlas_of({"line": line, "coarse": coarse})])
+        solve_points.points(
+            {"line": line, **asked}, [atlas_of({"line": line, "coarse": coarse})]
+        )
         for line in members(name)
     ]
 
@@ -66,13 +87,29 @@ def plane(name, by="patches", accuracy=0.0):
     """Gaits of some lines of a plane."""
     low, high, slope = PLANES[name]
     key, *_ = FAMILIES[name]
-    every = [{"walker": name, "set": {key: float(v)}} for v in np.linspace(low, high, 7)[1:-1]]
-    asked = {"lines": every, "slope": np.array([slope]), "want": SMOOTH, "accuracy": accuracy}
+    every = [
+        {"walker": name, "set": {key: float(v)}}
+        for v in np.linspace(low, high, 7)[1:-1]
+    ]
+    asked = {
+        "lines": every,
+        "slope": np.array([slope]),
+        "want": SMOOTH,
+        "accuracy": accuracy,
+    }
     if by == "lines":
         return [found for _, found in solve_points.lines(asked, [])]
-    asked["plane"] = {"keys": [key], "low": [low], "high": [high], "log": [False], "lines": 70}
+    asked["plane"] = {
+        "keys": [key],
+        "low": [low],
+        "high": [high],
+        "log": [False],
+        "lines": 70,
+    }
     window = {"slope_from": slope, "slope_to": slope, "slopes": 1}
-    ((_, found),) = solve_planes.lines(asked, [solve_planes.charts(asked | window | {"line": every[0]}, [])])
+    ((_, found),) = solve_planes.lines(
+        asked, [solve_planes.charts(asked | window | {"line": every[0]}, [])]
+    )
     assert int(found["reason"].max()) < 6, "a line was surveyed"
     return [{key: found[key][[i]] for key in SMOOTH} for i in range(len(every))]
 
@@ -80,9 +117,20 @@ def plane(name, by="patches", accuracy=0.0):
 def elsewhere(name, folder, **environment):
     """Gaits of the lines, computed by another process."""
     kept = folder / "gaits"
-    path = os.pathsep.join([*environment.pop("PYTHONPATH", "").split(os.pathsep), str(ROOT), str(ROOT / "tests")])
+    path = os.pathsep.join(
+        [
+            *environment.pop("PYTHONPATH", "").split(os.pathsep),
+            str(ROOT),
+            str(ROOT / "tests"),
+        ]
+    )
     environment = {**os.environ, **environment, "PYTHONPATH": path.strip(os.pathsep)}
-    subprocess.run([sys.executable, __file__, name, str(kept)], env=environment, check=True, timeout=280)
+    subprocess.run(
+        [sys.executable, __file__, name, str(kept)],
+        env=environment,
+        check=True,
+        timeout=280,
+    )
     version, found = pickle.loads(kept.read_bytes())
     return version, found
 
@@ -97,7 +145,9 @@ def equal(one, other):
 
 
 def within_bounds(one, other):
-    """The same gaits, with the same labels and stability, no farther apart than both bounds."""
+    """The same gaits, with the same labels and stability, no farther apart than both
+    bounds.
+    """
     for a, b in zip(one, other, strict=True):
         solved, others = (np.isin(each["status"], (0, 9)) for each in (a, b))
         np.testing.assert_array_equal(solved, others)
@@ -107,12 +157,17 @@ def within_bounds(one, other):
             size = (fastest if name in RATES else np.abs(a[name]))[solved]
             assert (np.abs(a[name] - b[name])[solved] <= bound * size).all(), name
         assert len(bound) and (bound < 1e-3).all()
-        np.testing.assert_array_equal(*(each["spectral_radius"][solved] < 1 for each in (a, b)))
+        np.testing.assert_array_equal(
+            *(each["spectral_radius"][solved] < 1 for each in (a, b))
+        )
 
 
 def one_procedure_at_a_time(monkeypatch):
     def alone(problem, lines, procedures):
-        return [side_by_side(problem, [i], [each])[0] for i, each in zip(lines, procedures, strict=True)]
+        return [
+            side_by_side(problem, [i], [each])[0]
+            for i, each in zip(lines, procedures, strict=True)
+        ]
 
     monkeypatch.setattr(atlases, "side_by_side", alone)
 
@@ -135,7 +190,9 @@ def own_samples(monkeypatch):
 
 def compiled_anew(monkeypatch):
     monkeypatch.setattr(kernel, "FLOWS", {})
-    monkeypatch.setattr(problem, "stride_map", functools.cache(step_map.stride_map.__wrapped__))
+    monkeypatch.setattr(
+        problem, "stride_map", functools.cache(step_map.stride_map.__wrapped__)
+    )
 
 
 def exact_search(monkeypatch):
@@ -147,7 +204,9 @@ def exact_search(monkeypatch):
 
 
 def registers(lanes):
-    """Code for registers of fewer lanes: four as AVX2 has them, one as if there were none."""
+    """Code for registers of fewer lanes: four as AVX2 has them, one as if there were
+    none.
+    """
 
     def patch(monkeypatch):
         compiled_anew(monkeypatch)
@@ -157,21 +216,37 @@ def registers(lanes):
     return patch
 
 
-#: What is off: how it is switched off, what is computed then, and what holds. The reference is `lines`.
+#: What is off: how it is switched off, what is computed then, and what holds. The
+#: reference is `lines`.
 OFF = {
     "lines side by side": (None, functools.partial(lines, block=1), equal),
     "procedures side by side": (one_procedure_at_a_time, lines, equal),
     "points side by side": (few_points_at_a_time, lines, equal),
-    "all variables but one": (None, functools.partial(lines, want=("stance_angle",)), equal),
+    "all variables but one": (
+        None,
+        functools.partial(lines, want=("stance_angle",)),
+        equal,
+    ),
     "steps known from their segments": (own_samples, lines, within_bounds),
     "coarse search": (exact_search, lines, within_bounds),
     "coarse atlas": (None, long_lines, within_bounds),
     "registers of eight lanes": (registers(4), lines, within_bounds),
     "registers": (registers(1), lines, within_bounds),
-    "digits, at an accuracy of 1e-4": (None, functools.partial(to_accuracy, accuracy=1e-4), within_bounds),
-    "digits, at an accuracy of 1e-10": (None, functools.partial(to_accuracy, accuracy=1e-10), within_bounds),
+    "digits, at an accuracy of 1e-4": (
+        None,
+        functools.partial(to_accuracy, accuracy=1e-4),
+        within_bounds,
+    ),
+    "digits, at an accuracy of 1e-10": (
+        None,
+        functools.partial(to_accuracy, accuracy=1e-10),
+        within_bounds,
+    ),
 }
-WALKERS = ["E", *(pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name != "E")]
+WALKERS = [
+    "E",
+    *(pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name != "E"),
+]
 
 
 @functools.cache
@@ -199,14 +274,25 @@ def test_gaits_of_a_plane_are_the_same_without_patches(name, accuracy):
 def test_gaits_are_the_same_without_avx512_in_numpy(name, tmp_path):
     found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     wide = " ".join(each for each in found if "512" in each or each == "X86_V4")
-    _, other = elsewhere(name, tmp_path, NPY_DISABLE_CPU_FEATURES=wide, OPENBLAS_CORETYPE="Haswell")
+    _, other = elsewhere(
+        name, tmp_path, NPY_DISABLE_CPU_FEATURES=wide, OPENBLAS_CORETYPE="Haswell"
+    )
     within_bounds(reference(name), other)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("name", FAMILIES)
 def test_gaits_are_the_same_with_the_earliest_numpy(name, tmp_path):
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(tmp_path / "numpy")]
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(tmp_path / "numpy"),
+    ]
     if subprocess.run([*install, "numpy==2.2.0"]).returncode:
         pytest.skip("numpy 2.2.0 cannot be had")
     version, other = elsewhere(name, tmp_path, PYTHONPATH=str(tmp_path / "numpy"))

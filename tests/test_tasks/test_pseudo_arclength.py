@@ -1,4 +1,6 @@
-"""Predictor, corrector and step control on circles, whose points, tangents and lengths are known."""
+"""Predictor, corrector and step control on circles, whose points, tangents and lengths
+are known.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +15,19 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
 )
 from gaitsweep.tasks.continuation.root import hermite
 
-#: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x y beside them.
+#: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x
+#: y beside them.
 SQUARES = np.array([1.0, 4.0, 0.25])
 NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 CONTROL = StepControl(
-    shortest=1e-6, longest=0.3, min_cosine=0.9, target=1e-3, power=0.5, growth=(0.5, 2.0), reduction=0.5, max_bend=0.1
+    shortest=1e-6,
+    longest=0.3,
+    min_cosine=0.9,
+    target=1e-3,
+    power=0.5,
+    growth=(0.5, 2.0),
+    reduction=0.5,
+    max_bend=0.1,
 )
 
 
@@ -33,14 +43,21 @@ def circles(squares):
         residual = np.array([x**2 + y**2 - squares[lanes], x * y - time])
         return Equations(residual, np.array([[2 * x, 2 * y, 0 * x], [y, x, 0 * x - 1]]))
 
-    return lambda guess, border: bordered_newton(linearise, lambda *_: 1e-15, NEWTON, guess, border, [0, 1])
+    return lambda guess, border: bordered_newton(
+        linearise, lambda *_: 1e-15, NEWTON, guess, border, [0, 1]
+    )
 
 
 class Circles(Tracks):
     def __init__(self, squares, step):
         radius = np.sqrt(squares)
         self.solve = circles(squares)
-        super().__init__(CONTROL, np.array([radius, 0 * radius, 0 * radius]), unit_tangents(radius), step)
+        super().__init__(
+            CONTROL,
+            np.array([radius, 0 * radius, 0 * radius]),
+            unit_tangents(radius),
+            step,
+        )
 
     def correct(self, tracks, guess, border):
         return self.solve(guess, border)
@@ -54,12 +71,23 @@ def unit_tangents(radius):
 def test_points_tangents_and_times_of_circles():
     radius, angle = np.sqrt(SQUARES), np.array([0.3, 1.2, 2.5])
     border = np.array([-np.sin(angle), np.cos(angle), 0 * angle])
-    at = circles(SQUARES)(np.array([1.1 * radius * np.cos(angle), 1.1 * radius * np.sin(angle), 0 * angle]), border)
+    at = circles(SQUARES)(
+        np.array(
+            [1.1 * radius * np.cos(angle), 1.1 * radius * np.sin(angle), 0 * angle]
+        ),
+        border,
+    )
     assert at.ok.all()
-    np.testing.assert_allclose(at.Z[:2], radius * [np.cos(angle), np.sin(angle)], atol=1e-14)
+    np.testing.assert_allclose(
+        at.Z[:2], radius * [np.cos(angle), np.sin(angle)], atol=1e-14
+    )
     np.testing.assert_allclose(at.Z[2], at.Z[0] * at.Z[1], atol=1e-13)
     rates = np.vstack([border[:2], radius * np.cos(2 * angle)])
-    np.testing.assert_allclose(np.abs((at.direction * rates).sum(axis=0)), np.linalg.norm(rates, axis=0), rtol=1e-14)
+    np.testing.assert_allclose(
+        np.abs((at.direction * rates).sum(axis=0)),
+        np.linalg.norm(rates, axis=0),
+        rtol=1e-14,
+    )
     assert not circles(SQUARES)(np.array([[np.nan], [0.0], [0.0]]), border[:, :1]).ok[0]
 
 
@@ -71,16 +99,21 @@ def test_tracks_side_by_side_go_once_round_and_as_each_does_alone():
             before = tracks.Z.copy()
             tracks.advance(np.arange(len(squares)))
             turned += np.arctan2(
-                before[0] * tracks.Z[1] - before[1] * tracks.Z[0], (before[:2] * tracks.Z[:2]).sum(axis=0)
+                before[0] * tracks.Z[1] - before[1] * tracks.Z[0],
+                (before[:2] * tracks.Z[:2]).sum(axis=0),
             )
             rounds.append(tracks.Z.copy())
         return turned, np.array(rounds)
 
     turned, together = followed(SQUARES)
     assert (turned > 2 * np.pi).all()
-    np.testing.assert_allclose((together[:, :2] ** 2).sum(axis=1), SQUARES * np.ones((140, 1)), rtol=1e-14)
+    np.testing.assert_allclose(
+        (together[:, :2] ** 2).sum(axis=1), SQUARES * np.ones((140, 1)), rtol=1e-14
+    )
     for lane in range(3):
-        np.testing.assert_array_equal(followed(SQUARES[lane : lane + 1])[1][..., 0], together[..., lane])
+        np.testing.assert_array_equal(
+            followed(SQUARES[lane : lane + 1])[1][..., 0], together[..., lane]
+        )
 
 
 def test_a_step_that_turns_too_far_is_refused_and_halved():
@@ -91,7 +124,9 @@ def test_a_step_that_turns_too_far_is_refused_and_halved():
 
 
 def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
-    """In the plane of the predicted point, so that the corrected one is the same: only sooner reached."""
+    """In the plane of the predicted point, so that the corrected one is the same: only
+    sooner reached.
+    """
     begun, predicted = [], []
 
     class Told(Circles):
@@ -108,9 +143,13 @@ def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
         has_two = tracks.back > 0
         tracks.advance(np.arange(3))
         (start, border), (reached, guess) = begun[-1], predicted[-1]
-        np.testing.assert_allclose(((start - guess) * border).sum(axis=0), 0.0, atol=1e-15)
+        np.testing.assert_allclose(
+            ((start - guess) * border).sum(axis=0), 0.0, atol=1e-15
+        )
         near, far = (np.linalg.norm(reached - Z, axis=0) for Z in (start, guess))
-        assert (near[has_two] < 0.7 * far[has_two]).all() and (start == guess)[:, ~has_two].all()
+        assert (near[has_two] < 0.7 * far[has_two]).all() and (start == guess)[
+            :, ~has_two
+        ].all()
         assert has_two.sum() == (0, 2, 3)[k]
 
 

@@ -1,4 +1,6 @@
-"""Slopes of special points lie within their error bounds of the same points in 113 bits."""
+"""Slopes of special points lie within their error bounds of the same points in 113
+bits.
+"""
 
 import heyoka as hy
 import numpy as np
@@ -30,7 +32,9 @@ LINES = 300
 
 
 def compared(problem, found):
-    """Special points of branches, each with the error of its slope over its bound: NaN where it is not known."""
+    """Special points of branches, each with the error of its slope over its bound: NaN
+    where it is not known.
+    """
     points = [point for branch in found for point in special_points(problem, branch)]
     for point in (point for point in points if point["kind"] in KINDS):
         Z = np.array(point["Z"])
@@ -49,7 +53,9 @@ def compared(problem, found):
     [("D", {}), ("E", {"foot_mass_ratio": 0.08050684536489794})],
 )
 def test_special_points_lie_within_their_bounds(walker, keys):
-    """Flips had the bounds of gaits at a given slope, which leave out how the multipliers round."""
+    """Flips had the bounds of gaits at a given slope, which leave out how the
+    multipliers round.
+    """
     problem = Problem(resolve(walker, keys))
     found = list(compared(problem, survey(problem, COARSE)))
     assert "flip" in {kind for kind, *_ in found}
@@ -66,34 +72,57 @@ def test_special_points_lie_within_their_bounds(walker, keys):
         ("physical-straight", "R", 0.2, 0.202, ("end_tangential_heelstrike",)),
     ],
 )
-def test_slopes_of_curves_lie_within_their_bounds(monkeypatch, walker, key, low, high, kinds):
+def test_slopes_of_curves_lie_within_their_bounds(
+    monkeypatch, walker, key, low, high, kinds
+):
     shares = []
 
     def compared(problem, kind, Z):
         bound, exact = slope_error(problem, kind, Z), exact_slope(problem, kind, Z)
-        shares.append((kind, abs(float((exact - hy.real128(np.exp(Z[-1]))) / exact)) / (bound + 8 * EPS)))
+        shares.append(
+            (
+                kind,
+                abs(float((exact - hy.real128(np.exp(Z[-1]))) / exact))
+                / (bound + 8 * EPS),
+            )
+        )
         return bound
 
     slope_error = follow_curves.slope_error
     monkeypatch.setattr(follow_curves, "slope_error", compared)
     line = {"walker": walker, "set": {}}
     options = {"key": key, "from": low, "to": high, "kinds": kinds}
-    found = follow_curves.curve({"line": line, "slope": np.array([0.005, 0.3]), **options}, [_atlas(walker, ())])
-    assert {kind for kind, _ in shares} == set(kinds) and max(share for _, share in shares) < 1
-    assert len(shares) == len(found["curves/error_bound"]) and found["curves/error_bound"].max() < 1e-12
+    found = follow_curves.curve(
+        {"line": line, "slope": np.array([0.005, 0.3]), **options}, [_atlas(walker, ())]
+    )
+    assert {kind for kind, _ in shares} == set(kinds) and max(
+        share for _, share in shares
+    ) < 1
+    assert (
+        len(shares) == len(found["curves/error_bound"])
+        and found["curves/error_bound"].max() < 1e-12
+    )
 
 
 @pytest.mark.parametrize("seed", [26, 31])
 def test_ends_by_an_earlier_strike_lie_within_their_bounds(seed):
-    """Where the foot is on the ground at kneestrike, errors were up to 1.6 times the bound of a gait at its slope."""
+    """Where the foot is on the ground at kneestrike, errors were up to 1.6 times the
+    bound of a gait at its slope.
+    """
     problem = Problem(drawn(seed))
     found = [b for b in survey(problem, COARSE) if "end_earlier_strike" in b.why]
-    shares = [share for kind, _, share in compared(problem, found) if kind == "end_earlier_strike"]
+    shares = [
+        share
+        for kind, _, share in compared(problem, found)
+        if kind == "end_earlier_strike"
+    ]
     assert shares and max(shares) < 1
 
 
 def limit_of_shorter_steps(problem, branch, end):
-    """Slope at which steps vanish, from a polynomial through points of steps shorter than those of the branch."""
+    """Slope at which steps vanish, from a polynomial through points of steps shorter
+    than those of the branch.
+    """
     Z = branch.Z if end == 0 else branch.Z[:, ::-1]
     k = 1 + int(np.abs(Z[1 : problem.m, 0]).argmax())
     share = 1 / np.abs(Z[k, :40])
@@ -101,27 +130,37 @@ def limit_of_shorter_steps(problem, branch, end):
     before, last = Z[:, 1], Z[:, 0]
     for _ in range(60):
         # In the rate over the angle, whose inverse vanishes with the steps.
-        guess = last + (last - before) * (last[k] / 0.97 - last[k]) / (last[k] - before[k])
+        guess = last + (last - before) * (last[k] / 0.97 - last[k]) / (
+            last[k] - before[k]
+        )
         point = correct(problem, guess[:, None], np.eye(len(guess))[:, [k]])
         if not point.ok[0]:
             break
         before, last = last, point.Z[:, 0]
         points.append((1 / abs(last[k]), np.exp(last[-1])))
     x, y = np.array(points).T
-    first, other = (np.polynomial.Polynomial.fit(x, y, degree)(0.0) for degree in (7, 8))
+    first, other = (
+        np.polynomial.Polynomial.fit(x, y, degree)(0.0) for degree in (7, 8)
+    )
     assert x.min() < 0.7 * share[0] and abs(other / first - 1) < 1e-11
     return first
 
 
 @pytest.mark.parametrize("seed", [14, 30, 69])
 def test_slopes_at_which_steps_vanish_lie_within_their_bounds(seed):
-    """Errors were up to 0.9 of their bounds, by the rounding that extrapolation enlarges."""
+    """Errors were up to 0.9 of their bounds, by the rounding that extrapolation
+    enlarges.
+    """
     problem, shares = Problem(drawn(seed)), []
     for branch in survey(problem):
         for end in (i for i in (0, -1) if branch.why[i] == "end_zero_step"):
             place = 0 if end == 0 else len(branch.q) - 1
-            (point,) = [p for p in special_points(problem, branch) if p["place"] == place]
-            error = abs(limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1)
+            (point,) = [
+                p for p in special_points(problem, branch) if p["place"] == place
+            ]
+            error = abs(
+                limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1
+            )
             shares.append(error / point["error_bound"])
     assert shares and max(shares) < 0.5
 
@@ -131,14 +170,20 @@ def drawn(seed):
     name, keys, _ = neighbour(seed)
     random = np.random.default_rng(seed)
     if seed % 3 == 0:
-        keys |= {"R": random.uniform(0, 0.3)} if name == "E" else {"m_h": random.uniform(0, 3)}
+        keys |= (
+            {"R": random.uniform(0, 0.3)}
+            if name == "E"
+            else {"m_h": random.uniform(0, 3)}
+        )
     return resolve(name, keys)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_special_points_of_random_walkers_lie_within_their_bounds(resumed, tell):
-    """Of each kind: their number, those that are not found again, and the largest error over its bound."""
+    """Of each kind: their number, those that are not found again, and the largest error
+    over its bound.
+    """
     largest = {}
     for seed in resumed(LINES):
         try:
@@ -153,4 +198,6 @@ def test_special_points_of_random_walkers_lie_within_their_bounds(resumed, tell)
             tell(f"{resumed.state} lines; {dict(resumed.found)}; largest {largest}")
     counts = resumed.found
     assert counts["flip"] and not sum(counts[f"{kind}, beyond"] for kind in KINDS)
-    assert sum(counts[f"{kind}, unknown"] for kind in KINDS) < 0.01 * sum(counts[kind] for kind in KINDS)
+    assert sum(counts[f"{kind}, unknown"] for kind in KINDS) < 0.01 * sum(
+        counts[kind] for kind in KINDS
+    )

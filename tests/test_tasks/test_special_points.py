@@ -15,10 +15,17 @@ RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
 @pytest.fixture(scope="module")
 def tables():
-    """What the task gives for the physical walker with knees and without, each in SI units."""
+    """What the task gives for the physical walker with knees and without, each in SI
+    units.
+    """
 
     def follow(walker):
-        params = {"line": {"walker": walker}, "slope_from": 0.015, "slope_to": 0.06, "n": 60}
+        params = {
+            "line": {"walker": walker},
+            "slope_from": 0.015,
+            "slope_to": 0.06,
+            "n": 60,
+        }
         return branch(params, [to_arrays(survey(Problem(resolve(walker))))])
 
     return {walker: follow(walker) for walker in ("physical", "physical-straight")}
@@ -26,43 +33,73 @@ def tables():
 
 @pytest.mark.parametrize("walker", ["physical", "physical-straight"])
 def test_a_step_maps_the_state_of_a_fold_or_flip_onto_itself(tables, walker):
-    found = {name.partition("/")[2]: v for name, v in tables[walker].items() if name.startswith("special_points/")}
+    found = {
+        name.partition("/")[2]: v
+        for name, v in tables[walker].items()
+        if name.startswith("special_points/")
+    }
     inside = np.flatnonzero(np.isin(found["kind"], ["fold", "flip"]))
     assert len(inside) >= (4 if walker == "physical" else 1)
     for k in inside:
-        state = [found[name][k] for name in ("stance_angle", "stance_rate", "thigh_rate")]
-        mapped = map_step({"walker": walker, "slope": found["slope"][k], "state": state})
+        state = [
+            found[name][k] for name in ("stance_angle", "stance_rate", "thigh_rate")
+        ]
+        mapped = map_step(
+            {"walker": walker, "slope": found["slope"][k], "state": state}
+        )
         np.testing.assert_allclose(mapped["state"], state, rtol=1e-8)
-        np.testing.assert_allclose(mapped["heelstrike_time"], found["period"][k], rtol=1e-8)
+        np.testing.assert_allclose(
+            mapped["heelstrike_time"], found["period"][k], rtol=1e-8
+        )
 
 
 @pytest.mark.parametrize("walker", ["physical", "physical-straight"])
 def test_an_end_has_the_state_of_the_last_gait_of_its_branch(tables, walker):
     table = tables[walker]
-    ends = np.flatnonzero(np.char.startswith(table["special_points/kind"].astype(str), "end_"))
+    ends = np.flatnonzero(
+        np.char.startswith(table["special_points/kind"].astype(str), "end_")
+    )
     assert len(ends) >= 2
     for k in ends:
-        near = np.abs(table["branches/stance_angle"] / table["special_points/stance_angle"][k] - 1).argmin()
+        near = np.abs(
+            table["branches/stance_angle"] / table["special_points/stance_angle"][k] - 1
+        ).argmin()
         for name in RATES:
-            np.testing.assert_allclose(table[f"special_points/{name}"][k], table[f"branches/{name}"][near], rtol=1e-9)
+            np.testing.assert_allclose(
+                table[f"special_points/{name}"][k],
+                table[f"branches/{name}"][near],
+                rtol=1e-9,
+            )
 
 
-@pytest.mark.parametrize(("walker", "steps", "low", "high"), [("C", 1, 0.01, 0.06), ("D", 3, 0.0121, 0.016)])
+@pytest.mark.parametrize(
+    ("walker", "steps", "low", "high"), [("C", 1, 0.01, 0.06), ("D", 3, 0.0121, 0.016)]
+)
 def test_a_branch_that_leaves_its_window_has_a_row_there(walker, steps, low, high):
     line = {"walker": walker}
     inputs = [atlas({"line": line, "slope": np.array([low, high]), "steps": steps}, [])]
 
-    found = branch({"line": line, "slope_from": low, "slope_to": high, "n": 20, "steps": steps}, inputs)
+    found = branch(
+        {"line": line, "slope_from": low, "slope_to": high, "n": 20, "steps": steps},
+        inputs,
+    )
 
     rows = np.flatnonzero(found["special_points/kind"] == "window")
     # Both gaits of C at both edges; those of three steps of D begin at a fold within.
-    assert sorted(found["special_points/slope"][rows]) == ([low, low] if steps == 1 else []) + [high, high]
+    assert sorted(found["special_points/slope"][rows]) == (
+        [low, low] if steps == 1 else []
+    ) + [high, high]
     assert (found["special_points/error_bound"][rows] < 1e-14).all()
     for k in rows:
         of_branch = found["branches/branch"] == found["special_points/branch"][k]
-        at_edge = of_branch & np.isclose(found["branches/slope"], found["special_points/slope"][k], rtol=1e-12)
+        at_edge = of_branch & np.isclose(
+            found["branches/slope"], found["special_points/slope"][k], rtol=1e-12
+        )
         for name in ("stance_angle", *RATES, "period"):
-            nearest = np.abs(found[f"branches/{name}"][at_edge] / found[f"special_points/{name}"][k] - 1).min()
+            nearest = np.abs(
+                found[f"branches/{name}"][at_edge] / found[f"special_points/{name}"][k]
+                - 1
+            ).min()
             assert nearest < 1e-9, name
 
 

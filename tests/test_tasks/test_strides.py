@@ -1,4 +1,6 @@
-"""Strides from any start: against the slow oracles, against the exact map, and lane by lane."""
+"""Strides from any start: against the slow oracles, against the exact map, and lane by
+lane.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,13 @@ from gaitsweep.tasks.step import simulate
 from gaitsweep.tasks.step.crossing import crossing
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from gaitsweep.tasks.step.verify_step import _cubics, _extrema, _least_distance, _unclear, _zero
+from gaitsweep.tasks.step.verify_step import (
+    _cubics,
+    _extrema,
+    _least_distance,
+    _unclear,
+    _zero,
+)
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from oracle import Oracle, SimplestWalker, StepFailed
 from soak.stress import random_walker
@@ -27,10 +35,14 @@ def simplest():
 
 @pytest.mark.parametrize("walker", ["D", "A", "C"])
 def test_bits_do_not_depend_on_how_often_strikes_are_looked_for(monkeypatch, walker):
-    """Walkers that strike, fall either way or are lost in the middle of a block of time steps."""
+    """Walkers that strike, fall either way or are lost in the middle of a block of time
+    steps.
+    """
     problem = Problem(resolve(walker))
     dice = np.random.default_rng(5)
-    y = np.vstack([dice.uniform(0.02, 0.6, 99), *dice.uniform(-1.2, 0.4, (problem.m - 1, 99))])
+    y = np.vstack(
+        [dice.uniform(0.02, 0.6, 99), *dice.uniform(-1.2, 0.4, (problem.m - 1, 99))]
+    )
     slope = dice.uniform(1e-3, 0.2, 99)
     whole = stride(problem, y, slope, exact=False)
     assert len(set(whole.outcome.tolist())) > 2 and (whole.outcome == STRUCK).sum() > 5
@@ -64,7 +76,9 @@ def test_time_in_compiled_code_is_counted(simplest):
 
 
 def test_a_motion_that_ends_a_last_digit_early_is_not_lost(monkeypatch):
-    """As about every second motion of two steps does, of which the second is the longer."""
+    """As about every second motion of two steps does, of which the second is the
+    longer.
+    """
     problem = Problem(resolve("D"))
     w, slope = np.array([[-1.6], [-1.0], [3.8]]), np.array([-4.6])
     advance = Flow._advance
@@ -110,13 +124,19 @@ def test_any_start_of_a_kneed_walker_agrees_with_the_rigid_bodies():
     begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
     slow = oracle.step(begin[0], begin[3:6] / oracle.time_unit, slope[0], rtol=1e-12)
     assert found.outcome[0] == STRUCK
-    assert found.image[:, 0] == pytest.approx([slow.theta, *(slow.before_heelstrike[3:5] * oracle.time_unit)], rel=1e-9)
-    assert found.times[:, 0] * oracle.time_unit == pytest.approx([slow.kneestrike_time, slow.period], rel=1e-9)
+    assert found.image[:, 0] == pytest.approx(
+        [slow.theta, *(slow.before_heelstrike[3:5] * oracle.time_unit)], rel=1e-9
+    )
+    assert found.times[:, 0] * oracle.time_unit == pytest.approx(
+        [slow.kneestrike_time, slow.period], rel=1e-9
+    )
 
 
 def test_rough_strides_agree_with_exact_ones(simplest):
     y = LONG_D * np.array([[1.05], [1.05]])
-    coarse, exact = (stride(simplest, y, np.array([0.009]), exact=e) for e in (False, True))
+    coarse, exact = (
+        stride(simplest, y, np.array([0.009]), exact=e) for e in (False, True)
+    )
     assert np.abs(coarse.image - exact.image).max() < 1e-7
     assert np.abs(coarse.times - exact.times).max() < 1e-6
 
@@ -128,9 +148,14 @@ def test_falls_have_their_causes(simplest):
     assert np.isnan(found.image).all()
     for y in (slow, fast):
         with pytest.raises(StepFailed):
-            SimplestWalker().step(y[0, 0], (y[1, 0], y[1, 0] * np.cos(2 * y[0, 0])), 0.009)
+            SimplestWalker().step(
+                y[0, 0], (y[1, 0], y[1, 0] * np.cos(2 * y[0, 0])), 0.009
+            )
     # A leg that begins beyond the angle of a fall has fallen, however it moves.
-    assert stride(simplest, np.array([[1.7], [0.5]]), np.array([0.009])).outcome[0] == FORWARD
+    assert (
+        stride(simplest, np.array([[1.7], [0.5]]), np.array([0.009])).outcome[0]
+        == FORWARD
+    )
     assert len(CAUSES) == len(set(CAUSES))
 
 
@@ -154,13 +179,21 @@ def test_a_lane_does_not_know_its_neighbours(name):
             assert np.array_equal(alone.image[:, 0], whole.image[:, lane])
             assert np.array_equal(alone.times[:, 0], whole.times[:, lane])
             if exact:
-                assert np.array_equal(alone.jacobian[:, :, 0], whole.jacobian[:, :, lane])
+                assert np.array_equal(
+                    alone.jacobian[:, :, 0], whole.jacobian[:, :, lane]
+                )
 
 
 def test_a_knee_that_bends_again_before_it_is_straight_has_not_struck():
-    """The walker falls forward; on the way its knee's flexion has a minimum, far from zero, within one time step."""
+    """The walker falls forward; on the way its knee's flexion has a minimum, far from
+    zero, within one time step.
+    """
     walker = resolve("C")
-    problem, y, slope = Problem(walker), np.array([[0.346], [-0.88], [-0.014]]), np.array([0.052])
+    problem, y, slope = (
+        Problem(walker),
+        np.array([[0.346], [-0.88], [-0.014]]),
+        np.array([0.052]),
+    )
     found = stride(problem, y, slope, exact=False)
     assert found.outcome[0] == FORWARD and np.isnan(found.times).all()
     begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
@@ -170,11 +203,17 @@ def test_a_knee_that_bends_again_before_it_is_straight_has_not_struck():
 
 
 def test_a_knee_that_flexes_for_a_moment_only_strikes_then():
-    """Released flexing, it is straight again before the first sample, and before the first time step ends."""
+    """Released flexing, it is straight again before the first sample, and before the
+    first time step ends.
+    """
     walker = random_walker("kneed, any", 21)
     problem, slope, slow = Problem(walker), np.array([0.02]), Oracle(walker.table())
     rates = ("stance_rate", "thigh_rate", "shank_rate")
-    asked = {"lines": [{"walker": walker.table()}], "slope": slope, "want": ("stance_angle", *rates, *ALWAYS)}
+    asked = {
+        "lines": [{"walker": walker.table()}],
+        "slope": slope,
+        "want": ("stance_angle", *rates, *ALWAYS),
+    }
     ((_, out),) = lines(asked, [])
     for g in np.flatnonzero(out["status"][0] == CONVERGED):
         start = out["stance_angle"][0, g], np.array([out[rate][0, g] for rate in rates])
@@ -183,18 +222,26 @@ def test_a_knee_that_flexes_for_a_moment_only_strikes_then():
     found = stride(problem, y, slope)
     begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
     expected = slow.step(begin[0], begin[3:6] / slow.time_unit, slope[0])
-    assert found.times[0, 0] * slow.time_unit == pytest.approx(expected.kneestrike_time, rel=1e-9)
+    assert found.times[0, 0] * slow.time_unit == pytest.approx(
+        expected.kneestrike_time, rel=1e-9
+    )
     assert found.image[0, 0] == pytest.approx(expected.theta, rel=1e-9)
 
 
 def test_strikes_within_a_time_step():
-    """The stance angle counts where the guard is zero; a knee that flexes at the start may strike in the same step."""
-    states = np.array([[0.02, -0.0199, -1.0, 0.9], [-0.0425, 0.0365, -1.0, 0.9]])[:, :, None]
+    """The stance angle counts where the guard is zero; a knee that flexes at the start
+    may strike in the same step.
+    """
+    states = np.array([[0.02, -0.0199, -1.0, 0.9], [-0.0425, 0.0365, -1.0, 0.9]])[
+        :, :, None
+    ]
     assert crossing(False, states, 0.0625) == -1
     states[:, 0] -= 0.03
     states[:, 1] += 0.03
     assert 0 < crossing(False, states, 0.0625) < 0.1
-    knee = np.array([[0.1, -0.1, -0.1, 0.0, 0.2, 0.0], [0.1, -0.1, -0.09, 0.0, -0.5, 0.0]])[:, :, None]
+    knee = np.array(
+        [[0.1, -0.1, -0.1, 0.0, 0.2, 0.0], [0.1, -0.1, -0.09, 0.0, -0.5, 0.0]]
+    )[:, :, None]
     assert 0.2 < crossing(True, knee, 0.0625) < 0.6
     knee[0, 4] = -0.2  # behind its stop from the start
     assert crossing(True, knee, 0.0625) == -1
@@ -202,7 +249,9 @@ def test_strikes_within_a_time_step():
 
 def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
     x = np.linspace(0, 1, 33)[:, None] + 1e-3
-    early = np.maximum(0.15 - x, 0)  # its rate is negative at first, whatever it does later
+    early = np.maximum(
+        0.15 - x, 0
+    )  # its rate is negative at first, whatever it does later
     for sign in (1, -1):
         g = sign * (10 * early**2 - (x - 0.6) ** 2) - 1e-5 * sign
         rate = sign * (-20 * early - 2 * (x - 0.6))
@@ -228,7 +277,9 @@ def test_extrema_between_samples_are_those_of_the_cubic_between_them():
     rate, x = cubic.deriv(), np.linspace(-1.2, 1.2, 9)[:, None]
     h = x[1] - x[0]
     for sign in (1, -1):
-        low, high = (values[:, 0] for values in _extrema(sign * cubic(x), sign * h * rate(x)))
+        low, high = (
+            values[:, 0] for values in _extrema(sign * cubic(x), sign * h * rate(x))
+        )
         turns = np.sort(rate.roots())
         for value, at in zip((high, low)[::sign], turns, strict=True):
             inside = (x[:-1, 0] < at) & (at < x[1:, 0])
@@ -237,7 +288,9 @@ def test_extrema_between_samples_are_those_of_the_cubic_between_them():
 
 
 def test_a_maximum_counts_only_where_the_guard_does():
-    """The guard reaches 0.5 before its values count; its minimum below -0.4 is then far from a strike."""
+    """The guard reaches 0.5 before its values count; its minimum below -0.4 is then far
+    from a strike.
+    """
     g, rate = np.full((4, 1), -0.3), np.array([[5.2], [-0.4], [-0.5], [0.4]])
     low, high = _extrema(g, rate)
     assert high[0, 0] > 0.5 and low[2, 0] < -0.4

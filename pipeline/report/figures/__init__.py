@@ -1,4 +1,6 @@
-"""The figures of a report: one function each, by the name that a study's `figures` list uses."""
+"""The figures of a report: one function each, by the name that a study's `figures` list
+uses.
+"""
 
 import os
 from collections.abc import Callable
@@ -28,7 +30,8 @@ from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import WORDS
 from gaitsweep.pipeline.study.plot import Plot
 
-#: What draws each figure, of the archive and of the tables that `words.toml` names for it.
+#: What draws each figure, of the archive and of the tables that `words.toml` names for
+#: it.
 _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "residuals": families.residuals,
     "transition_ladder": laws.transition_ladder,
@@ -51,9 +54,18 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
 
 
 def _of_tables(name: str, source: Source) -> Sketch | None:
-    """Sketch a figure from the tables that it needs; None where the archive lacks one, a column or other data."""
-    tables = [source.table(table, *columns) for table, columns in WORDS["figures"][name].get("tables", {}).items()]
-    return None if any(table is None for table in tables) else _DRAWN[name](source, *tables)
+    """Sketch a figure from the tables that it needs; None where the archive lacks one,
+    a column or other data.
+    """
+    tables = [
+        source.table(table, *columns)
+        for table, columns in WORDS["figures"][name].get("tables", {}).items()
+    ]
+    return (
+        None
+        if any(table is None for table in tables)
+        else _DRAWN[name](source, *tables)
+    )
 
 
 FIGURES = {name: partial(_of_tables, name) for name in _DRAWN}
@@ -92,17 +104,30 @@ def _of_package(source: Source, name: str) -> Sketch | None:
     drawn = Sketch(name, plot.height)
     try:
         data = pd.DataFrame(plot.draw(drawn.panels[0], source.grid))
-    except Exception as error:  # whatever a function may raise: the other figures are drawn
+    except (
+        Exception
+    ) as error:  # whatever a function may raise: the other figures are drawn
         raise Undrawn(f"its package raises {type(error).__name__}: {error}") from error
-    drawn.texts = {"title": "{title}", "alt": "{alt}", "caption": {"always": "{caption}"}}
+    drawn.texts = {
+        "title": "{title}",
+        "alt": "{alt}",
+        "caption": {"always": "{caption}"},
+    }
     return drawn.finish(data, title=plot.title, alt=plot.alt, caption=plot.caption)
 
 
-def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str] | None = None) -> Drawing:
+def draw(
+    source: Source,
+    name: str,
+    salt: str,
+    small: bool = True,
+    told: set[str] | None = None,
+) -> Drawing:
     """Draw one figure of a study.
 
-    `salt` makes the SVG's identifiers differ from those of other figures on the page; `small` asks for a version for
-    the index; `told` are the legends of earlier figures of the page, which this one does not repeat.
+    `salt` makes the SVG's identifiers differ from those of other figures on the page;
+    `small` asks for a version for the index; `told` are the legends of earlier figures
+    of the page, which this one does not repeat.
 
     Raises
     ------
@@ -114,5 +139,7 @@ def draw(source: Source, name: str, salt: str, small: bool = True, told: set[str
         os.environ.pop("SOURCE_DATE_EPOCH", None)
         drawn = sketch(source, name, set() if told is None else told)
         drawn.values["steps"] = source.steps if source.steps > 1 else None
-        drawn.marks = [replace(marks, free=marks.free or source.steps > 1) for marks in drawn.marks]
+        drawn.marks = [
+            replace(marks, free=marks.free or source.steps > 1) for marks in drawn.marks
+        ]
         return render(drawn, name, salt, small)

@@ -11,7 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Arc, Circle
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, PAPER, SECOND
+from gaitsweep.pipeline.report.figures.style import (
+    DOTTED,
+    INK,
+    LINE,
+    MUTED,
+    PAPER,
+    SECOND,
+)
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import fill
 
@@ -22,7 +29,8 @@ _MAX_WALKERS, _MAX_IN_ROW = 8, 6
 
 @dataclass(frozen=True)
 class Body:
-    """Geometry of a leg: thigh, shank from knee to foot centre, foot radius and the angles of both links.
+    """Geometry of a leg: thigh, shank from knee to foot centre, foot radius and the
+    angles of both links.
 
     Notes
     -----
@@ -37,14 +45,20 @@ class Body:
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> "Body | None":
-        """The body of a table of parameters; None if one is missing or the leg does not close."""
+        """The body of a table of parameters; None if one is missing or the leg does not
+        close.
+        """
         try:
             thigh, l_s, radius, eps = (float(parameters[key]) for key in _LEG_KEYS)
         except (KeyError, TypeError, ValueError):
             return None
         shank = l_s - radius
         sine = thigh * np.sin(eps) / shank if shank else 0.0
-        return cls(thigh, shank, radius, eps, float(np.arcsin(sine))) if abs(sine) <= 1 else None
+        return (
+            cls(thigh, shank, radius, eps, float(np.arcsin(sine)))
+            if abs(sine) <= 1
+            else None
+        )
 
     @property
     def length(self) -> float:
@@ -57,19 +71,31 @@ class Body:
         return self.length + self.radius
 
     def hip(self, stance: Any) -> Any:
-        """Position of the hip as x + iy at a stance angle [rad], with the foot centre at x = −R θ."""
-        return -self.radius * stance + 1j * self.radius + 1j * self.length * np.exp(1j * stance)
+        """Position of the hip as x + iy at a stance angle [rad], with the foot centre
+        at x = −R θ.
+        """
+        return (
+            -self.radius * stance
+            + 1j * self.radius
+            + 1j * self.length * np.exp(1j * stance)
+        )
 
     def knee(self, hip: Any, thigh: Any) -> Any:
-        """Position of the knee as x + iy, from that of the hip and the thigh's angle [rad]."""
+        """Position of the knee as x + iy, from that of the hip and the thigh's angle
+        [rad].
+        """
         return hip - 1j * self.thigh * np.exp(1j * (thigh - self.eps_T))
 
     def foot(self, knee: Any, shank: Any) -> Any:
-        """Centre of the foot's arc as x + iy, from the position of the knee and the shank's angle [rad]."""
+        """Centre of the foot's arc as x + iy, from the position of the knee and the
+        shank's angle [rad].
+        """
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
 
-def _draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
+def _draw_leg(
+    axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any
+) -> None:
     """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""
     knee = body.knee(hip, thigh)
     foot = body.foot(knee, shank)
@@ -88,7 +114,9 @@ def draw_pose(
     axes: Axes, body: Body, hip: complex, angles: Sequence[float], stance: dict[str, Any], swing: dict[str, Any],
     size: float,
 ) -> None:  # fmt: skip
-    """Draw both legs, at the angles of stance leg, swing thigh and swing shank [rad], and the hip of some size [pt]."""
+    """Draw both legs, at the angles of stance leg, swing thigh and swing shank [rad],
+    and the hip of some size [pt].
+    """
     leg, thigh, shank = angles
     _draw_leg(axes, body, hip, leg, leg, **stance)
     _draw_leg(axes, body, hip, thigh, shank, **swing)
@@ -96,18 +124,33 @@ def draw_pose(
 
 
 def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
-    """Bodies and parameters of the study's first walkers, as far as the archive holds them."""
-    bodies = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:_MAX_WALKERS]}
-    return {name: (body, table) for name, (body, table) in bodies.items() if body is not None}
+    """Bodies and parameters of the study's first walkers, as far as the archive holds
+    them.
+    """
+    bodies = {
+        name: (Body.of(table), table)
+        for name, table in list(source.walkers.items())[:_MAX_WALKERS]
+    }
+    return {
+        name: (body, table)
+        for name, (body, table) in bodies.items()
+        if body is not None
+    }
 
 
-def _alike(bodies: Mapping[str, tuple[Body, dict[str, Any]]]) -> dict[str, tuple[Body, dict[str, Any]]]:
+def _alike(
+    bodies: Mapping[str, tuple[Body, dict[str, Any]]],
+) -> dict[str, tuple[Body, dict[str, Any]]]:
     """Bodies that differ in a picture, under the names of all walkers that look alike."""
     looks: dict[tuple[float, ...], list[str]] = {}
     for name, (body, table) in bodies.items():
-        leg, mass = body.height, sum(_number(table, key) for key in ("m_t", "m_s", "m_h")) or 1.0
+        leg, mass = (
+            body.height,
+            sum(_number(table, key) for key in ("m_t", "m_s", "m_h")) or 1.0,
+        )
         lengths = [
-            round(_number(table, key) / leg, 2) for key in ("l_t", "R", "w_t", "c_t", "r_t", "w_s", "c_s", "r_s")
+            round(_number(table, key) / leg, 2)
+            for key in ("l_t", "R", "w_t", "c_t", "r_t", "w_s", "c_s", "r_s")
         ]
         masses = [round(_number(table, key) / mass, 2) for key in ("m_t", "m_s", "m_h")]
         looks.setdefault((*lengths, *masses, round(body.eps_T, 2)), []).append(name)
@@ -115,42 +158,65 @@ def _alike(bodies: Mapping[str, tuple[Body, dict[str, Any]]]) -> dict[str, tuple
 
 
 def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
-    """A panel for each walker, with its name as the title; more than six stand in two rows.
+    """A panel for each walker, with its name as the title; more than six stand in two
+    rows.
 
     The height [pt] of a figure of one or two is given.
     """
     rows = 1 if len(bodies) <= _MAX_IN_ROW else 2
     across = -(-len(bodies) // rows)
-    sketch = Sketch(name, of_few if len(bodies) < 3 else 190 if rows == 1 else 370, rows, across)
+    sketch = Sketch(
+        name, of_few if len(bodies) < 3 else 190 if rows == 1 else 370, rows, across
+    )
     for axes in sketch.panels:
         axes.set_aspect("equal")
         axes.axis("off")
     for axes, walker in zip(sketch.panels, bodies, strict=False):
-        axes.set_title("\n".join(textwrap.wrap(walker, 48 // across + 2, max_lines=3, placeholder="…")), pad=2)
+        axes.set_title(
+            "\n".join(
+                textwrap.wrap(walker, 48 // across + 2, max_lines=3, placeholder="…")
+            ),
+            pad=2,
+        )
     return sketch
 
 
-def _finish(sketch: Sketch, source: Source, bodies: Collection[str], data: pd.DataFrame, **values: Any) -> Sketch:
+def _finish(
+    sketch: Sketch,
+    source: Source,
+    bodies: Collection[str],
+    data: pd.DataFrame,
+    **values: Any,
+) -> Sketch:
     """Say which walkers are drawn."""
     every, names = len(source.walkers), ", ".join(f"walker {name}" for name in bodies)
     drawn, varied = min(_MAX_WALKERS, every), ", ".join(source.varied)
-    return sketch.finish(data, names=names, varied=varied, drawn=drawn, every=every, **values)
+    return sketch.finish(
+        data, names=names, varied=varied, drawn=drawn, every=every, **values
+    )
 
 
 def walker(source: Source) -> Sketch | None:
-    """Draw each walker to scale: links, feet, masses as discs in proportion, radii of gyration as rings."""
+    """Draw each walker to scale: links, feet, masses as discs in proportion, radii of
+    gyration as rings.
+    """
     bodies = _alike(_bodies(source))
     if not bodies:
         return None
     sketch, rows = _sketch("walker", bodies, 270), []
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         _draw_walker(sketch, axes, name, body, table)
-        rows += [{"walker": name, "parameter": key, "value": value} for key, value in table.items()]
+        rows += [
+            {"walker": name, "parameter": key, "value": value}
+            for key, value in table.items()
+        ]
     s, each = ("s", ", each to its own scale") if len(bodies) > 1 else ("", "")
     return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
 
-def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> None:
+def _draw_walker(
+    sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]
+) -> None:
     """Draw one walker with its legs apart, the front leg darker."""
     spread = 0.26
     hip = complex(body.hip(spread))
@@ -161,37 +227,74 @@ def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mappi
     back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
     draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
     thigh, shank = _centres_of_mass(body, table, hip, -spread)
-    total = 2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h") or 1.0
+    total = (
+        2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h")
+        or 1.0
+    )
     for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip)):
         letter = part[0]
-        mass, gyration = _number(table, f"m_{letter}"), _number(table, f"r_{letter}")  # the hip has no radius
+        mass, gyration = (
+            _number(table, f"m_{letter}"),
+            _number(table, f"r_{letter}"),
+        )  # the hip has no radius
         if not np.isfinite(mass) or mass <= 0:
             continue
         size = 0.11 * height * np.sqrt(mass / total)
-        axes.add_patch(Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4))
+        axes.add_patch(
+            Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4)
+        )
         if gyration > 0:
-            axes.add_patch(Circle((at.real, at.imag), gyration, fill=False, color=MUTED, lw=0.7, ls=(0, (2, 2))))
-        values = {f"m_{letter}": mass} | ({f"r_{letter}": gyration} if part != "hip" else {})
+            axes.add_patch(
+                Circle(
+                    (at.real, at.imag),
+                    gyration,
+                    fill=False,
+                    color=MUTED,
+                    lw=0.7,
+                    ls=(0, (2, 2)),
+                )
+            )
+        values = {f"m_{letter}": mass} | (
+            {f"r_{letter}": gyration} if part != "hip" else {}
+        )
         rows = pd.DataFrame([{**values, "x": at.real, "y": at.imag}])
-        sketch.mark(axes, rows, f"{name} · {part}", tips={key: key for key in values}, x="x", y="y")
+        sketch.mark(
+            axes,
+            rows,
+            f"{name} · {part}",
+            tips={key: key for key in values},
+            x="x",
+            y="y",
+        )
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
 
 
-def _centres_of_mass(body: Body, table: Mapping[str, Any], hip: complex, angle: float) -> tuple[complex, complex]:
-    """Centres of mass of thigh and shank as x + iy, with the extended leg at an angle [rad]."""
-    turn_t, turn_s = np.exp(1j * (angle - body.eps_T)), np.exp(1j * (angle + body.eps_S))
+def _centres_of_mass(
+    body: Body, table: Mapping[str, Any], hip: complex, angle: float
+) -> tuple[complex, complex]:
+    """Centres of mass of thigh and shank as x + iy, with the extended leg at an angle
+    [rad].
+    """
+    turn_t, turn_s = (
+        np.exp(1j * (angle - body.eps_T)),
+        np.exp(1j * (angle + body.eps_S)),
+    )
     thigh = hip + turn_t * complex(-_number(table, "w_t"), -_number(table, "c_t"))
-    return thigh, body.knee(hip, angle) + turn_s * complex(-_number(table, "w_s"), -_number(table, "c_s"))
+    return thigh, body.knee(hip, angle) + turn_s * complex(
+        -_number(table, "w_s"), -_number(table, "c_s")
+    )
 
 
 def conditions(source: Source) -> Sketch | None:
-    """Draw the static conditions at zero slope (the paper's figure 7): legs parallel, the hip above the contact.
+    """Draw the static conditions at zero slope (the paper's figure 7): legs parallel,
+    the hip above the contact.
 
     Notes
     -----
     A walker may walk at vanishing slopes only if its centre of mass and its foot's centre lie on the line from hip to
-    contact and, with a free knee, the line from knee to shank's centre of mass is parallel to it (section 5.1).
+    contact and, with a free knee, the line from knee to shank's centre of mass is
+    parallel to it (section 5.1).
     """
     bodies = _bodies(source)
     if not bodies:
@@ -201,22 +304,39 @@ def conditions(source: Source) -> Sketch | None:
         hip = complex(body.hip(0.0))
         knee, height = body.knee(hip, 0.0), body.height
         thigh, shank = _centres_of_mass(body, table, hip, 0.0)
-        masses = np.array([2 * _number(table, "m_t"), 2 * _number(table, "m_s"), _number(table, "m_h")])
+        masses = np.array(
+            [
+                2 * _number(table, "m_t"),
+                2 * _number(table, "m_s"),
+                _number(table, "m_h"),
+            ]
+        )
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
         _draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
-            axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
+            axes.plot(
+                [knee.real, shank.real],
+                [knee.imag, shank.imag],
+                color=SECOND,
+                lw=1.2,
+                ls=(0, (4, 1.5)),
+            )
         for at, size in ((thigh, 5), (shank, 5)):
             axes.plot(at.real, at.imag, "o", color=LINE, ms=size, zorder=5)
         axes.plot(centre.real, centre.imag, "P", color=INK, ms=8, mec=PAPER, zorder=6)
         axes.set_xlim(-0.4 * height, 0.4 * height)
         axes.set_ylim(-0.04 * height, 1.12 * height)
         from_knee = shank.real - knee.real
-        offsets = {"centre_of_mass_from_line": centre.real, "shank_centre_of_mass_from_knee_line": from_knee}
+        offsets = {
+            "centre_of_mass_from_line": centre.real,
+            "shank_centre_of_mass_from_knee_line": from_knee,
+        }
         rows.append({"walker": name, **offsets})
-    said = "the centre of mass of {walker} lies {centre_of_mass_from_line:3} from the line"
+    said = (
+        "the centre of mass of {walker} lies {centre_of_mass_from_line:3} from the line"
+    )
     distances = "; ".join(fill(said, row) for row in rows)
     return _finish(sketch, source, bodies, pd.DataFrame(rows), distances=distances)
 

@@ -10,7 +10,15 @@ from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.body import Body, draw_pose
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MUTED, evenly, set_heading, write_at
+from gaitsweep.pipeline.report.figures.style import (
+    DOTTED,
+    INK,
+    LINE,
+    MUTED,
+    evenly,
+    set_heading,
+    write_at,
+)
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, plain, shorten, with_unit
 
@@ -37,8 +45,14 @@ class TracedStep:
     @property
     def kneestrike(self) -> float | None:
         """Time at which the swing knee locks; None for legs that do not bend."""
-        bent = np.flatnonzero(np.abs(self.frame["theta_th"] - self.frame["theta_sh"]).to_numpy() > 1e-9)
-        return float(self.frame["time"].iloc[min(bent[-1] + 1, len(self.frame) - 1)]) if len(bent) else None
+        bent = np.flatnonzero(
+            np.abs(self.frame["theta_th"] - self.frame["theta_sh"]).to_numpy() > 1e-9
+        )
+        return (
+            float(self.frame["time"].iloc[min(bent[-1] + 1, len(self.frame) - 1)])
+            if len(bent)
+            else None
+        )
 
 
 def traced_steps(source: Source) -> Iterator[TracedStep]:
@@ -47,7 +61,12 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
     if table is None:
         return
     known = table.dropna(subset=["time", "theta_st", "theta_th"])
-    steps = [rows for _, rows in known.groupby([*source.line_columns(table), "gait", "slope"], sort=False)]
+    steps = [
+        rows
+        for _, rows in known.groupby(
+            [*source.line_columns(table), "gait", "slope"], sort=False
+        )
+    ]
     for frame in evenly(steps, _MAX_STEPS):
         gait, slope = str(frame["gait"].iloc[0]), float(frame["slope"].iloc[0])
         at = source.line_of(frame)
@@ -56,23 +75,42 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
         if body is None or len(frame) < 2:
             continue
         shank = frame.get("theta_sh", frame["theta_th"])
-        frame = frame.assign(time=frame["time"] - frame["time"].iloc[0], theta_sh=shank.fillna(frame["theta_th"]))
+        frame = frame.assign(
+            time=frame["time"] - frame["time"].iloc[0],
+            theta_sh=shank.fillna(frame["theta_th"]),
+        )
         yield TracedStep(axis_values(at), gait, slope, source.command(at), body, frame)
 
 
 def angles(source: Source) -> Sketch | None:
-    """Plot joint angles over two steps, with a cartoon of the walker at even times below; one column per walker."""
+    """Plot joint angles over two steps, with a cartoon of the walker at even times
+    below; one column per walker.
+    """
     steps = _one_per_walker(list(traced_steps(source)))
     if not steps:
         return None
     several = len(steps) > 1
-    sketch = Sketch("angles", 270 * len(steps) if several else 310, 2 * len(steps), height_ratios=[5, 2] * len(steps))
-    for top, below, step in zip(sketch.panels[::2], sketch.panels[1::2], steps, strict=True):
+    sketch = Sketch(
+        "angles",
+        270 * len(steps) if several else 310,
+        2 * len(steps),
+        height_ratios=[5, 2] * len(steps),
+    )
+    for top, below, step in zip(
+        sketch.panels[::2], sketch.panels[1::2], steps, strict=True
+    ):
         _draw_angles(sketch, top, step)
-        set_heading(top, f"{shorten(step.label, 24)}: " * several + "angle from the ground normal (rad)")
+        set_heading(
+            top,
+            f"{shorten(step.label, 24)}: " * several
+            + "angle from the ground normal (rad)",
+        )
         top.set_xlabel(with_unit("time", source.units("period")))
         _draw_strobe(below, step)
-    listing = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
+    listing = "; ".join(
+        f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad"
+        for s in steps
+    )
     kneed = any(step.kneestrike for step in steps)
     drawn = sketch.data["angle"]
     return sketch.finish(gaits=listing, kneed=kneed, low=drawn.min(), high=drawn.max())
@@ -82,41 +120,101 @@ def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
     """Draw the angles of both legs over two steps, with the impacts."""
     frame, period = step.frame, step.period
     time = frame["time"].to_numpy()
-    first = {"thigh": frame["theta_st"].to_numpy(), "shank": frame["theta_st"].to_numpy()}
-    second = {"thigh": frame["theta_th"].to_numpy(), "shank": frame["theta_sh"].to_numpy()}
+    first = {
+        "thigh": frame["theta_st"].to_numpy(),
+        "shank": frame["theta_st"].to_numpy(),
+    }
+    second = {
+        "thigh": frame["theta_th"].to_numpy(),
+        "shank": frame["theta_sh"].to_numpy(),
+    }
     pieces, kneed = [], step.kneestrike is not None
-    for leg, (early, late) in {"heavy": (first, second), "light": (second, first)}.items():
+    for leg, (early, late) in {
+        "heavy": (first, second),
+        "light": (second, first),
+    }.items():
         for part in ("thigh", "shank") if kneed else ("thigh",):
-            t, angle = np.concatenate([time, period + time]), np.concatenate([early[part], late[part]])
+            t, angle = (
+                np.concatenate([time, period + time]),
+                np.concatenate([early[part], late[part]]),
+            )
             width, ink = (2.2, LINE) if leg == "heavy" else (0.9, MUTED)
-            axes.plot(t, angle, color=ink, lw=width, ls="-" if part == "thigh" else (0, (4, 1.4)))
-            pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
+            axes.plot(
+                t,
+                angle,
+                color=ink,
+                lw=width,
+                ls="-" if part == "thigh" else (0, (4, 1.4)),
+            )
+            pieces.append(
+                pd.DataFrame(
+                    {
+                        "time": t,
+                        "angle": angle,
+                        "leg": leg,
+                        "link": part if kneed else "leg",
+                    }
+                )
+            )
             if leg == "heavy":
                 rows = pd.DataFrame({"time": t, "angle": angle, "slope": step.slope})
-                label, tips = f"{part if kneed else 'leg'}, heavy line", {"time": "time", "angle": "angle (rad)"}
-                sketch.mark(axes, rows, label, command=step.command, tips=tips, x="time", y="angle")
-    data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
+                label, tips = (
+                    f"{part if kneed else 'leg'}, heavy line",
+                    {"time": "time", "angle": "angle (rad)"},
+                )
+                sketch.mark(
+                    axes,
+                    rows,
+                    label,
+                    command=step.command,
+                    tips=tips,
+                    x="time",
+                    y="angle",
+                )
+    data = pd.concat(pieces, ignore_index=True).assign(
+        walker=step.label, gait=step.gait, slope=step.slope
+    )
     sketch.pieces.append(data)
     impacts = [("heelstrike", period)]
     if step.kneestrike is not None:
-        impacts += [("kneestrike", step.kneestrike), ("kneestrike", period + step.kneestrike)]
+        impacts += [
+            ("kneestrike", step.kneestrike),
+            ("kneestrike", period + step.kneestrike),
+        ]
     low, high = axes.get_ylim()
     for word, at in impacts:
         near = data.loc[(data["time"] - at).abs() < 0.05 * period, "angle"]
-        is_below = near.min() - low >= high - near.max()  # the words stand where there is room
-        axes.axvline(at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else DOTTED)
-        how: Any = {"ha": "right", "va": "bottom"} if is_below else {"ha": "left", "va": "top"}
+        is_below = (
+            near.min() - low >= high - near.max()
+        )  # the words stand where there is room
+        axes.axvline(
+            at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else DOTTED
+        )
+        how: Any = (
+            {"ha": "right", "va": "bottom"} if is_below else {"ha": "left", "va": "top"}
+        )
         how |= {"xycoords": axes.get_xaxis_transform(), "rotation": 90, "fontsize": 8}
-        write_at(axes, word, (at, 0.01 if is_below else 0.99), (-2 if is_below else 2, 0), **how)
+        write_at(
+            axes,
+            word,
+            (at, 0.01 if is_below else 0.99),
+            (-2 if is_below else 2, 0),
+            **how,
+        )
     axes.set_xlim(0, 2 * period)
 
 
 def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:
-    """The long step, or else the first, in the middle of each walker's list; at most two walkers."""
+    """The long step, or else the first, in the middle of each walker's list; at most
+    two walkers.
+    """
     walkers: dict[str, list[TracedStep]] = {}
     for step in steps:
         walkers.setdefault(step.label, []).append(step)
-    chosen = [long if (long := [s for s in own if s.gait == "long"]) else own for own in walkers.values()]
+    chosen = [
+        long if (long := [s for s in own if s.gait == "long"]) else own
+        for own in walkers.values()
+    ]
     middle = [own[(len(own) - 1) // 2] for own in chosen]
     return middle if len(middle) <= 2 else [middle[(len(middle) - 1) // 2]]
 
@@ -128,13 +226,23 @@ def _draw_strobe(axes: Axes, step: TracedStep) -> None:
     apart = 1.15 * height
     edges = -0.7 * apart, (2 * _POSES - 0.3) * apart
     axes.plot(edges, [0, 0], color=MUTED, lw=0.8)
-    legs = {"color": LINE, "lw": 2.0, "zorder": 4}, {"color": INK, "lw": 0.8, "zorder": 3}
+    legs = (
+        {"color": LINE, "lw": 2.0, "zorder": 4},
+        {"color": INK, "lw": 0.8, "zorder": 3},
+    )
     for number in (0, 1):
         for k in range(_POSES):
             t = period * (k + 0.5) / _POSES
-            angles = [float(np.interp(t, frame["time"], frame[c])) for c in ("theta_st", "theta_th", "theta_sh")]
-            hip = complex((number * _POSES + k) * apart, complex(body.hip(angles[0])).imag)
-            draw_pose(axes, body, hip, angles, *(legs if number == 0 else legs[::-1]), 2.6)
+            angles = [
+                float(np.interp(t, frame["time"], frame[c]))
+                for c in ("theta_st", "theta_th", "theta_sh")
+            ]
+            hip = complex(
+                (number * _POSES + k) * apart, complex(body.hip(angles[0])).imag
+            )
+            draw_pose(
+                axes, body, hip, angles, *(legs if number == 0 else legs[::-1]), 2.6
+            )
     axes.set_xlim(*edges)
     axes.set_ylim(-0.06 * height, 1.08 * height)
     axes.set_aspect("equal")

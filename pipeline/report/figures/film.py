@@ -23,7 +23,9 @@ _SIZE, _WIDTH = (6.4, 3.2), 7.0
 
 
 class Pose(NamedTuple):
-    """The walker at one moment: hip and stance foot along the slope, angles of its links, number of the step."""
+    """The walker at one moment: hip and stance foot along the slope, angles of its
+    links, number of the step.
+    """
 
     hip: complex
     foot: float
@@ -40,33 +42,66 @@ def lengths(motion: xr.Dataset) -> np.ndarray:
 
 
 def poses(motion: xr.Dataset, body: Body, moments: np.ndarray) -> list[Pose]:
-    """The walker at some moments; the foot of each step stands where the hip of the last step leads to."""
+    """The walker at some moments; the foot of each step stands where the hip of the
+    last step leads to.
+    """
     begins, foot, steps = np.concatenate([[0], np.cumsum(lengths(motion))]), 0.0, []
     for k in range(len(begins) - 1):
-        arrays = [motion[name].values[k].ravel() for name in ("time", "theta_st", "theta_th", "theta_sh")]
+        arrays = [
+            motion[name].values[k].ravel()
+            for name in ("time", "theta_st", "theta_th", "theta_sh")
+        ]
         time, stance, thigh, shank = (array[np.isfinite(arrays[0])] for array in arrays)
-        steps.append((foot, time, stance, thigh, np.where(np.isfinite(shank), shank, thigh)))
+        steps.append(
+            (foot, time, stance, thigh, np.where(np.isfinite(shank), shank, thigh))
+        )
         foot += body.hip(stance[-1]).real - body.hip(-stance[-1]).real
     found = []
     for moment in moments:
         k = int(min(np.searchsorted(begins, moment, side="right") - 1, len(steps) - 1))
         foot, time, *angles = steps[k]
-        stance, thigh, shank = (float(np.interp(moment - begins[k], time, angle)) for angle in angles)
-        found.append(Pose(foot + complex(body.hip(stance)), foot, stance, thigh, shank, k))
+        stance, thigh, shank = (
+            float(np.interp(moment - begins[k], time, angle)) for angle in angles
+        )
+        found.append(
+            Pose(foot + complex(body.hip(stance)), foot, stance, thigh, shank, k)
+        )
         if found[-1].hip.imag <= 0:  # what falls lies on the ground
             break
     return found
 
 
-def draw(axes: Axes, body: Body, pose: Pose, slope: float, camera: float = 0.0, scale: float = 1.0) -> None:
-    """Draw a pose on the slope, which falls to the right; the leg that stands first is heavy."""
-    inks: list[dict[str, Any]] = [{"color": ink, "lw": width * scale} for ink, width in ((LINE, 3.0), (INK, 1.6))]
+def draw(
+    axes: Axes,
+    body: Body,
+    pose: Pose,
+    slope: float,
+    camera: float = 0.0,
+    scale: float = 1.0,
+) -> None:
+    """Draw a pose on the slope, which falls to the right; the leg that stands first is
+    heavy.
+    """
+    inks: list[dict[str, Any]] = [
+        {"color": ink, "lw": width * scale} for ink, width in ((LINE, 3.0), (INK, 1.6))
+    ]
     stance, swing = inks if pose.step % 2 == 0 else inks[::-1]
-    hip, angles = (pose.hip - camera) * np.exp(-1j * slope), (pose.stance, pose.thigh, pose.shank)
-    draw_pose(axes, body, hip, [angle - slope for angle in angles], stance, swing, 5 * scale)
+    hip, angles = (
+        (pose.hip - camera) * np.exp(-1j * slope),
+        (pose.stance, pose.thigh, pose.shank),
+    )
+    draw_pose(
+        axes, body, hip, [angle - slope for angle in angles], stance, swing, 5 * scale
+    )
 
 
-def stage(figure: Figure, body: Body, slope: float, across: tuple[float, float], upward: tuple[float, float]) -> Axes:
+def stage(
+    figure: Figure,
+    body: Body,
+    slope: float,
+    across: tuple[float, float],
+    upward: tuple[float, float],
+) -> Axes:
     """Empty axes over a whole figure, to scale, with the ground from side to side."""
     axes = figure.add_axes((0, 0, 1, 1))
     beyond = body.height * np.array([-1, 1])
@@ -77,24 +112,50 @@ def stage(figure: Figure, body: Body, slope: float, across: tuple[float, float],
     return axes
 
 
-def film(body: Body, shown: list[Pose], slope: float, words: str, end: str, ending: str, rate: int) -> bytes:
-    """Poses as an animation of so many a second, which is repeated without end; `end` stands on the last one."""
+def film(
+    body: Body,
+    shown: list[Pose],
+    slope: float,
+    words: str,
+    end: str,
+    ending: str,
+    rate: int,
+) -> bytes:
+    """Poses as an animation of so many a second, which is repeated without end; `end`
+    stands on the last one.
+    """
     (first, *others), stream = _frames(body, shown, slope, words, end), io.BytesIO()
     pause = [round(1000 / rate)] * (len(shown) - 1) + [round(1000 * _REST)]
     more: dict[str, Any] = {"quality": 90} if ending == ".webp" else {}
     kind = ending[1:].upper()
-    first.save(stream, kind, save_all=True, append_images=others, duration=pause, loop=0, **more)
+    first.save(
+        stream,
+        kind,
+        save_all=True,
+        append_images=others,
+        duration=pause,
+        loop=0,
+        **more,
+    )
     return stream.getvalue()
 
 
-def _frames(body: Body, shown: list[Pose], slope: float, words: str, end: str) -> Iterator[Image.Image]:
+def _frames(
+    body: Body, shown: list[Pose], slope: float, words: str, end: str
+) -> Iterator[Image.Image]:
     """The frames of a film, seen by a camera that moves with the hip."""
     tall = body.height
     with style():
         for k, pose in enumerate(shown):
             figure = Figure(figsize=_SIZE, dpi=100, facecolor="white")
             canvas = FigureCanvasAgg(figure)
-            axes = stage(figure, body, slope, (-1.4 * tall, 1.4 * tall), (-0.2 * tall, 1.2 * tall))
+            axes = stage(
+                figure,
+                body,
+                slope,
+                (-1.4 * tall, 1.4 * tall),
+                (-0.2 * tall, 1.2 * tall),
+            )
             draw(axes, body, pose, slope, pose.hip.real)
             text = end if end and k == len(shown) - 1 else words
             figure.text(0.02, 0.93, text, color=MUTED, parse_math=False)
@@ -108,7 +169,9 @@ def strip(body: Body, shown: list[Pose], slope: float, ending: str) -> bytes:
     left, right = shown[0].hip.real - 0.6 * tall, shown[-1].hip.real + 0.6 * tall
     low, high = -right * math.sin(slope) - 0.1 * tall, 1.15 * tall
     with style(), rc_context({"svg.hashsalt": "strip"}):
-        figure = Figure(figsize=(_WIDTH, _WIDTH * (high - low) / (right - left)), facecolor="white")
+        figure = Figure(
+            figsize=(_WIDTH, _WIDTH * (high - low) / (right - left)), facecolor="white"
+        )
         axes = stage(figure, body, slope, (left, right), (low, high))
         for pose in shown:
             draw(axes, body, pose, slope, scale=0.45)

@@ -1,4 +1,6 @@
-"""Printed numbers beside computed ones: a mark at the printed number, a bar over what rounding allows."""
+"""Printed numbers beside computed ones: a mark at the printed number, a bar over what
+rounding allows.
+"""
 
 import numpy as np
 import pandas as pd
@@ -10,9 +12,19 @@ from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import as_printed, plain
 
 #: Columns of the tables of landmarks.
-_COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]
+_COLUMNS = [
+    "landmark",
+    "walker",
+    "printed",
+    "half_unit",
+    "slope",
+    "slope_low",
+    "slope_high",
+    "stance_angle",
+]
 
-#: Walkers of exact parameters, whose slopes have the bracket in which they are located instead of what rounding allows.
+#: Walkers of exact parameters, whose slopes have the bracket in which they are located
+#: instead of what rounding allows.
 _EXACT = ("B", "D", "E", "F")
 #: Walkers that are tuned exactly whatever their other parameters are rounded to.
 _TUNED = ("A", "C")
@@ -22,7 +34,11 @@ def every(source: Source, *columns: str) -> pd.DataFrame:
     """Some columns of the tables `landmarks` and `crises`."""
     found = [source.table(name, *columns) for name in ("landmarks", "crises")]
     tables = [table[[*columns]] for table in found if table is not None]
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=[*columns])
+    return (
+        pd.concat(tables, ignore_index=True)
+        if tables
+        else pd.DataFrame(columns=[*columns])
+    )
 
 
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
@@ -39,40 +55,87 @@ def point_numbers(source: Source) -> pd.DataFrame:
 
 
 def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
-    """Mark printed slopes at the stance angles of the computed landmarks; all that are printed, if any is marked."""
+    """Mark printed slopes at the stance angles of the computed landmarks; all that are
+    printed, if any is marked.
+    """
     printed = rows(source)
     low, high = sorted(axes.get_xlim())
     log = axes.get_xscale() == "log"
-    table = printed[np.isfinite(printed["stance_angle"]) & printed["printed"].between(low, high)]
+    table = printed[
+        np.isfinite(printed["stance_angle"]) & printed["printed"].between(low, high)
+    ]
     for row in table.itertuples():
-        at_left = not log and row.printed == table["printed"].min()  # the others stand to the right of the curves
-        axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=PRINTED, lw=5, alpha=0.3, zorder=3)
-        axes.plot([row.printed], [row.stance_angle], "|", color=PRINTED, ms=15, mew=2, zorder=6)
+        at_left = (
+            not log and row.printed == table["printed"].min()
+        )  # the others stand to the right of the curves
+        axes.plot(
+            [row.slope_low, row.slope_high],
+            [row.stance_angle] * 2,
+            color=PRINTED,
+            lw=5,
+            alpha=0.3,
+            zorder=3,
+        )
+        axes.plot(
+            [row.printed],
+            [row.stance_angle],
+            "|",
+            color=PRINTED,
+            ms=15,
+            mew=2,
+            zorder=6,
+        )
         at = row.printed if log else row.slope_low if at_left else row.slope_high
-        offset, how = (5, -10) if log else (-5 if at_left else 5, 0), {"ha": "right" if at_left else "left"}
+        offset, how = (
+            (5, -10) if log else (-5 if at_left else 5, 0),
+            {"ha": "right" if at_left else "left"},
+        )
         text = as_printed(row.printed, row.half_unit)
-        write_at(axes, text, (at, row.stance_angle), offset, va="center", color=PRINTED, **how)
+        write_at(
+            axes,
+            text,
+            (at, row.stance_angle),
+            offset,
+            va="center",
+            color=PRINTED,
+            **how,
+        )
     if len(table):
         sketch.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
     return printed if len(table) else table
 
 
 def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
-    """Mark printed slopes by lines across the panel, beside the computed ones; their words stand below the data."""
+    """Mark printed slopes by lines across the panel, beside the computed ones; their
+    words stand below the data.
+    """
     if len(table):
         low, high = axes.get_ylim()
         axes.set_ylim(low - 0.22 * (high - low), high)
     for row in table.sort_values("slope").itertuples():
-        axes.axvspan(row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5)
+        axes.axvspan(
+            row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5
+        )
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
         for text, at, ink, height in (
-            (f"printed {as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.03),
+            (
+                f"printed {as_printed(row.printed, row.half_unit)}",
+                row.printed,
+                PRINTED,
+                0.03,
+            ),
             (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.11),
         ):
             is_right = at == max(row.printed, row.slope)
-            how = {"ha": "left" if is_right else "right", "xycoords": axes.get_xaxis_transform(), "fontsize": 8}
-            write_at(axes, text, (at, height), (3 if is_right else -3, 0), color=ink, **how)
+            how = {
+                "ha": "left" if is_right else "right",
+                "xycoords": axes.get_xaxis_transform(),
+                "fontsize": 8,
+            }
+            write_at(
+                axes, text, (at, height), (3 if is_right else -3, 0), color=ink, **how
+            )
 
 
 def has_rounding(table: pd.DataFrame) -> bool:
@@ -89,11 +152,21 @@ def sentence(table: pd.DataFrame) -> str:
         if row.walker in _EXACT and width > 0:
             interval = f" (between {plain(ends[0], 6)} and {plain(ends[1], 6)})"
         elif width > 1e-3 * row.slope:
-            kept = "with exact tuning" if row.walker in _TUNED else "with the parameters as printed"
+            kept = (
+                "with exact tuning"
+                if row.walker in _TUNED
+                else "with the parameters as printed"
+            )
             interval = f", {plain(ends[0], 3)}–{plain(ends[1], 3)} {kept}"
         printed = as_printed(row.printed, row.half_unit)
-        parts.append(f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}")
-    head = "printed slopes, and the interval that rounding allows" if has_rounding(table) else "printed slopes"
+        parts.append(
+            f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}"
+        )
+    head = (
+        "printed slopes, and the interval that rounding allows"
+        if has_rounding(table)
+        else "printed slopes"
+    )
     return f"Purple: {head} ({'; '.join(parts)})." if parts else ""
 
 
@@ -102,6 +175,16 @@ def note(table: pd.DataFrame) -> str:
     names = set(table["walker"])
     tuned, exact = (", ".join(sorted(names & set(group))) for group in (_TUNED, _EXACT))
     kept = f" (of {tuned} with exact tuning)" if tuned else ""
-    parts = [f"the slopes that the rounding of the printed parameters allows{kept}"] if has_rounding(table) else []
-    parts += [f"of {exact}, whose parameters are exact, the bracket in which the slope is located"] if exact else []
+    parts = (
+        [f"the slopes that the rounding of the printed parameters allows{kept}"]
+        if has_rounding(table)
+        else []
+    )
+    parts += (
+        [
+            f"of {exact}, whose parameters are exact, the bracket in which the slope is located"
+        ]
+        if exact
+        else []
+    )
     return f"Rounding range: {'; '.join(parts)}."

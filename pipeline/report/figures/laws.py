@@ -1,4 +1,6 @@
-"""Scaling laws: the exponents of the paper's figure 10 as a picture, and its 3/2 law of the transition."""
+"""Scaling laws: the exponents of the paper's figure 10 as a picture, and its 3/2 law of
+the transition.
+"""
 
 from typing import Any
 
@@ -6,7 +8,16 @@ import numpy as np
 import pandas as pd
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, LINE, MARKERS, MUTED, PAPER, PRINTED, colour
+from gaitsweep.pipeline.report.figures.style import (
+    DOTTED,
+    INK,
+    LINE,
+    MARKERS,
+    MUTED,
+    PAPER,
+    PRINTED,
+    colour,
+)
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import plain, spaced
 
@@ -16,7 +27,8 @@ _LAWS = {"angle": {1 / 3: "1/3", 1.0: "1"}, "power": {2.0: "2", 4.0: "4"}}
 #: Further ticks, at which the other exponents are read.
 _TICKS = {"angle": (0.5, 0.6, 0.7, 0.8, 0.9), "power": (2.5, 3.0, 3.5, 4.5)}
 
-#: Quantities of the two panels, as the names of their columns begin: their names in a legend and under the pointer.
+#: Quantities of the two panels, as the names of their columns begin: their names in a
+#: legend and under the pointer.
 _TITLES = {
     "slope_transition": ("crossing of asymptotes", "γ at the transition (rad)"),
     "local_exponent": ("local exponent", "local exponent"),
@@ -25,8 +37,14 @@ _INKS = (LINE, MUTED, PRINTED)
 
 
 def exponents(source: Source, table: pd.DataFrame) -> Sketch:
-    """Plot the exponents of stance angle in slope and of power in speed, a row for each gait of each walker."""
-    rows = [(str(row["walker"]), gait, row) for _, row in table.iterrows() for gait in ("short", "long")]
+    """Plot the exponents of stance angle in slope and of power in speed, a row for each
+    gait of each walker.
+    """
+    rows = [
+        (str(row["walker"]), gait, row)
+        for _, row in table.iterrows()
+        for gait in ("short", "long")
+    ]
     sketch = Sketch("exponents", 60 + 24 * len(rows), 1, 2, sharey=True)
     data = []
     walkers = list(dict.fromkeys(walker for walker, _, _ in rows))
@@ -36,33 +54,80 @@ def exponents(source: Source, table: pd.DataFrame) -> Sketch:
             axes.axvline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
         for k, (walker, gait, row) in enumerate(rows):
             for when, marker in _RANGES.items():
-                value, ink = float(row[f"{gait}_{of}_{when}"]), colour(walkers.index(walker))
-                axes.plot([value], [-k], marker, color=ink, mfc=PAPER if when == "small" else ink, ms=6)
-                told = {"walker": walker, "gait": gait, "law": name, "slopes": when, "exponent": value}
+                value, ink = (
+                    float(row[f"{gait}_{of}_{when}"]),
+                    colour(walkers.index(walker)),
+                )
+                axes.plot(
+                    [value],
+                    [-k],
+                    marker,
+                    color=ink,
+                    mfc=PAPER if when == "small" else ink,
+                    ms=6,
+                )
+                told = {
+                    "walker": walker,
+                    "gait": gait,
+                    "law": name,
+                    "slopes": when,
+                    "exponent": value,
+                }
                 data.append(told)
-                tips, place = {"exponent": f"p of {name}", "slopes": "slopes"}, pd.DataFrame([{**told, "row": -k}])
-                sketch.mark(axes, place, f"{walker}, {gait} step", tips=tips, x="exponent", y="row")
-        axes.set_xticks([*laws, *_TICKS[of]], [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])])
-        axes.set_yticks([-k for k in range(len(rows))], [f"{walker} {gait}" for walker, gait, _ in rows])
+                tips, place = (
+                    {"exponent": f"p of {name}", "slopes": "slopes"},
+                    pd.DataFrame([{**told, "row": -k}]),
+                )
+                sketch.mark(
+                    axes,
+                    place,
+                    f"{walker}, {gait} step",
+                    tips=tips,
+                    x="exponent",
+                    y="row",
+                )
+        axes.set_xticks(
+            [*laws, *_TICKS[of]],
+            [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])],
+        )
+        axes.set_yticks(
+            [-k for k in range(len(rows))],
+            [f"{walker} {gait}" for walker, gait, _ in rows],
+        )
     for when, marker in _RANGES.items():
-        sketch.dot_key(f"{when} slopes", marker=marker, mfc=PAPER if when == "small" else INK)
+        sketch.dot_key(
+            f"{when} slopes", marker=marker, mfc=PAPER if when == "small" else INK
+        )
     return sketch.finish(pd.DataFrame(data), count=len(rows), slopes=_slopes(source))
 
 
 def _slopes(source: Source) -> str:
     """The slopes of the three ranges, of a study that has those alone."""
-    slopes: list[float] = source.grid["slope"].values.tolist() if "slope" in source.grid.coords else []
-    return f" ({', '.join(plain(v) for v in slopes)} rad)" if len(slopes) == len(_RANGES) else ""
+    slopes: list[float] = (
+        source.grid["slope"].values.tolist() if "slope" in source.grid.coords else []
+    )
+    return (
+        f" ({', '.join(plain(v) for v in slopes)} rad)"
+        if len(slopes) == len(_RANGES)
+        else ""
+    )
 
 
 def transition_ladder(source: Source, table: pd.DataFrame) -> Sketch | None:
-    """Plot the slope at which the short step changes its scaling against the mass of the feet, with the 3/2 law."""
+    """Plot the slope at which the short step changes its scaling against the mass of
+    the feet, with the 3/2 law.
+    """
     table = table.sort_values("foot_mass_ratio").reset_index(drop=True)
     table = table[table["foot_mass_ratio"] > 0]
     if not np.isfinite(table["slope_transition"]).any():
         return None
-    has_exponents = any(c.startswith("local_exponent") and not c.endswith(("_low", "_high")) for c in table.columns)
-    shape: Any = {"rows": 2, "sharex": True, "height_ratios": [5, 3]} if has_exponents else {}
+    has_exponents = any(
+        c.startswith("local_exponent") and not c.endswith(("_low", "_high"))
+        for c in table.columns
+    )
+    shape: Any = (
+        {"rows": 2, "sharex": True, "height_ratios": [5, 3]} if has_exponents else {}
+    )
     sketch = Sketch("transition_ladder", 380 if has_exponents else 260, **shape)
     top, below = sketch.panels[0], sketch.panels[-1]
     ratio = table["foot_mass_ratio"].to_numpy()
@@ -74,20 +139,41 @@ def transition_ladder(source: Source, table: pd.DataFrame) -> Sketch | None:
     for axes, stem in zip(sketch.panels, _TITLES, strict=False):
         _draw_columns(sketch, axes, table, stem)
     if "asymptotic" in table:
-        top.plot(ratio, table["asymptotic"], color=MUTED, lw=0.9, label="asymptotic formula")
+        top.plot(
+            ratio, table["asymptotic"], color=MUTED, lw=0.9, label="asymptotic formula"
+        )
     top.legend(loc="upper left")
-    first = table["local_exponent"].dropna() if "local_exponent" in table else pd.Series(dtype=float)
-    lightest = f" The local exponent is {plain(first.iloc[0])} at the lightest feet." if len(first) else ""
+    first = (
+        table["local_exponent"].dropna()
+        if "local_exponent" in table
+        else pd.Series(dtype=float)
+    )
+    lightest = (
+        f" The local exponent is {plain(first.iloc[0])} at the lightest feet."
+        if len(first)
+        else ""
+    )
     return sketch.finish(table, low=ratio.min(), high=ratio.max(), lightest=lightest)
 
 
 def _draw_columns(sketch: Sketch, axes: Any, table: pd.DataFrame, stem: str) -> None:
     """Draw the columns of a quantity against the foot mass ratio."""
-    columns = [c for c in table.columns if c.startswith(stem) and not c.endswith(("_low", "_high"))]
+    columns = [
+        c
+        for c in table.columns
+        if c.startswith(stem) and not c.endswith(("_low", "_high"))
+    ]
     words, tip = _TITLES[stem]
     for k, column in enumerate(columns):
         rest = spaced(column.removeprefix(stem)).strip()
         name = f"{words.partition(' of ')[0]}, {rest}" if rest else words
         how: Any = {"color": _INKS[k % 3], "lw": 1, "marker": MARKERS[k % 5], "ms": 4.5}
         axes.plot(table["foot_mass_ratio"], table[column], label=name, **how)
-        sketch.mark(axes, table, name, tips={"foot_mass_ratio": "ρ", column: tip}, x="foot_mass_ratio", y=column)
+        sketch.mark(
+            axes,
+            table,
+            name,
+            tips={"foot_mass_ratio": "ρ", column: tip},
+            x="foot_mass_ratio",
+            y=column,
+        )

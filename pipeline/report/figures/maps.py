@@ -23,18 +23,33 @@ from gaitsweep.pipeline.report.figures.style import (
     set_log,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
+from gaitsweep.pipeline.report.words import (
+    SYMBOLS,
+    axis_values,
+    plain,
+    print_units,
+    shorten,
+    spaced,
+    symbol,
+    titled,
+)
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
 
-#: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out, and of different hues,
-#: so that they can be distinguished on light and dark pages.
-_OTHER_COLOURS, _FALL_COLOURS = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8fa3b866", "#b59a8566", "#6c8f6c99", "#8d9399cc")
+#: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits
+#: stand out, and of different hues, so that they can be distinguished on light and dark
+#: pages.
+_OTHER_COLOURS, _FALL_COLOURS = (
+    ("#b8a23a", "#9a74c4", "#4a9c74"),
+    ("#8fa3b866", "#b59a8566", "#6c8f6c99", "#8d9399cc"),
+)
 
 
 def heatmap(source: Source) -> Sketch | None:
-    """Map a quantity of each gait over two axes, with the border of stability; one row per value of other axes."""
+    """Map a quantity of each gait over two axes, with the border of stability; one row
+    per value of other axes.
+    """
     grid = source.grid
     wide = [d for d in source.axes if d != "walker" and grid.sizes[d] > 1][:2]
     variable = next((v for v in _SHOWN if v in grid), None)
@@ -44,12 +59,26 @@ def heatmap(source: Source) -> Sketch | None:
     columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in grid]
     states = [name for name in START[1:] if name in grid] if source.steps == 1 else []
     states = states if set(START[1:4]) <= set(states) else []
-    table = grid.sortby(wide)[[*dict.fromkeys((*columns, *states))]].to_dataframe().reset_index()  # an axis may fall
+    table = (
+        grid.sortby(wide)[[*dict.fromkeys((*columns, *states))]]
+        .to_dataframe()
+        .reset_index()
+    )  # an axis may fall
     rest = [d for d in source.axes if d not in wide]
-    every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
+    every = [
+        dict(zip(rest, place, strict=True))
+        for place in itertools.product(*(grid[d].values for d in rest))
+    ]
     rows, names, more = choose_rows(every)
-    parts = {gait: [rows_at(table[table["gait"] == gait], at) for at in rows] for gait in source.gaits}
-    present = [gait for gait, maps in parts.items() if any(np.isfinite(part[variable]).any() for part in maps)]
+    parts = {
+        gait: [rows_at(table[table["gait"] == gait], at) for at in rows]
+        for gait in source.gaits
+    }
+    present = [
+        gait
+        for gait, maps in parts.items()
+        if any(np.isfinite(part[variable]).any() for part in maps)
+    ]
     if not (gaits := present[:2]):
         return None
     height = 260 if len(rows) == 1 else 60 + 150 * len(rows)
@@ -58,7 +87,10 @@ def heatmap(source: Source) -> Sketch | None:
     for k, (at, name) in enumerate(zip(rows, names, strict=True)):
         for axes, gait in zip(sketch.grid[k], gaits, strict=True):
             part = parts[gait][k]
-            grids = {v: part.pivot(index=down, columns=along, values=v) for v in (*columns, *states)}
+            grids = {
+                v: part.pivot(index=down, columns=along, values=v)
+                for v in (*columns, *states)
+            }
             _set_scales(axes, grids[variable])
             picture = draw_map(axes, grids[variable], shown)
             _draw_stability_border(axes, grids.get("spectral_radius"))
@@ -66,10 +98,21 @@ def heatmap(source: Source) -> Sketch | None:
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
             fixed = {"gait": gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}}
             sketch.pieces.append(part[[down, along, *columns]].assign(**fixed))
-            held = cells(source, at, grids, (down, along, *columns), sketch.grid.size, f"{gait} step")
+            held = cells(
+                source,
+                at,
+                grids,
+                (down, along, *columns),
+                sketch.grid.size,
+                f"{gait} step",
+            )
             sketch.maps.append(Panel(axes, grids[variable], held))
-        sketch.grid[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
-    quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
+        sketch.grid[k][0].set_ylabel(
+            _axis_title(source, down) if len(rows) == 1 else symbol(down)
+        )
+    quantity, x_title, y_title = (
+        _axis_title(source, name) for name in (variable, along, down)
+    )
     add_bar(picture, sketch.panels).set_label(quantity)
     return sketch.finish(
         quantity=spaced(variable),
@@ -89,12 +132,21 @@ def heatmap(source: Source) -> Sketch | None:
 
 
 def draw_map(axes: Axes, values: pd.DataFrame, every: pd.Series) -> Any:
-    """Draw numbers over two keys as cells; all maps of `every` value share one scale of colours."""
+    """Draw numbers over two keys as cells; all maps of `every` value share one scale of
+    colours.
+    """
     x, y = values.columns.to_numpy(float), values.index.to_numpy(float)
     sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
     low, high = (every.min(), every.max()) if every.notna().any() else (0.0, 1.0)
     hatch(axes)
-    return axes.pcolormesh(*sides, values.to_numpy(float), cmap="cividis", vmin=low, vmax=high, rasterized=True)
+    return axes.pcolormesh(
+        *sides,
+        values.to_numpy(float),
+        cmap="cividis",
+        vmin=low,
+        vmax=high,
+        rasterized=True,
+    )
 
 
 def _draw_stability_border(axes: Axes, radius: pd.DataFrame | None) -> None:
@@ -102,7 +154,14 @@ def _draw_stability_border(axes: Axes, radius: pd.DataFrame | None) -> None:
     if radius is not None and radius.min().min() < 1 < radius.max().max():
         for ink, width in (("#101418", 3.0), ("#ffffff", 1.4)):
             inner = np.ma.masked_invalid(radius.to_numpy())
-            axes.contour(radius.columns, radius.index, inner, levels=[1.0], colors=ink, linewidths=width)
+            axes.contour(
+                radius.columns,
+                radius.index,
+                inner,
+                levels=[1.0],
+                colors=ink,
+                linewidths=width,
+            )
 
 
 def _set_scales(axes: Axes, grid: pd.DataFrame) -> None:
@@ -113,21 +172,31 @@ def _set_scales(axes: Axes, grid: pd.DataFrame) -> None:
 
 
 def _edges(values: np.ndarray, scale: str) -> np.ndarray:
-    """Borders (n + 1,) of cells around values (n,), halfway between them on the axis's scale."""
+    """Borders (n + 1,) of cells around values (n,), halfway between them on the axis's
+    scale.
+    """
     places = np.log(values) if scale == "log" else values
     middles = 0.5 * (places[1:] + places[:-1])
-    borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
+    borders = np.concatenate(
+        [[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]]
+    )
     return np.asarray(np.exp(borders) if scale == "log" else borders)
 
 
 def _axis_title(source: Source, name: str) -> str:
-    words = str(source.grid[name].attrs.get("long_name", "")) if name in source.grid.variables else ""
+    words = (
+        str(source.grid[name].attrs.get("long_name", ""))
+        if name in source.grid.variables
+        else ""
+    )
     return titled(name, source.units(name), words if len(words) < 34 else "")
 
 
 def _is_fall(outcome: str) -> bool:
     """Whether an outcome is a fall, or no step at all."""
-    return outcome.startswith(("fell", "motion lost", "no ", "-1")) or outcome.endswith("never struck")
+    return outcome.startswith(("fell", "motion lost", "no ", "-1")) or outcome.endswith(
+        "never struck"
+    )
 
 
 def _column(table: pd.DataFrame, name: str) -> str:
@@ -136,31 +205,52 @@ def _column(table: pd.DataFrame, name: str) -> str:
 
 
 def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
-    """Map the outcome of each initial condition over its first two coordinates, whole and around the gaits."""
+    """Map the outcome of each initial condition over its first two coordinates, whole
+    and around the gaits.
+    """
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
-    known = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1]
+    known = [
+        c
+        for c in table.columns
+        if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1
+    ]
     plane = sorted(known, key=lambda name: name != "stance_angle")[:2]
     if len(plane) < 2:
         return None
     table = table.astype({"outcome": str})
-    same = [c for c in (*source.line_columns(table), "slope") if c in table and table[c].nunique() > 1]
+    same = [
+        c
+        for c in (*source.line_columns(table), "slope")
+        if c in table and table[c].nunique() > 1
+    ]
     first = table[same].iloc[0].to_dict() if same else {}
     shown = rows_at(table, first)
     outcomes = sorted(set(shown["outcome"]), key=lambda o: (_is_fall(o), o))
-    other_inks, fall_inks = itertools.cycle(_OTHER_COLOURS), itertools.cycle(_FALL_COLOURS)
-    inks = [next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks) for o in outcomes]
+    other_inks, fall_inks = (
+        itertools.cycle(_OTHER_COLOURS),
+        itertools.cycle(_FALL_COLOURS),
+    )
+    inks = [
+        next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks)
+        for o in outcomes
+    ]
     walking = shown[~shown["outcome"].map(_is_fall)]
     window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
     sketch = Sketch("basin", 330 if window else 380, 1, 1 + bool(window))
     panels = sketch.panels
-    gaits, manifold = (_points(source, name, first, plane) for name in ("fixed_points", "stable_manifold"))
+    gaits, manifold = (
+        _points(source, name, first, plane)
+        for name in ("fixed_points", "stable_manifold")
+    )
     for axes, width in zip(panels, (0.8, 1.6) if window else (1.6,), strict=True):
         _draw_outcomes(axes, shown, plane, outcomes, inks)
         for row in gaits.itertuples():
             marker, fill = ("o", INK) if row.gait in outcomes else ("X", "#ffffff")
             place = (getattr(row, c) for c in plane)
             axes.plot(*place, marker, color=INK, mfc=fill, ms=6, mew=1, zorder=5)
-        _draw_dots(axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width)
+        _draw_dots(
+            axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width
+        )
         axes.grid(False)
     start = _motion(source, shown)
     # With knees the rates are those before heelstrike, for which θ̇* does not stand.
@@ -171,7 +261,10 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         panels[1].set_xlim(*across)
         panels[1].set_ylim(*upward)
         set_heading(panels[1], "enlarged")
-        corner, sides = (across[0], upward[0]), (across[1] - across[0], upward[1] - upward[0])
+        corner, sides = (
+            (across[0], upward[0]),
+            (across[1] - across[0], upward[1] - upward[0]),
+        )
         panels[0].add_patch(Rectangle(corner, *sides, fill=False, ec=INK, lw=0.9))
     for outcome, ink in zip(outcomes, inks, strict=True):
         sketch.dot_key(shorten(spaced(outcome)), ink, "s", ms=7)
@@ -180,10 +273,20 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         sketch.dot_key("unstable gait", marker="X", mfc="#ffffff")
     if len(manifold):
         sketch.key("stable manifold", ls=":", lw=2)
-    grid = shown.pivot_table(index=plane[1], columns=plane[0], values="outcome", aggfunc="first")
+    grid = shown.pivot_table(
+        index=plane[1], columns=plane[0], values="outcome", aggfunc="first"
+    )
     # Every cell names its outcome and, with a start, is set in motion.
-    called: dict[str, Any] = {"label": "initial condition", "shown": [[name, name] for name in (*plane, "outcome")]}
-    every = {"free": True, **start, **called, "fields": {"outcome": fields.words(grid.fillna("–").to_numpy(str))}}
+    called: dict[str, Any] = {
+        "label": "initial condition",
+        "shown": [[name, name] for name in (*plane, "outcome")],
+    }
+    every = {
+        "free": True,
+        **start,
+        **called,
+        "fields": {"outcome": fields.words(grid.fillna("–").to_numpy(str))},
+    }
     sketch.maps = [Panel(axes, grid, every) for axes in panels]
     return sketch.finish(
         table,
@@ -191,9 +294,13 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         count=len(shown),
         plane=" and ".join(plane),
         outcomes=", ".join(outcomes),
-        share=plain(100 * len(walking) / len(shown), 2 if len(walking) < 0.99 * len(shown) else 4),
+        share=plain(
+            100 * len(walking) / len(shown),
+            2 if len(walking) < 0.99 * len(shown) else 4,
+        ),
         saddles=" and ".join(sorted(set(manifold["gait"].astype(str)))),
-        # The plane of a section of three coordinates in which the initial conditions lie.
+        # The plane of a section of three coordinates in which the initial conditions
+        # lie.
         ratio=start.get("ratio"),
         when="before" if start and start["keys"]["knees"] else "after",
         only=axis_values(first),
@@ -201,7 +308,9 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
 
 
 def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
-    """What the script needs to start any initial condition: the line, its slope and the ratio of the rates."""
+    """What the script needs to start any initial condition: the line, its slope and the
+    ratio of the rates.
+    """
     row = table.iloc[0]
     at = source.line_of(table)
     if not (keys := parameters(source, at)) or "slope" not in row:
@@ -212,36 +321,74 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     return {"at": at, "keys": keys, "command": source.command(at), **start}
 
 
-def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: list[str], inks: list[str]) -> None:
+def _draw_outcomes(
+    axes: Axes,
+    table: pd.DataFrame,
+    plane: list[str],
+    outcomes: list[str],
+    inks: list[str],
+) -> None:
     """Draw outcomes as cells where the initial conditions are a grid, else as dots."""
     which = table["outcome"].map(outcomes.index).astype(float)
     if len(table) != table[plane[0]].nunique() * table[plane[1]].nunique():
         colours, raster = [inks[int(w)] for w in which], len(table) > SHAPES
-        axes.scatter(table[plane[0]], table[plane[1]], s=4, lw=0, c=colours, rasterized=raster)
+        axes.scatter(
+            table[plane[0]], table[plane[1]], s=4, lw=0, c=colours, rasterized=raster
+        )
         return
-    z = table.assign(which=which).pivot(index=plane[1], columns=plane[0], values="which")
-    how: Any = {"cmap": ListedColormap(inks), "vmin": -0.5, "vmax": len(inks) - 0.5, "rasterized": True}
+    z = table.assign(which=which).pivot(
+        index=plane[1], columns=plane[0], values="which"
+    )
+    how: Any = {
+        "cmap": ListedColormap(inks),
+        "vmin": -0.5,
+        "vmax": len(inks) - 0.5,
+        "rasterized": True,
+    }
     axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **how)
 
 
 def _window(walking: pd.DataFrame, plane: list[str]) -> list[tuple[float, float]]:
-    """Ranges that hold the middle half of the walking initial conditions, with a margin."""
+    """Ranges that hold the middle half of the walking initial conditions, with a
+    margin.
+    """
     ranges = []
     for name in plane:
-        low, high = np.quantile(walking[name], [0.05, 0.75] if walking[name].mean() > 0 else [0.25, 0.95])
+        low, high = np.quantile(
+            walking[name], [0.05, 0.75] if walking[name].mean() > 0 else [0.25, 0.95]
+        )
         ranges.append((low - 0.08 * (high - low), high + 0.08 * (high - low)))
     return ranges
 
 
 def _draw_dots(axes: Axes, x: np.ndarray, y: np.ndarray, width: float) -> None:
-    """Draw points as dots of one path, which takes a fifth of the room of as many markers."""
+    """Draw points as dots of one path, which takes a fifth of the room of as many
+    markers.
+    """
     lines = np.full((2, 3 * len(x)), np.nan)
     lines[:, ::3] = lines[:, 1::3] = x, y
-    (dots,) = axes.plot(*lines, "-", color=INK, lw=width, solid_capstyle="round", zorder=4, scalex=False, scaley=False)
+    (dots,) = axes.plot(
+        *lines,
+        "-",
+        color=INK,
+        lw=width,
+        solid_capstyle="round",
+        zorder=4,
+        scalex=False,
+        scaley=False,
+    )
     dots.get_path().should_simplify = False
 
 
-def _points(source: Source, name: str, first: dict[str, Any], plane: list[str]) -> pd.DataFrame:
-    """Points of a table on the line and at the slope drawn, in the coordinates of the map."""
+def _points(
+    source: Source, name: str, first: dict[str, Any], plane: list[str]
+) -> pd.DataFrame:
+    """Points of a table on the line and at the slope drawn, in the coordinates of the
+    map.
+    """
     table = source.table(name, "gait", *plane)
-    return pd.DataFrame(columns=["gait", *plane]) if table is None else rows_at(table, first)
+    return (
+        pd.DataFrame(columns=["gait", *plane])
+        if table is None
+        else rows_at(table, first)
+    )

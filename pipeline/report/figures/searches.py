@@ -1,4 +1,6 @@
-"""What searches found: a census of gaits, cascades of period doublings, and curves of folds and flips."""
+"""What searches found: a census of gaits, cascades of period doublings, and curves of
+folds and flips.
+"""
 
 import numpy as np
 import pandas as pd
@@ -6,9 +8,24 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
-from gaitsweep.pipeline.report.figures.style import DOTTED, INK, MARKERS, MUTED, PAPER, colour, write_at
+from gaitsweep.pipeline.report.figures.style import (
+    DOTTED,
+    INK,
+    MARKERS,
+    MUTED,
+    PAPER,
+    colour,
+    write_at,
+)
 from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import plain, print_units, shorten, spaced, symbol, with_unit
+from gaitsweep.pipeline.report.words import (
+    plain,
+    print_units,
+    shorten,
+    spaced,
+    symbol,
+    with_unit,
+)
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
@@ -17,7 +34,9 @@ _ABREAST = 1.5
 
 
 def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketch:
-    """Plot the gaits that a census found, and the bound on what it missed, against slope."""
+    """Plot the gaits that a census found, and the bound on what it missed, against
+    slope.
+    """
     sketch = Sketch("census", 430, 2, sharex=True, height_ratios=[5, 3])
     top, below = sketch.panels
     every, reached = source.lines_of(table), coverage[coverage["converged"] > 0]
@@ -28,52 +47,104 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
         rows = line.rows.assign(place=beside * line.rows["slope"])
         for passes_once, fill in ((1, ink), (0, PAPER)):
             part = rows[rows["anthropomorphic"] == passes_once]
-            top.plot(part["place"], part["stance_angle"], marker, color=ink, mfc=fill, ms=5, ls="")
-        sketch.mark(top, rows, name, command=line.command, tips=TIPS | {"hits": "hits"}, x="place")
+            top.plot(
+                part["place"],
+                part["stance_angle"],
+                marker,
+                color=ink,
+                mfc=fill,
+                ms=5,
+                ls="",
+            )
+        sketch.mark(
+            top,
+            rows,
+            name,
+            command=line.command,
+            tips=TIPS | {"hits": "hits"},
+            x="place",
+        )
         seen = rows_at(reached, line.at)
-        below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, lw=1.1, marker=marker, ms=4)
+        below.plot(
+            beside * seen["slope"],
+            100 * seen["unseen"],
+            color=ink,
+            lw=1.1,
+            marker=marker,
+            ms=4,
+        )
         if k < len(MARKERS):
             sketch.key(shorten(name), ink, marker=marker, ms=5)
     below.set_ylim(bottom=0)
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
-    return sketch.finish(table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1)
+    return sketch.finish(
+        table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1
+    )
 
 
 def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
-    """Plot the distances between successive flips of each family on a logarithmic axis, with Feigenbaum's line."""
+    """Plot the distances between successive flips of each family on a logarithmic axis,
+    with Feigenbaum's line.
+    """
     sketch = Sketch("cascade", 330)
     (axes,) = sketch.panels
     titles = {name: f"{name} (rad)" for name in ("flip", "next flip", "distance")}
     for line in source.lines_of(table):
-        for family, events in line.rows[line.rows["kind"] == "flip"].groupby("family", sort=False):
+        for family, events in line.rows[line.rows["kind"] == "flip"].groupby(
+            "family", sort=False
+        ):
             slopes = events["slope"].to_numpy()
             if len(slopes) < 3:
                 continue
             number, k = np.arange(1, len(slopes)), len(sketch.pieces)
-            flips = {"flip": slopes[:-1], "next flip": slopes[1:], "distance": np.diff(slopes)}
+            flips = {
+                "flip": slopes[:-1],
+                "next flip": slopes[1:],
+                "distance": np.diff(slopes),
+            }
             named = {"number": number, "line": line.label, "family": str(family)}
-            sketch.pieces.append(pd.DataFrame({**{titles[name]: v for name, v in flips.items()}, **named}))
+            sketch.pieces.append(
+                pd.DataFrame(
+                    {**{titles[name]: v for name, v in flips.items()}, **named}
+                )
+            )
             name = ", ".join(filter(None, (line.label, f"period {family}")))
             ink, marker, distance = colour(k), MARKERS[k % 5], np.abs(flips["distance"])
             axes.plot(number, distance, marker, color=ink, ms=5, ls="-", lw=0.9)
-            axes.plot(number, distance[-1] * FEIGENBAUM ** (number[-1] - number), color=MUTED, lw=1, ls=DOTTED)
+            axes.plot(
+                number,
+                distance[-1] * FEIGENBAUM ** (number[-1] - number),
+                color=MUTED,
+                lw=1,
+                ls=DOTTED,
+            )
             sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
-            rows = pd.DataFrame({**flips, "slope": slopes[:-1], "number": number, "gap": distance})
-            sketch.mark(axes, rows, name, command=line.command, tips=titles, x="number", y="gap")
+            rows = pd.DataFrame(
+                {**flips, "slope": slopes[:-1], "number": number, "gap": distance}
+            )
+            sketch.mark(
+                axes, rows, name, command=line.command, tips=titles, x="number", y="gap"
+            )
     if not sketch.pieces:
         return None
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
     limits = source.table("accumulation", "slope", "ratio")
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
-    sentence = f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}." if ratios else ""
+    sentence = (
+        f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}."
+        if ratios
+        else ""
+    )
     return sketch.finish(count=len(sketch.pieces), ratios=sentence)
 
 
 def curves(source: Source, table: pd.DataFrame) -> Sketch:
-    """Plot the curves of folds, flips or ends over the slope and the key that varies, with their turning points."""
+    """Plot the curves of folds, flips or ends over the slope and the key that varies,
+    with their turning points.
+    """
     sketch = Sketch("curves", 330)
     (axes,) = sketch.panels
     table = table if "kind" in table else table.assign(kind="curve")
@@ -82,31 +153,55 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         for number, curve in line.rows.groupby("curve", sort=False):
             kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
             axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
-            label = ", ".join(filter(None, (line.label, f"{spaced(kind)}, curve {number}")))
-            base = source.command({name: value for name, value in line.at.items() if name != key})
+            label = ", ".join(
+                filter(None, (line.label, f"{spaced(kind)}, curve {number}"))
+            )
+            base = source.command(
+                {name: value for name, value in line.at.items() if name != key}
+            )
             places = curve[["slope", "value"]].to_numpy(float).tolist()
-            rows = curve.assign(command=[f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places])
-            sketch.mark(axes, rows, label, tips={"slope": "γ (rad)", "value": key}, y="value")
-    key, unit = str(table["key"].iloc[0]), print_units(table.attrs.get("units", {}).get("value", ""))
+            rows = curve.assign(
+                command=[f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places]
+            )
+            sketch.mark(
+                axes, rows, label, tips={"slope": "γ (rad)", "value": key}, y="value"
+            )
+    key, unit = (
+        str(table["key"].iloc[0]),
+        print_units(table.attrs.get("units", {}).get("value", "")),
+    )
     touches = _mark_touches(source, axes, key)
     for kind, ink in kinds.items():
         sketch.key(f"{spaced(kind)}s", ink, lw=1.5)
     named = " and ".join(f"{spaced(kind)}s" for kind in kinds).capitalize()
-    words = {"Kinds": named, "kinds": ", ".join(kinds), "key": key, "value": with_unit(symbol(key), unit)}
+    words = {
+        "Kinds": named,
+        "kinds": ", ".join(kinds),
+        "key": key,
+        "value": with_unit(symbol(key), unit),
+    }
     return sketch.finish(table, count=len(touches), touches="; ".join(touches), **words)
 
 
 def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
-    """Mark where branches touch: where a curve of folds turns back in its key; these places in words."""
+    """Mark where branches touch: where a curve of folds turns back in its key; these
+    places in words.
+    """
     turns = source.table("turnings", "slope", "value", "turn")
     if turns is None:
         return []
     # Where curves of flips or ends turn back, two such points meet on one branch.
-    kinds = turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
+    kinds = (
+        turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
+    )
     touches = []
     for row in turns[(turns["turn"] == "key") & (kinds == "fold")].itertuples():
         axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
-        words = f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}"
+        words = (
+            f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}"
+        )
         write_at(axes, words, (row.slope, row.value), (0, -16), ha="center")
-        touches.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
+        touches.append(
+            f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
+        )
     return touches

@@ -1,4 +1,6 @@
-"""A figure while it is drawn: panels, marks that a page walks along, legend, data, and the values of its words."""
+"""A figure while it is drawn: panels, marks that a page walks along, legend, data, and
+the values of its words.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -8,7 +10,15 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from gaitsweep.pipeline.report.figures.style import COLOURS, INK, canvas, colour, dash, set_heading, set_log
+from gaitsweep.pipeline.report.figures.style import (
+    COLOURS,
+    INK,
+    canvas,
+    colour,
+    dash,
+    set_heading,
+    set_log,
+)
 from gaitsweep.pipeline.report.words import WORDS, fill, sentences, shorten, yes_or_no
 
 #: What a gait's columns are called under the pointer.
@@ -17,12 +27,14 @@ TIPS = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "period": "period"}
 
 @dataclass(frozen=True)
 class Marks:
-    """Points of one curve that show their values and the command that reproduces them under the pointer.
+    """Points of one curve that show their values and the command that reproduces them
+    under the pointer.
 
-    They are `rows` of a frame that lie at two of its columns, and show those that `tips` names. The command is
-    `command` with the slope of the row, or the row's own where there is a column `command`. Rows with a stance angle
-    also have its rates, from which the page's script starts them; with `free` they are steps of no gait. Points that
-    are drawn `above` others are found before those that they hide.
+    They are `rows` of a frame that lie at two of its columns, and show those that
+    `tips` names. The command is `command` with the slope of the row, or the row's own
+    where there is a column `command`. Rows with a stance angle also have its rates,
+    from which the page's script starts them; with `free` they are steps of no gait.
+    Points that are drawn `above` others are found before those that they hide.
     """
 
     axes: Axes
@@ -41,8 +53,8 @@ class Marks:
 class Panel:
     """A map whose every cell has a gait, a motion or an outcome of its own.
 
-    `values` are those of one of its quantities, over the keys along and down; `cells` is what the script needs to name
-    and start one.
+    `values` are those of one of its quantities, over the keys along and down; `cells`
+    is what the script needs to name and start one.
     """
 
     axes: Axes
@@ -53,12 +65,15 @@ class Panel:
 class Sketch:
     """A figure of some height [pt] with a grid of panels.
 
-    Its `texts` are those of its name in `words.toml`, or of a figure of another package its own: title, caption and
-    the like, titles of axes and which of these are logarithmic. They are filled in with the `values` given at the end.
-    `lines` names the groups of curves that the page highlights one at a time.
+    Its `texts` are those of its name in `words.toml`, or of a figure of another package
+    its own: title, caption and the like, titles of axes and which of these are
+    logarithmic. They are filled in with the `values` given at the end. `lines` names
+    the groups of curves that the page highlights one at a time.
     """
 
-    def __init__(self, name: str, height: float, rows: int = 1, columns: int = 1, **grid: Any) -> None:
+    def __init__(
+        self, name: str, height: float, rows: int = 1, columns: int = 1, **grid: Any
+    ) -> None:
         self.texts: dict[str, Any] = WORDS["figures"].get(name, {})
         self.figure = canvas(height)
         self.grid: Any = self.figure.subplots(rows, columns, squeeze=False, **grid)
@@ -66,7 +81,9 @@ class Sketch:
         self.marks: list[Marks] = []
         self.maps: list[Panel] = []
         self.keys: list[Any] = []
-        self.last_key: dict[str, Any] = {}  # points that stand last in the legend, if there are any
+        self.last_key: dict[
+            str, Any
+        ] = {}  # points that stand last in the legend, if there are any
         self.pieces: list[pd.DataFrame] = []
         self.values: dict[str, Any] = {}
         self.lines: list[str] = []
@@ -81,7 +98,9 @@ class Sketch:
         """Add an entry to the legend."""
         self.keys.append(Line2D([], [], color=color, label=label, **line))
 
-    def dot_key(self, label: str, color: str = INK, marker: str = "o", **line: Any) -> None:
+    def dot_key(
+        self, label: str, color: str = INK, marker: str = "o", **line: Any
+    ) -> None:
         """Add an entry of points to the legend."""
         self.key(label, color, ls="", marker=marker, **line)
 
@@ -89,10 +108,16 @@ class Sketch:
     def data(self) -> pd.DataFrame:
         """What the figure shows: all pieces."""
         whole = len(self.pieces) == 1
-        return self.pieces[0] if whole else pd.concat(self.pieces or [pd.DataFrame()], ignore_index=True)
+        return (
+            self.pieces[0]
+            if whole
+            else pd.concat(self.pieces or [pd.DataFrame()], ignore_index=True)
+        )
 
     def gait_keys(self) -> None:
-        """Add the dashes of the gaits drawn to the legend, and how stable ones are drawn if there are any."""
+        """Add the dashes of the gaits drawn to the legend, and how stable ones are
+        drawn if there are any.
+        """
         data = self.data
         for gait in data["gait"].unique() if len(data) else ():
             if gait:
@@ -105,21 +130,36 @@ class Sketch:
         for k, name in enumerate(names if 1 < len(names) <= len(COLOURS) else ()):
             self.key(shorten(name), colour(k), lw=2.2)
 
-    def finish(self, data: pd.DataFrame | None = None, lines: Iterable[str] = (), **values: Any) -> "Sketch":
-        """Keep the figure's data and the values of its words, and write the titles of its axes.
+    def finish(
+        self, data: pd.DataFrame | None = None, lines: Iterable[str] = (), **values: Any
+    ) -> "Sketch":
+        """Keep the figure's data and the values of its words, and write the titles of
+        its axes.
 
-        Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
-        not `every` line is `drawn`, some are `omitted`.
+        Unless others are given, `count` is the number of its rows, `low` and `high` are
+        the ends of their slopes. Where not `every` line is `drawn`, some are `omitted`.
         """
         if self.last_key:
             self.dot_key(**self.last_key)
         data = self.data if data is None else data
-        known: dict[str, Any] = {"count": len(data), "omitted": values.get("drawn") != values.get("every")}
+        known: dict[str, Any] = {
+            "count": len(data),
+            "omitted": values.get("drawn") != values.get("every"),
+        }
         if "slope" in data:
             known |= {"low": data["slope"].min(), "high": data["slope"].max()}
             stable = data[data["stable"] == 1] if "stable" in data else data[:0]
-            known |= {"stable_low": stable["slope"].min(), "stable_high": stable["slope"].max()} if len(stable) else {}
-        self.pieces = [data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data]
+            known |= (
+                {
+                    "stable_low": stable["slope"].min(),
+                    "stable_high": stable["slope"].max(),
+                }
+                if len(stable)
+                else {}
+            )
+        self.pieces = [
+            data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data
+        ]
         self.lines, self.values = list(lines), known | values
         for axes, text in zip(self.panels, self.texts.get("y", ()), strict=False):
             set_heading(axes, fill(text, self.values))
@@ -128,15 +168,27 @@ class Sketch:
         return self
 
     def draw_legend(self, told: set[str]) -> None:
-        """Draw the legend, without what a page has told already; that of this figure is told from then on."""
+        """Draw the legend, without what a page has told already; that of this figure is
+        told from then on.
+        """
         if keys := [key for key in self.keys if key.get_label() not in told]:
-            self.figure.legend(handles=keys, loc="outside upper left", ncols=self.texts.get("keys", 3))
+            self.figure.legend(
+                handles=keys, loc="outside upper left", ncols=self.texts.get("keys", 3)
+            )
         told |= {*(str(key.get_label()) for key in keys), *map(shorten, self.lines)}
 
     @property
     def words(self) -> tuple[str, str, str, str]:
         """Title, caption, alt text and finding."""
         words, every = self.texts, WORDS["figures"]["all"]
-        parts = ({**words.get(part, {}), **every.get(part, {})} for part in ("caption", "finding"))
+        parts = (
+            {**words.get(part, {}), **every.get(part, {})}
+            for part in ("caption", "finding")
+        )
         caption, finding = (sentences(part, self.values).strip() for part in parts)
-        return fill(words["title"], self.values), caption, fill(words["alt"], self.values), finding
+        return (
+            fill(words["title"], self.values),
+            caption,
+            fill(words["alt"], self.values),
+            finding,
+        )

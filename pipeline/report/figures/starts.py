@@ -1,4 +1,6 @@
-"""The starts of gaits that a page holds, from which its script makes them walk: lines, branches and single gaits."""
+"""The starts of gaits that a page holds, from which its script makes them walk: lines,
+branches and single gaits.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -15,7 +17,8 @@ from gaitsweep.pipeline.report.words import axis_values, symbol
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
 START = ("slope", "stance_angle", *RATES)
 
-#: Gaits of all branches of a page, and the largest number of lines whose branches it holds.
+#: Gaits of all branches of a page, and the largest number of lines whose branches it
+#: holds.
 _MAX_GAITS, _MAX_LINES = 700, 40
 
 #: Characters of the numbers of all maps of a figure.
@@ -27,28 +30,54 @@ _TABLES = ("branches", "orbits", "basin")
 
 def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
     """Numbers to some digits, for JSON; None where there is none."""
-    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in map(float, values)]
+    return [
+        float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in map(float, values)
+    ]
 
 
 def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a line's walker that its script flies, and the limits of violations; empty if one is missing."""
+    """Parameters of a line's walker that its script flies, and the limits of
+    violations; empty if one is missing.
+    """
     table = source.parameters(at)
     kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
-    needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
+    needed = {
+        "l_t",
+        "w_t",
+        "m_t",
+        "r_t",
+        "c_t",
+        "l_s",
+        "w_s",
+        "m_s",
+        "r_s",
+        "c_s",
+        "R",
+        "eps_T",
+        "m_h",
+        "g",
+        "knees",
+    }
     if not needed <= set(kept):
         return {}
-    limits = [float(limit) for _, limit in source.provenance.get("violation_limits", [])]  # in the order of their bits
+    limits = [
+        float(limit) for _, limit in source.provenance.get("violation_limits", [])
+    ]  # in the order of their bits
     return {**kept, "units": str(table.get("units", "1")), "violation_limits": limits}
 
 
 def _address(at: Mapping[str, Any], gait: Any) -> str:
-    """Address of a gait on its page, by its line, slope and stance angle; empty where it has none."""
+    """Address of a gait on its page, by its line, slope and stance angle; empty where
+    it has none.
+    """
     near = {name: float(f"{gait[name]:.8g}") for name in START[:2]}
     return urlencode({**at, **near}) if np.isfinite([*near.values()]).all() else ""
 
 
 def addresses(source: Source, table: pd.DataFrame) -> list[str]:
-    """Address of the gait of each row of a table, by its line, slope and stance angle; empty where there is none."""
+    """Address of the gait of each row of a table, by its line, slope and stance angle;
+    empty where there is none.
+    """
     if not {"slope", "stance_angle"} <= set(table.columns):
         return [""] * len(table)
     rows = (table.iloc[[k]] for k in range(len(table)))
@@ -56,21 +85,35 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
 
 
 def lines(source: Source) -> list[dict[str, Any]]:
-    """Lines whose gaits a page can start: name, values of the axes, walker, command and branches.
+    """Lines whose gaits a page can start: name, values of the axes, walker, command and
+    branches.
 
-    A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in the walker's units, in its order
-    through folds. Lines of tables of initial conditions have none: their figures hold the starts. Nor have lines of
-    gaits of several steps, from which Newton's method would lead the script to those of one: these fly freely.
+    A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in
+    the walker's units, in its order through folds. Lines of tables of initial
+    conditions have none: their figures hold the starts. Nor have lines of gaits of
+    several steps, from which Newton's method would lead the script to those of one:
+    these fly freely.
     """
     has_states = set(START[1:]) <= set(source.grid.data_vars)
-    by_line = {tuple(line.at.values()): (line, _joined(line)) for line in source.lines[:_MAX_LINES] if has_states}
+    by_line = {
+        tuple(line.at.values()): (line, _joined(line))
+        for line in source.lines[:_MAX_LINES]
+        if has_states
+    }
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
         for line in [] if table is None else source.lines_of(table):
             known = name == "branches" and set(START[:4]) <= set(line.rows.columns)
-            branches = [part for _, part in line.rows.groupby("branch", sort=False)] if known else []
+            branches = (
+                [part for _, part in line.rows.groupby("branch", sort=False)]
+                if known
+                else []
+            )
             by_line.setdefault(tuple(line.at.values()), (line, branches))
-    chosen = [(line, [] if source.steps > 1 else own) for line, own in [*by_line.values()][:_MAX_LINES]]
+    chosen = [
+        (line, [] if source.steps > 1 else own)
+        for line, own in [*by_line.values()][:_MAX_LINES]
+    ]
     total = sum(len(branch) for _, branches in chosen for branch in branches)
     return [
         {
@@ -79,7 +122,11 @@ def lines(source: Source) -> list[dict[str, Any]]:
             "keys": keys,
             "command": line.command,
             "first": _first(line.at, branches),
-            "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
+            "branches": [
+                _nodes(branch, total, keys["knees"])
+                for branch in branches
+                if len(branch)
+            ],
         }
         for line, branches in chosen
         if (keys := parameters(source, line.at))
@@ -88,12 +135,17 @@ def lines(source: Source) -> list[dict[str, Any]]:
 
 def _joined(line: Line) -> list[pd.DataFrame]:
     """Branches of a line of a grid: the pieces of each joined at its folds."""
-    # Pieces are counted from the branch's end at the lower slope: every other one is run through backwards.
+    # Pieces are counted from the branch's end at the lower slope: every other one is
+    # run through backwards.
     pieces = [
-        piece.dropna(subset=list(START[:4])).sort_values("slope", ascending=piece["piece"].iloc[0] % 2 == 0)
+        piece.dropna(subset=list(START[:4])).sort_values(
+            "slope", ascending=piece["piece"].iloc[0] % 2 == 0
+        )
         for piece in line.curves(*START[1:])
     ]
-    return [branch for _, branch in pd.concat(pieces).groupby("branch")] if pieces else []
+    return (
+        [branch for _, branch in pd.concat(pieces).groupby("branch")] if pieces else []
+    )
 
 
 def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | None]]:
@@ -101,12 +153,22 @@ def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | N
     most = max(8, len(branch) * _MAX_GAITS // max(total, 1))
     columns = [c for c in START[: 5 if kneed else 4] if c in branch]
     rows = branch[columns].to_numpy(float)[spread_evenly(len(branch), most)]
-    return [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]] if len(columns) > 2 else []
+    return (
+        [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]]
+        if len(columns) > 2
+        else []
+    )
 
 
 def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
-    """Address of the gait that a line shows at first: a stable one where there is one; empty without gaits."""
-    every = pd.concat(branches).dropna(subset=list(START[:3])) if branches else pd.DataFrame()
+    """Address of the gait that a line shows at first: a stable one where there is one;
+    empty without gaits.
+    """
+    every = (
+        pd.concat(branches).dropna(subset=list(START[:3]))
+        if branches
+        else pd.DataFrame()
+    )
     if every.empty:
         return ""
     stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
@@ -136,9 +198,11 @@ def cells(
     ----------
     source : Source
     at : mapping
-        Values of the axes that the map does not vary, the study's first walker if none is among them.
+        Values of the axes that the map does not vary, the study's first walker if none
+        is among them.
     grids : mapping
-        Columns of the gaits' starts, and quantities, over the keys of the map, down and across.
+        Columns of the gaits' starts, and quantities, over the keys of the map, down and
+        across.
     shown : sequence of str
         Columns and keys whose values a cell shows under the pointer.
     maps : int
@@ -149,17 +213,22 @@ def cells(
     Returns
     -------
     dict
-        `at`, `keys` and `command` of the line that the map varies; `label` and `shown`; `moved`, for each key of the
-        walker that other keys move or tune, these axes and its values along them, in rising order; `fields`, the
-        numbers of the cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and
-        rates over the stance angle, and what is shown.
+        `at`, `keys` and `command` of the line that the map varies; `label` and `shown`;
+        `moved`, for each key of the walker that other keys move or tune, these axes and
+        its values along them, in rising order; `fields`, the numbers of the cells:
+        whether there is a gait, its slope (unless it is along the map or given), stance
+        angle and rates over the stance angle, and what is shown.
     """
     fixed = {key: float(value) for key, value in at.items() if key != "walker"}
     line = {"walker": str(at.get("walker", source.walker)), **fixed}
     keys = parameters(source, line)
     grid, *_ = grids.values()
     names = grid.columns.name, grid.index.name
-    own = {name: grid.to_numpy(float) for name, grid in grids.items() if name not in (*names, *fixed)}
+    own = {
+        name: grid.to_numpy(float)
+        for name, grid in grids.items()
+        if name not in (*names, *fixed)
+    }
     moved = {}
     for key, axes in source.varied.items():
         across = [axis for axis in axes if axis in names]
@@ -176,10 +245,15 @@ def cells(
     }
 
 
-def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[str, Any]:
-    """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton finds, 7 of others."""
+def _fields(
+    columns: Mapping[str, np.ndarray], knees: bool, maps: int
+) -> dict[str, Any]:
+    """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which
+    Newton finds, 7 of others.
+    """
     angle, wanted = columns.get("stance_angle"), {}
-    # Steps that vanish at slope 0 are told apart, for the slopes of the others have their digits by their logarithms.
+    # Steps that vanish at slope 0 are told apart, for the slopes of the others have
+    # their digits by their logarithms.
     still = columns.get("slope", np.zeros((0, 0))) == 0
     for name, values in columns.items():
         if name == "slope":
@@ -187,11 +261,22 @@ def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[s
         if name in START[2:]:
             if angle is not None and (knees or name != "shank_rate"):
                 ratio = values / angle
-                wanted[name] = ratio, 5e-6 * float(np.nanmax(np.abs(ratio), initial=1e-9)), False
+                wanted[name] = (
+                    ratio,
+                    5e-6 * float(np.nanmax(np.abs(ratio), initial=1e-9)),
+                    False,
+                )
         else:
             log = bool((values[np.isfinite(values)] > 0).all())
             digits = 1e-9 if name in START else 1e-8
-            wanted[name] = values, digits * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))), log
+            wanted[name] = (
+                values,
+                digits
+                * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))),
+                log,
+            )
     first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
-    words = {"present": fields.words(np.isfinite(first))} | ({"still": fields.words(still)} if still.any() else {})
+    words = {"present": fields.words(np.isfinite(first))} | (
+        {"still": fields.words(still)} if still.any() else {}
+    )
     return {**words, **fields.fitting(wanted, _ROOM // maps)}

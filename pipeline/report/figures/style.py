@@ -22,7 +22,8 @@ from gaitsweep.pipeline.report.words import axis_values, plain, shorten, supersc
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480
 
-#: Colours as drawn, those of walkers in their order. On the page each is a CSS variable, with a light and a dark value.
+#: Colours as drawn, those of walkers in their order. On the page each is a CSS
+#: variable, with a light and a dark value.
 _GROUND = {"ink": "#1b1d20", "muted": "#5d6268", "rule": "#dfe2e6", "paper": "#fefefd"}
 COLOURS = {
     "line0": "#1f6fb2", "line1": "#c04a08", "line2": "#2a7a54",
@@ -32,11 +33,18 @@ INK, MUTED, RULE, PAPER = _GROUND.values()
 LINE, SECOND, _, _, _, PRINTED = COLOURS.values()  # the last one: what the paper prints
 VARIABLES = {colour: name for name, colour in (_GROUND | COLOURS).items()}
 
-#: Colours in raster images, which cannot follow the page: legible on light and dark backgrounds.
+#: Colours in raster images, which cannot follow the page: legible on light and dark
+#: backgrounds.
 RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
 
-#: Dash patterns that distinguish the gaits of a walker, by their labels; another gait is dotted.
-_DASHES: dict[str, Any] = {"long": "-", "": "-", "short": (0, (6, 1.6)), "other1": (0, (7, 1.5, 1.5, 1.5))}
+#: Dash patterns that distinguish the gaits of a walker, by their labels; another gait
+#: is dotted.
+_DASHES: dict[str, Any] = {
+    "long": "-",
+    "": "-",
+    "short": (0, (6, 1.6)),
+    "other1": (0, (7, 1.5, 1.5, 1.5)),
+}
 
 #: Dashes of laws, borders and guides.
 DOTTED = (0, (1, 2))
@@ -44,7 +52,8 @@ DOTTED = (0, (1, 2))
 #: Markers that distinguish lines of points.
 MARKERS = "osD^vPXd"
 
-#: Largest numbers of panels, one for each line, and of rows of maps, one for each value of the other axes.
+#: Largest numbers of panels, one for each line, and of rows of maps, one for each value
+#: of the other axes.
 MAX_PANELS, MAX_ROWS = 6, 4
 
 #: Least distance of names at the ends of curves [pt].
@@ -53,14 +62,20 @@ _GAP = 11
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
 
-_RC = matplotlib.rc_params_from_file(Path(__file__).parent / "report.mplstyle", use_default_template=False)
+_RC = matplotlib.rc_params_from_file(
+    Path(__file__).parent / "report.mplstyle", use_default_template=False
+)
 
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
     """The matplotlib settings in which every figure is drawn, as a context."""
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "svg", **_RC}), warnings.catch_warnings():
-        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
+    with (
+        matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "svg", **_RC}),
+        warnings.catch_warnings(),
+    ):
+        # Words stay words in the SVG: the reader's fonts have the glyphs that the font
+        # of the layout lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         yield
 
@@ -98,7 +113,9 @@ class _Decades(LogLocator):
 
 
 def set_log(axes: Axes, which: str) -> None:
-    """Make axes (`"x"`, `"y"` or `"xy"`) logarithmic, their decades written as powers of ten."""
+    """Make axes (`"x"`, `"y"` or `"xy"`) logarithmic, their decades written as powers
+    of ten.
+    """
     for side in which:
         getattr(axes, f"set_{side}scale")("log")
         axis: Axis = getattr(axes, f"{side}axis")
@@ -108,7 +125,9 @@ def set_log(axes: Axes, which: str) -> None:
 
 
 def _tick(axis: Axis, value: float, _: int) -> str:
-    """A tick of a logarithmic axis: on a narrow one a number with digits that distinguish it, else a power of ten."""
+    """A tick of a logarithmic axis: on a narrow one a number with digits that
+    distinguish it, else a power of ten.
+    """
     low, high = axis.get_view_interval()
     if _is_narrow(low, high):
         return plain(value, 2 if high > 2 * low else 4)
@@ -120,18 +139,27 @@ def draw_gait(
     axes: Axes, curve: pd.DataFrame, gait: str, k: int = 0, group: int | None = None, x: str = "slope",
     y: str = "stance_angle",
 ) -> None:  # fmt: skip
-    """Draw line k, in its colour, where it has a gait's label: thin, and thick where it is stable; one point as a dot.
+    """Draw line k, in its colour, where it has a gait's label: thin, and thick where it
+    is stable; one point as a dot.
 
-    It goes one point beyond, so that a new label leaves no gap. `group` is the number of the line that the page
-    highlights as one.
+    It goes one point beyond, so that a new label leaves no gap. `group` is the number
+    of the line that the page highlights as one.
     """
     has_label = curve["gait"] == gait
-    across, upward = curve[x], curve[y].where(has_label | has_label.shift(fill_value=False))
-    is_stable = (curve["stable"] == 1).to_numpy() if "stable" in curve else np.zeros(len(curve), bool)
+    across, upward = (
+        curve[x],
+        curve[y].where(has_label | has_label.shift(fill_value=False)),
+    )
+    is_stable = (
+        (curve["stable"] == 1).to_numpy()
+        if "stable" in curve
+        else np.zeros(len(curve), bool)
+    )
     thin = dash(gait)
     thick = thin if thin == "-" else (0, tuple(length / 2.2 for length in thin[1]))
     how: Any = {"color": colour(k), "gid": None if group is None else f"line-{group}"}
-    # The thin line extends one point into the thick one, so that there is no gap between them.
+    # The thin line extends one point into the thick one, so that there is no gap
+    # between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
     axes.plot(across, upward.mask(inside), lw=1.1, ls=thin, **how)
@@ -143,23 +171,46 @@ def draw_gait(
             axes.plot(across[dots], upward[dots], "o", ms=size, **how)
 
 
-def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **how: Any) -> None:
-    """Write words beside a point, at a distance from it [pt], on ground that hides curves."""
+def write_at(
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    offset: tuple[float, float],
+    **how: Any,
+) -> None:
+    """Write words beside a point, at a distance from it [pt], on ground that hides
+    curves.
+    """
     ground = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
-    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, "bbox": ground, **how})
+    axes.annotate(
+        text,
+        at,
+        xytext=offset,
+        textcoords="offset points",
+        **{"fontsize": 8.5, "bbox": ground, **how},
+    )
 
 
 def draw_guide(axes: Axes, value: float, words: str) -> None:
     """Draw a guide across the axes, with its words at its right end, where no curve is."""
     axes.axhline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
-    how: Any = {"fontsize": 8, "color": MUTED, "va": "center", "xycoords": axes.get_yaxis_transform()}
+    how: Any = {
+        "fontsize": 8,
+        "color": MUTED,
+        "va": "center",
+        "xycoords": axes.get_yaxis_transform(),
+    }
     write_at(axes, fill(words, 11), (1, value), (4, 0), annotation_clip=False, **how)
 
 
 def hatch(axes: Axes) -> None:
-    """Hatch the ground of a map: its cells without a value differ from every colour, on light and dark pages."""
+    """Hatch the ground of a map: its cells without a value differ from every colour, on
+    light and dark pages.
+    """
     axes.grid(False)
-    axes.patch.set(visible=True, facecolor="none", edgecolor=MUTED, hatch="////", linewidth=0)
+    axes.patch.set(
+        visible=True, facecolor="none", edgecolor=MUTED, hatch="////", linewidth=0
+    )
 
 
 def add_bar(picture: Any, axes: Sequence[Axes], **how: Any) -> Any:
@@ -171,7 +222,9 @@ def add_bar(picture: Any, axes: Sequence[Axes], **how: Any) -> Any:
 
 
 def on_map(level: float, low: float, high: float) -> str:
-    """Ink of a contour on the colour map: light on its dark half, dark on its light half."""
+    """Ink of a contour on the colour map: light on its dark half, dark on its light
+    half.
+    """
     return "#ffffff" if level < low + 0.55 * (high - low) else "#101418"
 
 
@@ -183,7 +236,11 @@ def set_heading(axes: Axes, text: str) -> None:
 def title_of(axes: Axes, side: str) -> str:
     """Title of an axis: that of all panels, its own, or the heading above it."""
     every = getattr(axes.figure, f"get_sup{side}label")()
-    return str(every or getattr(axes, f"get_{side}label")() or (axes.get_title(loc="left") if side == "y" else ""))
+    return str(
+        every
+        or getattr(axes, f"get_{side}label")()
+        or (axes.get_title(loc="left") if side == "y" else "")
+    )
 
 
 def spread_evenly(count: int, most: int) -> np.ndarray:
@@ -214,9 +271,16 @@ def evenly(items: Sequence[Any], most: int) -> list[Any]:
     return [items[i] for i in spread_evenly(len(items), most)] if items else []
 
 
-def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str], str]:
-    """Rows of maps, one for each value of some axes: those drawn, what tells each from the others, and a sentence."""
-    rows, keys = evenly(every, MAX_ROWS), [key for key in every[0] if any(at[key] != every[0][key] for at in every)]
+def choose_rows(
+    every: list[dict[str, Any]],
+) -> tuple[list[dict[str, Any]], list[str], str]:
+    """Rows of maps, one for each value of some axes: those drawn, what tells each from
+    the others, and a sentence.
+    """
+    rows, keys = (
+        evenly(every, MAX_ROWS),
+        [key for key in every[0] if any(at[key] != every[0][key] for at in every)],
+    )
     names = [axis_values({key: at[key] for key in keys}) for at in rows]
     if len(every) == 2:
         return rows, names, f"Top: {names[0]}; bottom: {names[1]}."
@@ -224,8 +288,12 @@ def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list
     return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
-def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str) -> None:
-    """Write names beside the ends (x, y) of curves, in their inks; those of one ink that would overlap share a line."""
+def end_labels(
+    axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str
+) -> None:
+    """Write names beside the ends (x, y) of curves, in their inks; those of one ink
+    that would overlap share a line.
+    """
     sign, log = 1 if side == "right" else -1, axes.get_xscale() == "log"
     left, right = np.log(axes.get_xlim()) if log else axes.get_xlim()
     placed: list[tuple[float, float, float, list[str], str]] = []
@@ -236,7 +304,9 @@ def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side
         else:
             placed.append((height, x, y, [name], ink))
     order = [name for _, _, name, _ in labels]
-    longest = max((len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0)
+    longest = max(
+        (len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0
+    )
     room = (right - left) * min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH)))
     ends = np.array([left - room * (side == "left"), right + room * (side == "right")])
     axes.set_xlim(*(np.exp(ends) if log else ends))
@@ -246,14 +316,26 @@ def end_labels(axes: Axes, labels: Sequence[tuple[float, float, str, str]], side
         lowest = height + lift
         text = shorten(_merge_names(sorted(names, key=order.index)))
         how = {"ha": "left" if sign > 0 else "right", "va": "center", "bbox": None}
-        write_at(axes, text, (x, y), (5 * sign, lift), color=ink, annotation_clip=False, **how)
+        write_at(
+            axes,
+            text,
+            (x, y),
+            (5 * sign, lift),
+            color=ink,
+            annotation_clip=False,
+            **how,
+        )
 
 
 def _merge_names(names: list[str]) -> str:
-    """Merge names as in `ρ = 0.1, 0.05`: a common symbol is written once, a long list is cut to its ends."""
+    """Merge names as in `ρ = 0.1, 0.05`: a common symbol is written once, a long list
+    is cut to its ends.
+    """
     heads = {name.partition(" = ")[0] for name in names}
     names = list(dict.fromkeys(names))
     if len(names) > 1 and len(heads) == 1 and " = " in names[0]:
         tails = [name.partition(" = ")[2] for name in names]
-        return f"{heads.pop()} = " + (", ".join(tails) if len(tails) < 3 else f"{tails[0]} … {tails[-1]}")
+        return f"{heads.pop()} = " + (
+            ", ".join(tails) if len(tails) < 3 else f"{tails[0]} … {tails[-1]}"
+        )
     return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}"

@@ -1,4 +1,6 @@
-"""From a sketch to an inline SVG in the page's colours, with points that show their values under the pointer."""
+"""From a sketch to an inline SVG in the page's colours, with points that show their
+values under the pointer.
+"""
 
 import io
 import re
@@ -49,7 +51,8 @@ class Drawing:
 
 
 def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
-    """Render a sketch as an SVG for a page, with its marks in the SVG's coordinates; `small` for the index as well.
+    """Render a sketch as an SVG for a page, with its marks in the SVG's coordinates;
+    `small` for the index as well.
 
     Notes
     -----
@@ -59,7 +62,9 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     engine = figure.get_layout_engine()
     assert engine is not None
     engine.execute(figure)
-    figure.set_layout_engine(None)  # a placeholder would have everything drawn once more before it is written
+    figure.set_layout_engine(
+        None
+    )  # a placeholder would have everything drawn once more before it is written
     svg = _to_svg(figure, f"{salt}/{name}", 160)
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
@@ -73,18 +78,30 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
         _targets(sketch.marks, height),
         sketch.lines,
         [_panel(k, sketch.maps, height) for k in range(len(sketch.maps))],
-        [_frame(axes, height) for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"],
+        [
+            _frame(axes, height)
+            for axes in figure.axes
+            if axes.axison and axes.get_label() != "<colorbar>"
+        ],
     )
 
 
 def _thumbnail(figure: Figure, salt: str) -> str:
-    """A small version of a figure, with more coarsely drawn rasters if it would be large."""
+    """A small version of a figure, with more coarsely drawn rasters if it would be
+    large.
+    """
     small = _small(_to_svg(figure, salt, 50, 0))
-    return _small(_to_svg(figure, salt, 20, 0)) if len(small) > _MAX_THUMBNAIL and "<image" in small else small
+    return (
+        _small(_to_svg(figure, salt, 20, 0))
+        if len(small) > _MAX_THUMBNAIL and "<image" in small
+        else small
+    )
 
 
 def _coarsen(figure: Figure) -> None:
-    """Leave out what is too small to see on the index: ticks, words, grid, legends and the details of curves."""
+    """Leave out what is too small to see on the index: ticks, words, grid, legends and
+    the details of curves.
+    """
     for line in figure.findobj(Line2D):
         line.get_path().simplify_threshold = 1.0
         if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
@@ -92,14 +109,21 @@ def _coarsen(figure: Figure) -> None:
     for axes in figure.axes:
         axes.xaxis.set_visible(False)
         axes.yaxis.set_visible(False)
-    for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))]:
+    for legend in [
+        *figure.legends,
+        *filter(None, (axes.get_legend() for axes in figure.axes)),
+    ]:
         legend.set_visible(False)
 
 
 def _small(svg: str) -> str:
     """A picture without the words, which are too small to read on the index."""
     svg = re.sub(r"<text.*?</text>", "", svg, flags=re.S)
-    svg = re.sub(r" data-line=\"\d+\"| clip-path=\"[^\"]*\"|; stroke-linecap: square|<clipPath.*?</clipPath>", "", svg)
+    svg = re.sub(
+        r" data-line=\"\d+\"| clip-path=\"[^\"]*\"|; stroke-linecap: square|<clipPath.*?</clipPath>",
+        "",
+        svg,
+    )
     previous = ""
     while svg != previous:
         previous, svg = svg, re.sub(r"<g[^>]*>\s*</g>", "", svg)
@@ -107,7 +131,9 @@ def _small(svg: str) -> str:
 
 
 def _to_svg(figure: Figure, salt: str, dpi: int, decimals: int = 2) -> str:
-    """The figure's SVG; `dpi` is the resolution of its raster parts, `decimals` that of its paths."""
+    """The figure's SVG; `dpi` is the resolution of its raster parts, `decimals` that of
+    its paths.
+    """
     stream = io.StringIO()
     if not decimals:
         _coarsen(figure)
@@ -120,9 +146,15 @@ def _adapt(svg: str, decimals: int) -> str:
     """Matplotlib's SVG without prologue, foreign names and fixed colours."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<(metadata|style).*?</\1>", "", svg, flags=re.S)
-    svg = re.sub(r'<svg [^>]*?(viewBox="[^"]*")[^>]*>', r'<svg \1 aria-hidden="true" focusable="false">', svg)
+    svg = re.sub(
+        r'<svg [^>]*?(viewBox="[^"]*")[^>]*>',
+        r'<svg \1 aria-hidden="true" focusable="false">',
+        svg,
+    )
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
-    svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace("xlink:href", "href")
+    svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace(
+        "xlink:href", "href"
+    )
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():
@@ -138,25 +170,48 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     share = _share([len(mark.rows) for mark in marks])
     for mark in marks:
         x, y = (mark.rows[column].astype(float) for column in (mark.x, mark.y))
-        inside = x.between(*sorted(mark.axes.get_xlim())) & y.between(*sorted(mark.axes.get_ylim()))
+        inside = x.between(*sorted(mark.axes.get_xlim())) & y.between(
+            *sorted(mark.axes.get_ylim())
+        )
         rows = thin(mark.rows[inside], share)
         if rows.empty:
             continue
         pixels = mark.axes.transData.transform(rows[[mark.x, mark.y]].to_numpy(float))
         tips = {column: title for column, title in mark.tips.items() if column in rows}
-        more = next((rows[column].tolist() for column in ("command", "slope") if column in rows), [None] * len(rows))
+        more = next(
+            (
+                rows[column].tolist()
+                for column in ("command", "slope")
+                if column in rows
+            ),
+            [None] * len(rows),
+        )
         shown = [
-            [round(float(a), 1), round(float(height - b), 1), command, *map(_text, values)]
-            for (a, b), command, *values in zip(pixels, more, *(rows[c].tolist() for c in tips), strict=True)
+            [
+                round(float(a), 1),
+                round(float(height - b), 1),
+                command,
+                *map(_text, values),
+            ]
+            for (a, b), command, *values in zip(
+                pixels, more, *(rows[c].tolist() for c in tips), strict=True
+            )
         ]
-        target = {"label": mark.label, "names": [*tips.values()], "command": mark.command, "rows": shown}
+        target = {
+            "label": mark.label,
+            "names": [*tips.values()],
+            "command": mark.command,
+            "rows": shown,
+        }
         target |= _starts(mark, rows) | ({"above": True} if mark.above else {})
         targets.append(target if mark.group is None else {**target, "line": mark.group})
     return targets[:TARGETS]
 
 
 def _share(sizes: list[int]) -> int:
-    """Largest number of points that each curve may show; what short curves leave is shared by the others."""
+    """Largest number of points that each curve may show; what short curves leave is
+    shared by the others.
+    """
     share, rest = TARGETS, TARGETS
     for k, size in enumerate(sorted(sizes)):
         share = max(1, rest // (len(sizes) - k))
@@ -169,16 +224,25 @@ def _share(sizes: list[int]) -> int:
 def _starts(mark: Marks, rows: pd.DataFrame) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
     names = [name for name in START[1:] if name in rows]
-    if not mark.command or "stance_angle" not in names or (mark.free and "stance_rate" not in names):
+    if (
+        not mark.command
+        or "stance_angle" not in names
+        or (mark.free and "stance_rate" not in names)
+    ):
         return {}
-    starts = [[v for v in rounded(row, 12) if v is not None] for row in rows[names].to_numpy(float)]
+    starts = [
+        [v for v in rounded(row, 12) if v is not None]
+        for row in rows[names].to_numpy(float)
+    ]
     return {"starts": starts, **({"free": True} if mark.free else {})}
 
 
 def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
-    """A map in the SVG's coordinates: its axes, with the name and the values of each, and what its cells hold.
+    """A map in the SVG's coordinates: its axes, with the name and the values of each,
+    and what its cells hold.
 
-    Of what an earlier map has as well, the place of that map stands here: under `same`, or `as` of a field.
+    Of what an earlier map has as well, the place of that map stands here: under `same`,
+    or `as` of a field.
     """
     panel = panels[k]
     frame = _frame(panel.axes, height)
@@ -188,26 +252,53 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
         if not k or not np.array_equal(values, first):
             frame[side]["values"] = rounded(values, 12)
     earlier = [other.cells for other in panels[:k]]
-    same = {name: i for name, value in panel.cells.items() if (i := _first(earlier, name, value)) is not None}
+    same = {
+        name: i
+        for name, value in panel.cells.items()
+        if (i := _first(earlier, name, value)) is not None
+    }
     own = {name: value for name, value in panel.cells.items() if name not in same}
     if "fields" in own:
-        places = {name: _first([c["fields"] for c in earlier], name, field) for name, field in own["fields"].items()}
-        own["fields"] = {n: f if places[n] is None else {"as": places[n]} for n, f in own["fields"].items()}
+        places = {
+            name: _first([c["fields"] for c in earlier], name, field)
+            for name, field in own["fields"].items()
+        }
+        own["fields"] = {
+            n: f if places[n] is None else {"as": places[n]}
+            for n, f in own["fields"].items()
+        }
     return {**frame, **own, **({"same": same} if same else {})}
 
 
 def _first(earlier: Sequence[Mapping[str, Any]], name: str, value: Any) -> int | None:
-    """Place of the first mapping that has that value under a name, if it is worth to be referred to."""
-    return next((i for i, other in enumerate(earlier) if value and other.get(name) == value), None)
+    """Place of the first mapping that has that value under a name, if it is worth to be
+    referred to.
+    """
+    return next(
+        (i for i, other in enumerate(earlier) if value and other.get(name) == value),
+        None,
+    )
 
 
 def _frame(axes: Axes, height: float) -> dict[str, Any]:
     """Axes in the SVG's coordinates: corners, and for each axis its ends and its scale."""
     box, sides = axes.get_window_extent(), {}
     for side in "xy":
-        limits, scale = (getattr(axes, f"get_{side}{what}")() for what in ("lim", "scale"))
-        sides[side] = {"limits": rounded(limits), "log": scale == "log", "title": title_of(axes, side)}
-    return {"box": [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)], **sides}
+        limits, scale = (
+            getattr(axes, f"get_{side}{what}")() for what in ("lim", "scale")
+        )
+        sides[side] = {
+            "limits": rounded(limits),
+            "log": scale == "log",
+            "title": title_of(axes, side),
+        }
+    return {
+        "box": [
+            round(float(v), 2)
+            for v in (box.x0, height - box.y1, box.x1, height - box.y0)
+        ],
+        **sides,
+    }
 
 
 def _text(value: Any) -> str:
