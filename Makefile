@@ -57,6 +57,7 @@ lint: $(COMPLETE)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/air.py
 
 # The site, always anew, so that it shows what the code does now; a warning is an error.
 docs: $(WRITING)
