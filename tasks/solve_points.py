@@ -238,15 +238,15 @@ def _solve_lines(
             to_accuracy(
                 {name: out[name][k : k + block] for name in names}, wanted.accuracy
             )
-    reasons = ({"reasons": np.array(_reasons(problem, branches))} for branches in atlas)
+    reasons = map(_reasons, problems, atlas)
     return [
-        {name: out[name] for name in names} | why
+        {name: out[name] for name in names} | {"reasons": np.array(why)}
         for out, why in zip(results, reasons, strict=True)
     ]
 
 
 def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
-    """Sentences that `reason` indexes."""
+    """Sentences that `reason` indexes, of one line."""
     if problem.steps > 1:
         outside = _outside(branches, problem.steps)
         return status.reasons(outside, outside)
