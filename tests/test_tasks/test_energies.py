@@ -1,0 +1,57 @@
+"""The equations of motion are Lagrange's equations of the energies of figure 1."""
+
+import heyoka as hy
+import numpy as np
+import pytest
+
+from gaitsweep.tasks.mechanics.energies import energies
+from gaitsweep.tasks.mechanics.equations import Motion, Solver, Symbols
+from gaitsweep.tasks.mechanics.lumped import general_structure, lump
+from gaitsweep.tasks.walkers.resolve import resolve
+
+SLOPE = 0.07
+STATES = np.random.default_rng(1).uniform(-0.5, 0.5, (6, 20))
+
+
+def accelerations_by_lagrange(walker, links):
+    """Accelerations (links, n) over g/leg at the states, whose rates are in sqrt(g/leg)."""
+    q, rate = (list(hy.make_vars(*(f"{x}{i}" for i in range(links)))) for x in "qv")
+    kinetic, potential = energies(walker, q, rate, hy.expression(SLOPE))
+    equations = hy.lagrangian(kinetic - potential, q, rate)
+    function = hy.cfunc([right for _, right in equations[links:]], vars=[*q, *rate])
+    states = STATES[: 2 * links].copy()
+    states[links:] /= walker.time_unit
+    return function(states) * walker.time_unit**2
+
+
+def accelerations_as_integrated(walker, links):
+    """The same by the lumped equations from which flows are compiled."""
+    structure = general_structure(walker.knees)
+    p = Symbols(structure)
+    q, rate = (list(hy.make_vars(*(f"{x}{i}" for i in range(links)))) for x in "qv")
+    motion = Motion(p, q, rate, free_knee=links == 3)
+    function = hy.cfunc(Solver(motion.M)(motion.f), vars=[*q, *rate, *p.variables])
+    constants = lump(walker)
+    known = {"slope": SLOPE, "scale": 1.0, **constants}
+    rows = [np.full(STATES.shape[1], known[name]) for name in structure.parameters]
+    return function(np.vstack([STATES[: 2 * links], *rows]))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "links"),
+    [
+        ("physical", {}, 3),
+        ("physical", {"m_h": 3.0, "eps_T": 0.25, "w_t": 0.01}, 3),
+        ("C", {}, 2),
+        ("A", {"w_s": 0.03}, 2),
+        ("B", {"R": 0.3}, 2),
+    ],
+)
+def test_the_motion_that_is_integrated_is_that_of_the_energies(name, changes, links):
+    walker = resolve(name, changes)
+
+    by_lagrange = accelerations_by_lagrange(walker, links)
+    integrated = accelerations_as_integrated(walker, links)
+
+    largest = np.abs(by_lagrange).max()
+    np.testing.assert_allclose(integrated, by_lagrange, rtol=0, atol=1e-12 * largest)
