@@ -69,11 +69,12 @@ def starts(
 
     Notes
     -----
-    Stance angles run from the linear (slope) to the cube-root scaling, periods are those of `periods`. The rates are
-    those with which, to first order in the angles, the legs exchange places in the
-    period, with knees the stance leg alone; where these are too large for linear
-    theory, as on steep slopes, the stance leg has that of an inverted pendulum. With
-    point feet heelstrike fixes the ratio of the rates, so that both legs do so in
+    Stance angles run from the linear (slope) to the cube-root scaling, periods are
+    those of `periods`. The rates are those with which, to first order in the angles,
+    the legs exchange places in the period. Where these are too large for linear theory,
+    as on steep slopes, only the stance leg reaches the other's place. With knees it
+    does so always, but for the rate of an inverted pendulum on steep slopes. With point
+    feet heelstrike fixes the ratio of the rates, so that both legs exchange places in
     certain periods only: the two shortest take the place of two of the lattice.
     """
     linear = SmallAngles(walker)
@@ -125,7 +126,9 @@ def _straight_guesses(
             )
 
     rates = linear.exchange_rates(angle, period, slope)
-    plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
+    swing = np.full(len(period), _PLAIN_SWING)
+    stance = linear.stance_rate(angle, period, swing * angle, slope) / angle
+    plain = np.array([np.clip(stance, -_MAX_RATE, _MAX_RATE), swing])
 
     # A fast leg swings through small angles at high rates.
     quickness = max(1.0, np.pi / linear.swing)

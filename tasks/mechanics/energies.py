@@ -6,6 +6,8 @@ checked against, not what is integrated.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import heyoka as hy
 
 from gaitsweep.tasks.mechanics.equations import ZERO, Sym
@@ -14,7 +16,10 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 
 def energies(
-    walker: Walker, q: list[Sym], rate: list[Sym], slope: Sym
+    walker: Walker,
+    q: list[Sym],
+    rate: list[Sym],
+    slope: Sym,
 ) -> tuple[Sym, Sym]:
     """Kinetic and potential energy of a walker on its rolling stance foot.
 
@@ -39,26 +44,51 @@ def energies(
 
     with x down the slope and y along its normal (figure 1 of the paper).
     """
-    stance, thigh, shank = q[0], q[1], q[-1]
+    kinetic = ZERO
+    potential = ZERO
+    for part in _parts(walker, q, rate):
+        x = part.centre.x
+        y = part.centre.y
+        forward = _rate_of(x, q, rate)
+        upward = _rate_of(y, q, rate)
+        turning = part.gyration * part.rate
+        kinetic += 0.5 * part.mass * (forward**2.0 + upward**2.0 + turning**2.0)
+
+        height = y * hy.cos(slope) - x * hy.sin(slope)
+        potential += part.mass * walker.g * height
+    return kinetic, potential
+
+
+class _Part(NamedTuple):
+    """A rigid part: its mass, radius of gyration, centre and rate of turning."""
+
+    mass: float
+    gyration: float
+    centre: Vector
+    rate: Sym
+
+
+def _parts(walker: Walker, q: list[Sym], rate: list[Sym]) -> list[_Part]:
+    """The hip, and thigh and shank of the stance and of the swing leg."""
+    stance = q[0]
+    thigh = q[1]
+    shank = q[-1]
+
     foot = Vector(-walker.R * stance, hy.expression(walker.R))
     hip = foot + _turned(1j * walker.l, stance)
+    stance_thigh = hip + _turned(walker.thigh_centre, stance)
+    stance_shank = hip + _turned(walker.knee + walker.shank_centre, stance)
+    swing_thigh = hip + _turned(walker.thigh_centre, thigh)
     knee = hip + _turned(walker.knee, thigh)
-    locked_shank = walker.knee + walker.shank_centre
-    parts = [
-        (walker.m_h, 0.0, hip, ZERO),
-        (walker.m_t, walker.r_t, hip + _turned(walker.thigh_centre, stance), rate[0]),
-        (walker.m_s, walker.r_s, hip + _turned(locked_shank, stance), rate[0]),
-        (walker.m_t, walker.r_t, hip + _turned(walker.thigh_centre, thigh), rate[1]),
-        (walker.m_s, walker.r_s, knee + _turned(walker.shank_centre, shank), rate[-1]),
-    ]
+    swing_shank = knee + _turned(walker.shank_centre, shank)
 
-    kinetic, potential = ZERO, ZERO
-    for mass, gyration, centre, turning in parts:
-        x, y = (_rate_of(place, q, rate) for place in (centre.x, centre.y))
-        kinetic += 0.5 * mass * (x**2.0 + y**2.0 + gyration**2 * turning**2.0)
-        height = centre.y * hy.cos(slope) - centre.x * hy.sin(slope)
-        potential += mass * walker.g * height
-    return kinetic, potential
+    return [
+        _Part(walker.m_h, 0.0, hip, ZERO),
+        _Part(walker.m_t, walker.r_t, stance_thigh, rate[0]),
+        _Part(walker.m_s, walker.r_s, stance_shank, rate[0]),
+        _Part(walker.m_t, walker.r_t, swing_thigh, rate[1]),
+        _Part(walker.m_s, walker.r_s, swing_shank, rate[-1]),
+    ]
 
 
 def _turned(arm: complex, angle: Sym) -> Vector:
@@ -68,7 +98,7 @@ def _turned(arm: complex, angle: Sym) -> Vector:
 
 def _rate_of(place: Sym, q: list[Sym], rate: list[Sym]) -> Sym:
     """Rate of change of an expression of the angles."""
-    changes = (
-        hy.diff(place, angle) * speed for angle, speed in zip(q, rate, strict=True)
-    )
-    return sum(changes, ZERO)
+    total = ZERO
+    for angle, speed in zip(q, rate, strict=True):
+        total += hy.diff(place, angle) * speed
+    return total

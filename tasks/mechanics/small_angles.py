@@ -103,6 +103,28 @@ class SmallAngles:
             :, :, 0
         ].T
 
+    def stance_rate(
+        self,
+        angle: np.ndarray,
+        period: np.ndarray,
+        swing_rate: np.ndarray,
+        slope: np.ndarray,
+    ) -> np.ndarray:
+        """Stance rate just after heelstrike with which the stance leg alone reaches the
+        other's place in a given time.
+
+        Parameters
+        ----------
+        angle, period, swing_rate, slope : ndarray, shape (n,)
+            In rad, sqrt(leg/g), rad/sqrt(leg/g) and rad.
+
+        Returns
+        -------
+        ndarray, shape (n,) [rad/sqrt(leg/g)]
+        """
+        by_rates, lack = self._exchange(angle, period, slope)
+        return (lack[0] - by_rates[0, 1] * swing_rate) / by_rates[0, 0]
+
     def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Periods in which both legs exchange places, where their masses are at the
         feet.

@@ -13,28 +13,40 @@ SLOPE = 0.07
 STATES = np.random.default_rng(1).uniform(-0.5, 0.5, (6, 20))
 
 
+def variables(links):
+    """Angles and rates as symbols."""
+    q = [f"q{i}" for i in range(links)]
+    rate = [f"v{i}" for i in range(links)]
+    return list(hy.make_vars(*q)), list(hy.make_vars(*rate))
+
+
 def accelerations_by_lagrange(walker, links):
-    """Accelerations (links, n) over g/leg at the states, whose rates are in sqrt(g/leg)."""
-    q, rate = (list(hy.make_vars(*(f"{x}{i}" for i in range(links)))) for x in "qv")
+    """Accelerations (links, n) over g/leg at states with rates in sqrt(g/leg)."""
+    q, rate = variables(links)
     kinetic, potential = energies(walker, q, rate, hy.expression(SLOPE))
     equations = hy.lagrangian(kinetic - potential, q, rate)
-    function = hy.cfunc([right for _, right in equations[links:]], vars=[*q, *rate])
+    accelerations = [right for _, right in equations[links:]]
+    function = hy.cfunc(accelerations, vars=[*q, *rate])
+
+    time = walker.time_unit
     states = STATES[: 2 * links].copy()
-    states[links:] /= walker.time_unit
-    return function(states) * walker.time_unit**2
+    states[links:] /= time
+    return function(states) * time**2
 
 
 def accelerations_as_integrated(walker, links):
     """The same by the lumped equations from which flows are compiled."""
     structure = general_structure(walker.knees)
     p = Symbols(structure)
-    q, rate = (list(hy.make_vars(*(f"{x}{i}" for i in range(links)))) for x in "qv")
+    q, rate = variables(links)
     motion = Motion(p, q, rate, free_knee=links == 3)
-    function = hy.cfunc(Solver(motion.M)(motion.f), vars=[*q, *rate, *p.variables])
-    constants = lump(walker)
-    known = {"slope": SLOPE, "scale": 1.0, **constants}
-    rows = [np.full(STATES.shape[1], known[name]) for name in structure.parameters]
-    return function(np.vstack([STATES[: 2 * links], *rows]))
+    accelerations = Solver(motion.M)(motion.f)
+    function = hy.cfunc(accelerations, vars=[*q, *rate, *p.variables])
+
+    known = {"slope": SLOPE, "scale": 1.0, **lump(walker)}
+    lanes = STATES.shape[1]
+    parameters = [np.full(lanes, known[name]) for name in structure.parameters]
+    return function(np.vstack([STATES[: 2 * links], *parameters]))
 
 
 @pytest.mark.parametrize(

@@ -518,6 +518,12 @@ FAST_AND_SLOW = [
         0.002132064845791061,
         [(0.077612, None), (0.076138, None)],
     ),
+    (
+        # Without a mass at the hip, the stance leg reacts to the swing leg.
+        {"l": 1.0, "m": 1.0, "c": 0.804713, "r": 0.0214085, "R": 0.0, "m_h": 0.0},
+        0.12333,
+        [(0.112367, None), (0.102205, None)],
+    ),
 ]
 
 
