@@ -10,7 +10,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.atlas import branches_along, is_known, ranked
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.flips import doubled
 from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.lockstep import run
@@ -84,11 +84,13 @@ def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
     """Slopes at which gaits have doubled already, as those of heavy feet at vanishing
     slopes, shape (n,) [rad].
     """
-    doubled = [
-        b.q[(scalar("flip", corrected(problem, b).at) < 0) & (b.leg_passes == 1)]
-        for b in branches
-    ]
-    return np.array([np.exp(np.median(q)) for q in doubled if len(q)])
+    flip, medians = CONDITIONS["flip"], []
+    for branch in branches:
+        is_beyond = flip.residual(corrected(problem, branch).at) < 0
+        q = branch.q[is_beyond & (branch.leg_passes == 1)]
+        if len(q):
+            medians.append(np.exp(np.median(q)))
+    return np.array(medians)
 
 
 def _searched(

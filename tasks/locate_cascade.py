@@ -5,7 +5,7 @@ through period doublings.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,8 @@ import numpy as np
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar, slope_error, solve
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import Equations, slope_error, solve
 from gaitsweep.tasks.continuation.flips import doubled
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
@@ -29,6 +30,7 @@ from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
 from gaitsweep.tasks.step.several_steps import (
     distance,
     distances_of_steps,
@@ -51,9 +53,11 @@ _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 _MAX_STEP = 1.0
 #: Most points of a branch on which no event is found.
 _MAX_POINTS = 400
-#: Distances of a gait's sections from each other, over the first angle, beyond which it
-#: does not repeat sooner, and from another gait's up to which they are the same.
-_APART, _SAME = 1e-5, 1e-6
+#: Distance of a gait's sections from each other, over the first angle, beyond which it
+#: does not repeat sooner; difference of the ln slopes of one fold.
+_APART, _SAME_SLOPE = 1e-5, 1e-9
+#: How far beyond the window a branch is followed, in ln slope.
+_MARGIN = 0.05
 #: Columns of the tables.
 _CASCADE = (
     "family",
@@ -92,6 +96,22 @@ class _Event:
         return float(np.exp(self.q))
 
 
+@dataclass(frozen=True)
+class _Family:
+    """A family of gaits: the period at which it begins, its events in order, and why no
+    more follow.
+    """
+
+    period: int
+    events: list[_Event]
+    stopped: str
+
+    @property
+    def flips(self) -> np.ndarray:
+        """Slopes of its flips, shape (k,) [rad]."""
+        return np.array([event.slope for event in self.events if event.kind == "flip"])
+
+
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """Locate the flips and folds of a line's families of period-n gaits within a window
     of slopes.
@@ -126,88 +146,92 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.sort(np.asarray(params["slope"], float))
     if not len(slope):
         return {}
-    rows: list[tuple[Any, ...]] = []
-    limits: list[tuple[Any, ...]] = []
+
+    events: list[tuple[Any, ...]] = []
+    accumulations: list[tuple[Any, ...]] = []
     ends: list[tuple[Any, ...]] = []
     missing: list[str] = []
-    for number in options["families"]:
-        families: list[list[_Event]] = []
-        reasons: list[str] = []
-        for start in _first_gaits(
-            problem, near, inputs[0], slope, int(number), int(options["starts"])
-        ):
-            family, stopped = _follow_family(
-                problem, start, slope, int(options["periods"]), families
-            )
-            if stopped is not None:
-                families.append(family)
-                reasons.append(stopped)
+    longest, starts = int(options["periods"]), int(options["starts"])
+    for period in map(int, options["families"]):
+        first = _first_gaits(problem, near, inputs[0], slope, period, starts)
+        families = _families(problem, first, slope, period, longest)
         if not families:
-            missing.append(
-                over(
-                    "long gait"
-                    if number == 1
-                    else f"gait of period {number} was found",
-                    slope,
-                )
-            )
-            limits.append((f"{number}", 0, *[np.nan] * 4, missing[-1]))
-        for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
-            name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
-            flips = np.array([e.slope for e in family if e.kind == "flip"])
-            ratios = scaling.ratios(flips)
-            ratio = iter(ratios)
-            for event in family:
-                of_event, state = event.gait.problem, state_at(event.gait, 0)
-                check = check_steps(of_event, event.gait.Z)
-                values = (
-                    name,
-                    of_event.steps,
-                    event.kind,
-                    event.slope,
-                    event.error,
-                    next(ratio) if event.kind == "flip" else np.nan,
-                    state["stance_angle"],
-                    *(np.array(state["rates"]) / walker.time_unit).tolist(),
-                    int(check.step[0]),
-                )
-                rows.append(values)
-            value, low, high = scaling.accumulation(flips)
-            limits.append(
-                (
-                    name,
-                    len(flips),
-                    value,
-                    low,
-                    high,
-                    float(ratios[-1]) if len(ratios) else np.nan,
-                    stopped,
-                )
-            )
-            if int(options["steps"]) and np.isfinite(value):
-                end = float(
-                    np.clip(
-                        value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]
-                    )
-                )
-                low, high = lost(
-                    problem,
-                    _spread_around(family[-1]),
-                    value,
-                    end,
-                    int(options["steps"]),
-                )
-                reason = _unbracketed(low, high, value, end)
-                bracket = (
-                    (low, high) if value > flips[0] else (high, low)
-                )  # doublings may lead to smaller slopes
-                ends.append((name, *bracket, _ORBITS, int(options["steps"]), reason))
-    tables = (
-        table("cascade", rows, _CASCADE)
-        | table("accumulation", limits, _ACCUMULATION)
-        | table("lost", ends, _LOST)
-    )
-    return tables if len(missing) < len(limits) else tables | nothing(" ".join(missing))
+            of = "long gait" if period == 1 else f"gait of period {period} was found"
+            missing.append(over(of, slope))
+            unknown = [np.nan] * 4
+            accumulations.append((f"{period}", 0, *unknown, missing[-1]))
+        for number, family in enumerate(families, start=1):
+            name = f"{period}" if len(families) == 1 else f"{period}-{number}"
+            events += _event_rows(name, family, walker.time_unit)
+            accumulations.append(_accumulation_row(name, family))
+            ends += _lost_rows(problem, name, family, slope, int(options["steps"]))
+
+    tables = table("cascade", events, _CASCADE)
+    tables |= table("accumulation", accumulations, _ACCUMULATION)
+    tables |= table("lost", ends, _LOST)
+    found_any = len(missing) < len(accumulations)
+    return tables if found_any else tables | nothing(" ".join(missing))
+
+
+def _families(
+    problem: Problem, first: list[Point], slope: np.ndarray, period: int, longest: int
+) -> list[_Family]:
+    """The families that begin with some gaits, each once."""
+    families: list[_Family] = []
+    for gait in first:
+        known = [family.events for family in families]
+        events, stopped = _follow_family(problem, gait, slope, longest, known)
+        if stopped is not None:
+            families.append(_Family(period, events, stopped))
+    return families
+
+
+def _event_rows(
+    name: str, family: _Family, time_unit: float
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of a family's folds and flips."""
+    ratio = iter(scaling.ratios(family.flips))
+    for event in family.events:
+        problem, state = event.gait.problem, state_at(event.gait, 0)
+        rates = (np.array(state["rates"]) / time_unit).tolist()
+        is_step = int(check_steps(problem, event.gait.Z).step[0])
+        yield (
+            name,
+            problem.steps,
+            event.kind,
+            event.slope,
+            event.error,
+            next(ratio) if event.kind == "flip" else np.nan,
+            state["stance_angle"],
+            *rates,
+            is_step,
+        )
+
+
+def _accumulation_row(name: str, family: _Family) -> tuple[Any, ...]:
+    """Row of where a family's flips accumulate."""
+    ratios = scaling.ratios(family.flips)
+    last = float(ratios[-1]) if len(ratios) else np.nan
+    bounds = scaling.accumulation(family.flips)
+    return (name, len(family.flips), *bounds, last, family.stopped)
+
+
+def _lost_rows(
+    problem: Problem, name: str, family: _Family, slope: np.ndarray, steps: int
+) -> list[tuple[Any, ...]]:
+    """Row of where the chaos beyond a family's flips ends, if these accumulate."""
+    accumulation = scaling.accumulation(family.flips)[0]
+    if not steps or not np.isfinite(accumulation):
+        return []
+    reach = accumulation + _MAX_EXTENT * (accumulation - family.flips[0])
+    end = float(np.clip(reach, slope[0], slope[-1]))
+    orbits = _spread_around(family.events[-1])
+    low, high = lost(problem, orbits, accumulation, end, steps)
+    reason = _unbracketed(low, high, accumulation, end)
+    # Doublings may lead to smaller slopes.
+    rises = accumulation > family.flips[0]
+    bracket = (low, high) if rises else (high, low)
+    return [(name, *bracket, _ORBITS, steps, reason)]
 
 
 def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:
@@ -216,11 +240,9 @@ def _unbracketed(low: float, high: float, accumulation: float, end: float) -> st
     """
     if np.isnan(low):
         return f"Orbits are lost at the accumulation point already, at slope {accumulation:.6g}."
-    return (
-        f"Orbits persist to slope {end:.6g}, where the search ends."
-        if np.isnan(high)
-        else ""
-    )
+    if np.isnan(high):
+        return f"Orbits persist to slope {end:.6g}, where the search ends."
+    return ""
 
 
 def _spread_around(event: _Event) -> np.ndarray:
@@ -234,11 +256,10 @@ def _spread_around(event: _Event) -> np.ndarray:
 
 def _is_same(a: _Event, b: _Event) -> bool:
     """Whether two folds are one."""
-    if a.kind != b.kind or abs(a.q - b.q) >= 1e-9:
+    if a.kind != b.kind or abs(a.q - b.q) >= _SAME_SLOPE:
         return False
-    return (
-        distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, a.gait.problem.steps) < 1e-3
-    )
+    steps = a.gait.problem.steps
+    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, steps) < SAME_POINT
 
 
 def _first_gaits(
@@ -293,7 +314,7 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
     exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
     for i in np.flatnonzero(converged & exact).tolist():
-        if all(distance(w[:, i], w[:, k], m, n) > _SAME for k in kept):
+        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in kept):
             kept.append(i)
     if not kept:
         return []
@@ -406,37 +427,47 @@ def _first_event(
     problem: Problem, begun: _Begun, kind: str, low: float, high: float
 ) -> tuple[_Event | None, str]:
     """The first fold or flip along a branch inside the window, or why there is none."""
-    q, points = float(begun[0].at.q[0]), points_along(problem, *begun)
+    points = points_along(problem, *begun)
+    slope = float(np.exp(begun[0].at.q[0]))
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
-            return (
-                None,
-                f"none on {_MAX_POINTS} points of the branch, up to a slope of {np.exp(q):.6g}",
-            )
-        q, (a, b) = (
-            float(after.at.q[0]),
-            (float(scalar(kind, gait.at)[0]) for gait in (before, after)),
-        )
-        if a * b < 0:
-            length = float(np.linalg.norm(after.Z - before.Z))
-            ends = (before.Z, before.direction), (after.Z, after.direction)
-            guess = hermite(*ends, length, a / (a - b))
-            solved = solve(problem, kind, guess)
-            # What lies between two points is nearer to its guess than they are to each
-            # other.
-            if not solved.ok[0] or np.linalg.norm(solved.Z - guess) > length:
-                return (
-                    None,
-                    f"the next one could not be located, near a slope of {np.exp(q):.6g}",
-                )
-            error = slope_error(problem, kind, solved.Z[:, 0])
-            event = _Event(kind, evaluate(problem, solved.Z), error, (before, after))
-            if not low <= event.q <= high:
-                return (
-                    None,
-                    f"the next one lies outside the window, at a slope of {event.slope:.6g}",
-                )
+            why = f"none on {_MAX_POINTS} points of the branch, up to a slope of "
+            return None, f"{why}{slope:.6g}"
+        slope = float(np.exp(after.at.q[0]))
+
+        event, is_between = _event_between(problem, before, after, kind)
+        if is_between and event is None:
+            why = "the next one could not be located, near a slope of"
+            return None, f"{why} {slope:.6g}"
+        if event is not None and not low <= event.q <= high:
+            why = "the next one lies outside the window, at a slope of"
+            return None, f"{why} {event.slope:.6g}"
+        if event is not None:
             return event, ""
-        if not low - 0.05 <= q <= high + 0.05:
-            return None, f"the branch leaves the window at a slope of {np.exp(q):.6g}"
-    return None, f"the branch could not be continued beyond a slope of {np.exp(q):.6g}"
+        if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
+            return None, f"the branch leaves the window at a slope of {slope:.6g}"
+    return None, f"the branch could not be continued beyond a slope of {slope:.6g}"
+
+
+def _event_between(
+    problem: Problem, before: Point, after: Point, kind: str
+) -> tuple[_Event | None, bool]:
+    """The fold or flip between two points of a branch, None where it is not found; and
+    whether there is one.
+    """
+    condition = CONDITIONS[kind]
+    at_before, at_after = (
+        float(condition.residual(point.at)[0]) for point in (before, after)
+    )
+    if not at_before * at_after < 0:
+        return None, False
+    length = float(np.linalg.norm(after.Z - before.Z))
+    ends = (before.Z, before.direction), (after.Z, after.direction)
+    guess = hermite(*ends, length, at_before / (at_before - at_after))
+    solved = solve(Equations(problem, [condition]), guess)
+    # What lies between two points is nearer to its guess than they are to each other.
+    if not solved.ok[0] or np.linalg.norm(solved.Z - guess) > length:
+        return None, True
+    error = slope_error(problem, condition, solved.Z[:, 0])
+    gait = evaluate(problem, solved.Z)
+    return _Event(kind, gait, error, (before, after)), True

@@ -52,7 +52,3 @@ def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: given.get(name, option.default) for name, option in OPTIONS[kind].items()
     }
-
-
-#: Points whose curves a study of kind `curve` follows.
-FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")

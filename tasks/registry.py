@@ -11,7 +11,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from gaitsweep.tasks.options import FOLLOWED as FOLLOWED
+from gaitsweep.tasks.kinds import FOLLOWED as FOLLOWED
 from gaitsweep.tasks.options import MAX_STEPS as MAX_STEPS
 from gaitsweep.tasks.options import OPTIONS as OPTIONS
 from gaitsweep.tasks.options import Option as Option

@@ -13,7 +13,7 @@ import functools
 import heyoka as hy
 import numpy as np
 
-from gaitsweep.tasks.continuation import defining
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
@@ -51,7 +51,7 @@ def _less_one(rows, sign=-1.0):
 
 
 def _scalar(kind, step, y, times):
-    """The scalar that vanishes at a special point, as `defining.SCALARS` has it."""
+    """The scalar that vanishes at a special point, as `CONDITIONS` has it."""
     m, A, by = len(y), step["jacobian"], step["derivative"]
     if kind == "flip":
         return _determinant(_less_one(A, 1.0))
@@ -85,9 +85,8 @@ def _scalar(kind, step, y, times):
 def _gradient(problem, kind, Z, h):
     steps = h * np.hstack([np.eye(len(Z)), -np.eye(len(Z))])
     with np.errstate(all="ignore"):
-        up, down = defining.scalar(kind, evaluate(problem, Z[:, None] + steps)).reshape(
-            2, -1
-        )
+        at = evaluate(problem, Z[:, None] + steps)
+        up, down = CONDITIONS[kind].residual(at).reshape(2, -1)
     return (up - down) / (2 * h)
 
 

@@ -91,6 +91,7 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
         "gaitsweep.tasks",
         "gaitsweep.tasks.accuracy",
         "gaitsweep.tasks.costs",
+        "gaitsweep.tasks.kinds",
         "gaitsweep.tasks.options",
         "gaitsweep.tasks.registry",
         "gaitsweep.tasks.variables",

@@ -4,9 +4,10 @@
 `atlas` finds all of a line's, for many lines at once: `locate` and `ends` find where a
 property changes on a branch and where walking ends, `refine` adds nodes and `checks`
 looks at the whole of it, all as procedures that `lockstep` runs side by side.
-`sampling` chooses points to draw. `defining` has the equations of folds, flips and the
-like, and solves them; `special_points` locates them on a branch, `extremes` on the
-branches of designs, `codimension_one` follows them as a key varies. `flips` begins the
-branches of twice as many steps. These and `tracking` share the corrector, predictor and
-step control of `pseudo_arclength`; `root` finds roots in brackets.
+`sampling` chooses points to draw. `conditions` has what defines folds, flips and the
+like; `equations` puts conditions beside the equations of a gait and solves them;
+`special_points` locates them on a branch, `extremes` on the branches of designs,
+`curves` follows them as keys vary. `flips` begins the branches of twice as many steps.
+These and `tracking` share the corrector, predictor and step control of
+`pseudo_arclength`; `root` finds roots in brackets.
 """

@@ -13,14 +13,14 @@ atlas does not depend on its block.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import MIN_NODES, Branch
 from gaitsweep.tasks.continuation.checks import checked
-from gaitsweep.tasks.continuation.defining import LIMITS, scalar
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.ends import BranchEnd, locate_end
 from gaitsweep.tasks.continuation.flips import begun_at_flips
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
@@ -43,8 +43,10 @@ from gaitsweep.tasks.continuation.refine import (
 )
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
+from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.sameness import ON_BRANCH
 from gaitsweep.tasks.step.several_steps import distance
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -56,9 +58,6 @@ ANCHORS = (
     *(0.33, 0.0048, 0.07, 0.001, 0.015, 0.22, 0.0033, 0.048, 0.0007),
 )
 _SHARES = 3
-#: Gaits of one slope closer than this are identical; where a branch turns a coarse
-#: polynomial is no more accurate.
-_SAME = 1e-4
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them
 #: along the branch.
 _TWIN = 1e-10
@@ -187,31 +186,51 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
         first, last = segment + 1, last + len(raw.q) - before
         ends[0] = yield from locate_end(raw, first, segment)
-    for side, segment in ((0, 0), (1, len(raw.q) - 2)):
-        kind = raw.why[side]
-        if not whole[side] or kind not in LIMITS:
-            continue
-        last_point = yield Call(evaluate, (raw.Z[:, [-side]],))
-        if float(scalar(kind, last_point)[0]) > 0:  # it has passed the end
-            passed = yield from locate_root(raw, segment, value_of(kind))
-            ends[side] = BranchEnd(kind, passed, raw.end_errors[side])
-            first, last = first + (side == 0), last - (side == 1)
+
+    for side in (0, 1):
+        passed = (yield from _passed_limit(raw, side)) if whole[side] else None
+        if passed is not None:
+            ends[side] = passed
+            first += side == 0
+            last -= side == 1
+
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
         return None
     branch = raw.part(np.arange(first, last + 1))
     for side, end in ends.items():
-        branch = branch.insert(
-            side * len(branch.q), end.point.Z[:, 0], end.point.direction[:, 0]
-        )
+        Z, direction = end.point.Z[:, 0], end.point.direction[:, 0]
+        branch = branch.insert(side * len(branch.q), Z, direction)
         branch = branch.ending(side, end.kind, end.error)
-    # The node before an end may be that end: between them there is no polynomial.
+    branch = _without_twins(branch, ends)
+    return branch if len(branch.q) >= MIN_NODES else None
+
+
+def _passed_limit(raw: Branch, side: int) -> Procedure[BranchEnd | None]:
+    """The end at the limit to which gaits are followed, where a branch's last node on
+    one side lies beyond it.
+    """
+    kind = raw.why[side]
+    if kind not in KINDS or KINDS[kind].ends != "following":
+        return None
+    condition = CONDITIONS[kind]
+    last = yield Call(evaluate, (raw.Z[:, [-side]],))
+    if condition.residual(last)[0] * condition.walking >= 0:
+        return None
+    segment = len(raw.q) - 2 if side else 0
+    point = yield from locate_root(raw, segment, value_of(condition))
+    return BranchEnd(kind, point, raw.end_errors[side])
+
+
+def _without_twins(branch: Branch, ends: Container[int]) -> Branch:
+    """Branch without nodes that equal an end beside them but for rounding: between them
+    there is no polynomial.
+    """
     twins = norm(np.diff(branch.Z)) < _TWIN
     kept = np.ones(len(branch.q), bool)
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
-    branch = branch.part(np.flatnonzero(kept))
-    return branch if len(branch.q) >= MIN_NODES else None
+    return branch.part(np.flatnonzero(kept))
 
 
 def _is_no_step(point: Point) -> Procedure[bool]:
@@ -386,7 +405,7 @@ def is_known(branches: list[Branch], gait: np.ndarray) -> bool:
     """True where a gait (c,) lies on a branch already followed."""
     for branch in branches:
         for _, Z, _ in branch.guesses(gait[-1:]):
-            if distance(Z[:-1, 0], gait[:-1], branch.m, branch.steps) < _SAME:
+            if distance(Z[:-1, 0], gait[:-1], branch.m, branch.steps) < ON_BRANCH:
                 return True
     return False
 

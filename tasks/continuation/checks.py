@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import SCALARS, scalar
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER
 from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
@@ -28,9 +28,8 @@ _HELD_OUT, _PLACE = 8, 0.382
 _MAX_MOVE, _ROUNDING = 1e-2, 1e-7
 #: Rounds in which segments that fail are split.
 _MAX_ROUNDS = 4
-#: Ends with a test function, and its largest value at their nodes. Where steps vanish
-#: it may be of any size.
-_DEFINED, _MAX_END = {*SCALARS, "end_fall"} - {"fold", "window"}, 1e-4
+#: Largest value of an end's own condition at its node.
+_MAX_END = 1e-4
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
@@ -121,6 +120,9 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     )
     at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
-        if kind in _DEFINED and not abs(scalar(kind, at_ends)[side]) < _MAX_END:
+        condition = CONDITIONS.get(kind)
+        if condition is None or not condition.is_met_at_end:
+            continue
+        if not abs(condition.residual(at_ends)[side]) < _MAX_END:
             branch = branch.ending(side, NO_FURTHER, branch.end_errors[side])
     return branch

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.locate import (
     correct_at,
     is_step,
@@ -46,11 +46,7 @@ class BranchEnd:
 
 
 #: The ends of walking that equations define.
-_ENDS = (
-    "end_kneestrike_at_heelstrike",
-    "end_tangential_heelstrike",
-    "end_tangential_kneestrike",
-)
+_ENDS = [each for each in CONDITIONS.values() if each.kind.ends == "walking"]
 
 
 def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
@@ -62,15 +58,16 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_good = yield from correct_at(branch, segment, branch.Z[axis, good])
     at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
     ends: list[tuple[float, BranchEnd]] = []
-    for kind in _ENDS:
-        if "kneestrike" in kind and not len(at_good.at.stride.one.knee):
+    for condition in _ENDS:
+        if condition.kind.needs_knee and not len(at_good.at.stride.one.knee):
             continue
-        test = value_of(kind)
+        test = value_of(condition)
         if test(at_good) * test(at_bad) < 0:
-            end = BranchEnd(kind, (yield from locate_root(branch, segment, test)), 0.0)
+            point = yield from locate_root(branch, segment, test)
             # In the coordinate in which the segment is monotone: all others turn where
             # kneestrike is tangential.
-            ends.append((abs(float(end.point.Z[axis, 0] - branch.Z[axis, good])), end))
+            apart = abs(float(point.Z[axis, 0] - branch.Z[axis, good]))
+            ends.append((apart, BranchEnd(condition.name, point, 0.0)))
     if ends:
         end = min(ends, key=lambda end: end[0])[1]
         if (yield from _walks_up_to(branch, good, segment, end)):
@@ -117,7 +114,7 @@ def _walks_up_to(
         (branch.evaluate(segments, a + (b - a) * _SHARES), branch.between(segments)),
     )
     check = yield Call(check_steps, (points.Z,))
-    values = scalar(end.kind, points.at)
+    values = CONDITIONS[end.kind].residual(points.at)
     # Corrected points lie slightly off the polynomial; those beyond the end do not
     # count.
     before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)

@@ -2,34 +2,43 @@
 
 The smallest slope, the largest slope of a stable gait and the largest speed of one are
 reached where a branch turns or ends, where a multiplier leaves the unit circle, where
-the speed is stationary, or at the border of a window. Each of these solves defining
-equations (`tasks.continuation.defining`), by which it is located, whatever led to it.
+the speed is stationary, or at the border of a window. Each of these fulfils a condition
+(`tasks.continuation.conditions`), by which it is located, whatever led to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import (
-    SCALARS,
+from gaitsweep.tasks.continuation.conditions import (
+    CONDITIONS,
+    Condition,
     foot_radius,
+    is_located,
     log_froude,
     log_froude_by_Z,
-    scalar,
-    solve,
 )
+from gaitsweep.tasks.continuation.equations import Equations, solve
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
 from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.kinds import (
+    COSTS,
+    FASTEST_STABLE_SPEED,
+    KINDS,
+    LARGEST_STABLE_SLOPE,
+    SMALLEST_SLOPE,
+)
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
+from gaitsweep.tasks.step.sameness import NEAR_POINT, same
 from gaitsweep.tasks.walkers.statics import are_tuned
 
 #: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
@@ -45,21 +54,11 @@ _STABLE = 1 - 1e-9
 ANY_SLOPE, _VANISHING = "any slope", 1e-12
 
 
-#: Kinds of points at which a quantity has no extreme.
-_NOT_OF = {
-    "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
-    "largest_stable_slope": ("label", "fastest", "speed"),
-    "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
-}
-#: Costs are of the points that have the speed asked for: of all, and of the stable
-#: ones.
-COSTS = ("least_cost", "least_stable_cost")
-QUANTITIES = (*_NOT_OF, *COSTS)
-#: Distance up to which a located point is the one guessed, or lies on its branch's
-#: polynomials.
-_NEAR = 1e-2
-#: How far outside the window its own edges may lie, in ln slope.
-_EDGE = 1e-9
+#: Quantities of a design whose extremes are sought.
+QUANTITIES = (SMALLEST_SLOPE, LARGEST_STABLE_SLOPE, FASTEST_STABLE_SPEED, *COSTS)
+#: How far outside the window its own edges may lie, in ln slope; and the error of points
+#: that are taken as nodes.
+_EDGE, _UNSOLVED = 1e-9, 1e-9
 
 
 class Sought(NamedTuple):
@@ -79,7 +78,7 @@ class Points:
     ----------
     line : ndarray of int, shape (n,)
     kind : ndarray of str, shape (n,)
-        Of SCALARS, another end of walking, or ANY_SLOPE.
+        Of KINDS.
     Z, rows : ndarray, shape (c, n)
         Point, and derivatives of its scalar; NaN where the kind has none.
     error : ndarray, shape (n,)
@@ -139,7 +138,10 @@ def may_be(name: str, kind: np.ndarray) -> np.ndarray:
     -------
     ndarray of bool, shape (n,)
     """
-    return kind == "speed" if name in COSTS else ~np.isin(kind, _NOT_OF[name])
+    excluded = [other for other, about in KINDS.items() if name not in about.extremes]
+    if name in COSTS:
+        return kind == "speed"
+    return ~np.isin(kind, excluded)
 
 
 def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
@@ -175,11 +177,11 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     low = inside | (points.walks & (kind == ANY_SLOPE))
     stable = inside & points.stable
     every = {
-        "smallest_slope": low & (points.long | points.stable),
-        "largest_stable_slope": stable,
-        "fastest_stable_speed": stable,
-        "least_cost": inside,
-        "least_stable_cost": stable,
+        SMALLEST_SLOPE: low & (points.long | points.stable),
+        LARGEST_STABLE_SLOPE: stable,
+        FASTEST_STABLE_SPEED: stable,
+        COSTS[0]: inside,
+        COSTS[1]: stable,
     }
     return {name: which & may_be(name, kind) for name, which in every.items()}
 
@@ -198,9 +200,9 @@ def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarr
     -------
     ndarray
     """
-    if name == "fastest_stable_speed":
+    if name == FASTEST_STABLE_SPEED:
         return -log_froude
-    return -log_slope if name == "largest_stable_slope" else log_slope
+    return -log_slope if name == LARGEST_STABLE_SLOPE else log_slope
 
 
 def best(
@@ -271,39 +273,38 @@ def classify(
 
 
 class _Nodes:
-    """Nodes of all branches of several lines, one after another, and the values of
-    scalars there.
+    """Nodes of all branches of several lines, one after another, and how far each
+    condition is from being fulfilled there.
     """
 
     def __init__(
         self,
         problem: Lanes,
         surveyed: Sequence[Sequence[Branch]],
-        targets: Mapping[str, float],
+        conditions: Sequence[Condition],
     ):
         self.branches = [branch for branches in surveyed for branch in branches]
         lines = [i for i, branches in enumerate(surveyed) for _ in branches]
         lengths = [len(branch.q) for branch in self.branches]
-        self.line, self.branch = (
-            np.repeat(lines, lengths),
-            np.repeat(np.arange(len(lines)), lengths),
-        )
+        self.line = np.repeat(lines, lengths)
+        self.branch = np.repeat(np.arange(len(lines)), lengths)
         self.first = np.cumsum([0, *lengths])[:-1]
         self.Z = np.hstack([branch.Z for branch in self.branches])
-        self.values = {"label": self.of_nodes("ratio") - LONG_BELOW}
         self.walks = self.of_nodes("leg_passes") == 1
-        radius, kinds = (
-            np.full(len(self.line), np.nan),
-            ("flip", "neimark_sacker", "fastest", *targets),
-        )
-        self.values |= {kind: np.full(len(self.line), np.nan) for kind in kinds}
-        for k in range(0, len(self.line), _BLOCK):
-            part = slice(k, k + _BLOCK)
+
+        n = len(self.line)
+        radius = np.full(n, np.nan)
+        self.values = {condition.name: np.full(n, np.nan) for condition in conditions}
+        for begin in range(0, n, _BLOCK):
+            part = slice(begin, begin + _BLOCK)
             at = evaluate(problem.some(self.line[part]), self.Z[:, part])
-            radius[part] = np.abs(multipliers(at.stride.jacobian, problem.m)[:, 0])
-            for kind in kinds:
-                self.values[kind][part] = scalar(kind, at, targets.get(kind, 0.0))
+            largest = multipliers(at.stride.jacobian, problem.m)[:, 0]
+            radius[part] = np.abs(largest)
+            for condition in conditions:
+                self.values[condition.name][part] = condition.residual(at)
         self.stable = (radius < 1) & self.walks
+        # Branches have their ratios measured.
+        self.values["label"] = self.of_nodes("ratio") - LONG_BELOW
 
     def of_nodes(self, name: str) -> np.ndarray:
         """An attribute of the branches at their nodes."""
@@ -320,6 +321,24 @@ class _Nodes:
                 node[which] - self.first[b] + share[which]
             )
         return Z
+
+    def inner(self, node: np.ndarray) -> np.ndarray:
+        """Neighbours (n,) of nodes, along the branch or, from its last, back."""
+        has_next = np.append(self.branch, -1)[node + 1] == self.branch[node]
+        return np.where(has_next, node + 1, node - 1)
+
+
+@dataclass
+class _Guesses:
+    """Guesses of points of one kind: the nodes before them (n,), and Z (c, n).
+
+    `condition` is what they fulfil; None where only the node itself is known.
+    """
+
+    kind: str
+    condition: Condition | None
+    node: np.ndarray
+    Z: np.ndarray
 
 
 def find(
@@ -340,98 +359,120 @@ def find(
     if not any(surveyed):
         return nothing(problem)
     window, log_speed = sought
-    targets = {} if log_speed is None else {"speed": log_speed}
-    nodes = _Nodes(problem, surveyed, targets)
-    guesses = [
-        _crossings(problem, nodes, kind, targets.get(kind, 0.0))
-        for kind in nodes.values
-    ]
+    conditions = [CONDITIONS[kind] for kind in ("flip", "neimark_sacker", "fastest")]
+    if log_speed is not None:
+        conditions.append(CONDITIONS["speed"].equal_to(log_speed))
+
+    nodes = _Nodes(problem, surveyed, conditions)
+    passed = [CONDITIONS["label"], *conditions]
+    guesses = [_crossings(problem, nodes, condition) for condition in passed]
     guesses += [_at_edge(nodes, edge) for edge in window]
     guesses += _turns_and_ends(nodes, are_tuned(problem.every_walker), window[0])
-    parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
+
+    parts = [_located(problem, nodes, each) for each in guesses if len(each.node)]
     points: Points = join_lanes(parts)
     return points
 
 
-def _crossings(
-    problem: Lanes, nodes: _Nodes, kind: str, target: float
-) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """Kind, nodes before, guesses (c, n) and targets of the points where a scalar
-    changes its sign on a segment.
-    """
-    values = nodes.values[kind]
-    a, b = values[:-1], values[1:]
+def _crossings(problem: Lanes, nodes: _Nodes, condition: Condition) -> _Guesses:
+    """Where a condition's scalar passes its target on segments of the branches."""
+    node = _changing(nodes, condition)
+    inner_shares = np.linspace(0, 1, _PARTS + 1)[1:-1]
+    every = np.repeat(node, _PARTS - 1)
+    lines = nodes.line[every]
+    Z = nodes.evaluate(every, np.tile(inner_shares, len(node)))
+    between = np.zeros(len(every))
+    for begin in range(0, len(every), _BLOCK):
+        part = slice(begin, begin + _BLOCK)
+        at = evaluate(problem.some(lines[part]), Z[:, part])
+        between[part] = condition.residual(at)
+
+    at_nodes = nodes.values[condition.name]
+    values = np.column_stack(
+        [at_nodes[node], between.reshape(len(node), _PARTS - 1), at_nodes[node + 1]]
+    )
+    row, share = _roots(values)
+    return _Guesses(
+        condition.name, condition, node[row], nodes.evaluate(node[row], share)
+    )
+
+
+def _changing(nodes: _Nodes, condition: Condition) -> np.ndarray:
+    """Nodes before the segments on which a condition's scalar may pass its target."""
+    values = nodes.values[condition.name]
+    signs, finite = np.sign(values), np.isfinite(values)
     joined = nodes.branch[1:] == nodes.branch[:-1]
-    changes = (np.sign(a) != np.sign(b)) & np.isfinite(a) & np.isfinite(b) & joined
-    if kind in ("flip", "neimark_sacker", "fastest"):
+    changes = joined & (signs[1:] != signs[:-1])
+    changes &= finite[1:] & finite[:-1]
+    if condition.kind.is_of_stable_gaits:
         changes &= nodes.stable[1:] | nodes.stable[:-1]
-    if kind in ("flip", "neimark_sacker"):
+
+    if condition.kind.exchanges_stability:
         # Between nodes it may change twice: beside one where it comes near zero.
-        least = (
-            (np.abs(a[:-1]) >= np.abs(b[:-1]))
-            & (np.abs(b[:-1]) <= np.abs(b[1:]))
-            & joined[:-1]
-            & joined[1:]
-        )
-        least &= np.abs(b[:-1]) < _NEAR_ZERO
+        size = np.abs(values)
+        inner = size[1:-1]
+        least = (size[:-2] >= inner) & (inner <= size[2:])
+        least &= joined[:-1] & joined[1:]
+        least &= inner < _NEAR_ZERO
         changes[:-1] |= least
         changes[1:] |= least
-    node = np.flatnonzero(changes)
-    n, shares = len(node), np.linspace(0, 1, _PARTS + 1)
-    every, share = np.repeat(node, _PARTS - 1), np.tile(shares[1:-1], n)
-    lines, Z = nodes.line[every], nodes.evaluate(every, share)
-    between = np.zeros(0)
-    for k in range(0, len(every), _BLOCK):
-        part = slice(k, k + _BLOCK)
-        at = evaluate(problem.some(lines[part]), Z[:, part])
-        between = np.append(between, scalar(kind, at, target))
-    g = np.column_stack([a[node], between.reshape(n, _PARTS - 1), b[node]])
-    i, share = _roots(g)
-    node = node[i]
-    return kind, node, nodes.evaluate(node, share), np.full(len(node), target)
+    return np.flatnonzero(changes)
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and places, as shares of a row, of the roots of functions that have values g
+def _roots(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and places, as shares of a row, of the roots of functions that have values
     (n, p) at equal distances.
 
     Between values of one sign two roots are those of the parabola through three of
     them.
     """
-    i, j = np.nonzero(g[:, :-1] * g[:, 1:] <= 0)
-    share = j + np.nan_to_num(g[i, j] / (g[i, j] - g[i, j + 1]))
-    a, b, c = g[:, :-2], g[:, 1:-1], g[:, 2:]
-    slope, bend = 0.5 * (c - a), 0.5 * (a + c) - b
+    row, left = np.nonzero(values[:, :-1] * values[:, 1:] <= 0)
+    at_left = values[row, left]
+    at_right = values[row, left + 1]
+    crossed = left + np.nan_to_num(at_left / (at_left - at_right))
+
+    also, before, after = _parabolas(values)
+    rows = np.concatenate([row, also, also])
+    places = np.concatenate([crossed, before, after])
+    return rows, places / (values.shape[1] - 1)
+
+
+def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of functions (n, p), and the two roots of parabolas through three of their
+    values of one sign, as places.
+    """
+    a = values[:, :-2]
+    b = values[:, 1:-1]
+    c = values[:, 2:]
+    slope = 0.5 * (c - a)
+    bend = 0.5 * (a + c) - b
     root = np.sqrt(slope**2 - 4 * bend * b)
-    least = (
-        (a * b > 0)
-        & (b * c > 0)
-        & np.isfinite(root)
-        & (np.abs(slope) + root <= np.abs(2 * bend))
-        & (bend != 0)
-    )
-    k, l = np.nonzero(least)
-    pair = [l + 1 + (-slope + sign * root)[k, l] / (2 * bend[k, l]) for sign in (-1, 1)]
-    return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)
+
+    is_between = np.abs(slope) + root <= np.abs(2 * bend)
+    is_one_sign = (a * b > 0) & (b * c > 0)
+    touches = is_one_sign & np.isfinite(root) & is_between & (bend != 0)
+    row, middle = np.nonzero(touches)
+    before = ((-root - slope) / (2 * bend))[touches]
+    after = ((root - slope) / (2 * bend))[touches]
+    return row, middle + 1 + before, middle + 1 + after
 
 
-def _at_edge(
-    nodes: _Nodes, edge: float
-) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
-    """The points at which branches cross the edge of the window."""
-    node, Z = [np.zeros(0, int)], [np.zeros((len(nodes.Z), 0))]
+def _at_edge(nodes: _Nodes, edge: float) -> _Guesses:
+    """Where branches cross the edge of the window."""
+    node = [np.zeros(0, int)]
+    Z = [np.zeros((len(nodes.Z), 0))]
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         for _, crossing, segment in branch.guesses(np.array([edge])):
             node.append(first + segment)
             Z.append(crossing)
-    every = np.concatenate(node)
-    return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
+    condition = CONDITIONS["window"].equal_to(edge)
+    return _Guesses(
+        condition.name, condition, np.concatenate(node), np.concatenate(Z, axis=1)
+    )
 
 
-def _turns_and_ends(
-    nodes: _Nodes, tuned: np.ndarray, low: float
-) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+def _turns_and_ends(nodes: _Nodes, tuned: np.ndarray, low: float) -> list[_Guesses]:
     """The folds and the ends of the branches, which are nodes.
 
     `tuned` says of each line whether its walker is; `low` is the least ln slope of the
@@ -443,71 +484,59 @@ def _turns_and_ends(
             vanishes = kind != "fold" and branch.q[node] <= np.log(_VANISHING)
             is_any = vanishes and tuned[nodes.line[first]] and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
+    by_kind.pop("window", None)
     return [
-        (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))
-        for kind, numbers in sorted(by_kind.items())
-        if kind != "window"
-    ]
-
-
-def _located(
-    problem: Lanes,
-    nodes: _Nodes,
-    kind: str,
-    node: np.ndarray,
-    guess: np.ndarray,
-    target: np.ndarray,
-) -> Points:
-    """Solve the defining equations of points of one kind, or take them as nodes where
-    they have none.
-    """
-    line = nodes.line[node]
-    own = problem.some(line)
-    is_end = kind not in SCALARS or kind.startswith("end_")
-    # An end is itself a node; its neighbour shows whether its gaits are steps.
-    inner = np.where(
-        np.append(nodes.branch, -1)[node + 1] == nodes.branch[node], node + 1, node - 1
-    )
-    walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
-    if kind in SCALARS:
-        solved = solve(own, kind, guess, target)
-        # Where a scalar is far from linear, Newton's steps are long: they may lead
-        # along the branch, but not off it.
-        far = solved.ok & (np.abs(solved.Z - guess).max(axis=0) > _NEAR)
-        off = [
-            i
-            for i in np.flatnonzero(far)
-            if not _lies_on(nodes.branches[nodes.branch[node[i]]], solved.Z[:, i])
-        ]
-        solved.ok[off], solved.Z[:, off] = False, guess[:, off]
-        at = evaluate(own, solved.Z)
-        return classify(
+        _Guesses(
             kind,
-            at,
-            line,
-            solved.Z,
-            solved.rows,
-            solved.error,
-            walks & (is_end | solved.ok),
+            CONDITIONS[kind] if is_located(kind) else None,
+            np.array(numbers, int),
+            nodes.Z[:, numbers],
         )
-    at, branch = evaluate(own, guess), nodes.branch[node]
-    located = [
-        nodes.branches[b].end_errors[int(n > nodes.first[b])]
-        for b, n in zip(branch, node, strict=True)
+        for kind, numbers in sorted(by_kind.items())
     ]
-    return classify(
-        kind,
-        at,
-        line,
-        guess,
-        np.full_like(guess, np.nan),
-        1e-9 + np.array(located),
-        walks,
-    )
+
+
+def _located(problem: Lanes, nodes: _Nodes, guesses: _Guesses) -> Points:
+    """Solve for points of one kind, or take them as nodes where no condition defines
+    them.
+    """
+    node = guesses.node
+    line, inner = nodes.line[node], nodes.inner(node)
+    of_lines = problem.some(line)
+    # An end is itself a node; its neighbour shows whether its gaits are steps.
+    is_end = guesses.condition is None or guesses.condition.walking != 0
+    walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
+
+    if guesses.condition is None:
+        at = evaluate(of_lines, guesses.Z)
+        no_rows = np.full_like(guesses.Z, np.nan)
+        error = _UNSOLVED + _end_errors(nodes, node)
+        return classify(guesses.kind, at, line, guesses.Z, no_rows, error, walks)
+
+    solved = solve(Equations(of_lines, [guesses.condition]), guesses.Z)
+    # Where a scalar is far from linear, Newton's steps are long: they may lead along
+    # the branch, but not off it.
+    is_far = solved.ok & ~same(solved.Z, guesses.Z, NEAR_POINT)
+    for lane in np.flatnonzero(is_far).tolist():
+        branch = nodes.branches[nodes.branch[node[lane]]]
+        if not _lies_on(branch, solved.Z[:, lane]):
+            solved.ok[lane] = False
+            solved.Z[:, lane] = guesses.Z[:, lane]
+    at = evaluate(of_lines, solved.Z)
+    walks = walks & (is_end | solved.ok)
+    return classify(guesses.kind, at, line, solved.Z, solved.rows, solved.error, walks)
+
+
+def _end_errors(nodes: _Nodes, node: np.ndarray) -> np.ndarray:
+    """Errors of ln slope at nodes that are ends of branches, shape (n,)."""
+    errors = []
+    for b, number in zip(nodes.branch[node], node, strict=True):
+        side = int(number > nodes.first[b])
+        errors.append(nodes.branches[b].end_errors[side])
+    return np.array(errors)
 
 
 def _lies_on(branch: Branch, Z: np.ndarray) -> bool:
     """Whether a point (c,) lies on a branch."""
-    return any(
-        np.abs(on[:, 0] - Z).max() < _NEAR for _, on, _ in branch.guesses(Z[-1:])
-    )
+    on_pieces = [on[:, 0] for _, on, _ in branch.guesses(Z[-1:])]
+    return any(same(on, Z, NEAR_POINT) for on in on_pieces)

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import slope_error
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.continuation.tracking import HALVED, correct
@@ -23,6 +24,12 @@ from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
 #: Newton steps to the first gait beside a flip, where the derivative is nearly
 #: singular.
 _MAX_ITERATIONS = 15
+#: First distance from the flip over the root of the branch's length, how often it is
+#: changed, and the first step over it.
+_FIRST_DISTANCE, _MAX_DISTANCES, _FIRST_STEP = 0.01, 6, 0.3
+#: Shares of that length, in ln slope, between which the first gait may lie, and that
+#: which is wanted.
+_NEAREST, _FARTHEST, _WANTED = 0.02, 0.3, 0.1
 #: Farthest that a branch may end from the flip at which it begins, in similarity
 #: coordinates.
 _NEAR = 0.05
@@ -54,37 +61,53 @@ def doubled(
     -----
     The first point is solved for at fixed a, where the branch of fewer steps has no point.
     """
-    steps = flip.problem.steps
-    twice, q = flip.problem.of_steps(2 * steps), float(flip.q[0])
-    base = _twice(flip)
-    values, vectors = np.linalg.eig(flip.stride.jacobian[..., 0])
-    v = np.real(vectors[:, [np.argmin(np.abs(values + 1))]])
-    each, half = flip.stride.singles, []
-    for i in range(steps):
-        half.append(v)
-        v = matvec(each.jacobian[:, :, [i]], v)
-    change = np.concatenate([*half, *(-part for part in half)]) / flip.stride.y[0]
-    direction = np.zeros(len(base) + 1)
-    direction[: twice.m] = similarity(_relative(base[:, 0], twice.m), change)[:, 0]
-    direction /= np.linalg.norm(direction)
-    Z = np.append(base[:, 0], q)
-    a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Point]]()
-    for _ in range(6):
-        first = correct(
-            twice, (Z + a * direction)[:, None], direction[:, None], _MAX_ITERATIONS
-        )
-        if first.ok[0] and first.at.q[0] != q:
-            farther.append((a, first))
-            distance = abs(float(first.at.q[0]) - q)
-            if 0.02 * abs(expected) < distance < 0.3 * abs(expected):
+    problem = flip.problem.of_steps(2 * flip.problem.steps)
+    Z = np.append(_twice(flip)[:, 0], flip.q[0])
+    direction = _along_doubled(flip, Z)
+    expected = abs(expected)
+
+    distance = np.sqrt(expected) * _FIRST_DISTANCE
+    found: list[tuple[float, Point]] = []
+    for _ in range(_MAX_DISTANCES):
+        guess = (Z + distance * direction)[:, None]
+        point = correct(problem, guess, direction[:, None], _MAX_ITERATIONS)
+        apart = abs(float(point.at.q[0] - flip.q[0]))
+        if point.ok[0] and apart:
+            found.append((distance, point))
+            if _NEAREST * expected < apart < _FARTHEST * expected:
                 break
-            a *= np.sqrt(0.1 * abs(expected) / distance)
-        else:  # Newton's steps are rounding this near the flip: between here and the last point
-            a *= np.sqrt(farther[-1][0] / a) if farther and farther[-1][0] > a else 0.3
-    if not farther:
+            distance *= np.sqrt(_WANTED * expected / apart)
+        elif found and found[-1][0] > distance:
+            # Newton's steps are rounding this near the flip: between here and the last
+            # point.
+            distance *= np.sqrt(found[-1][0] / distance)
+        else:
+            distance *= _FARTHEST
+    if not found:
         return None
-    a, first = farther[-1]
-    return first, direction, 0.3 * a
+    distance, point = found[-1]
+    return point, direction, _FIRST_STEP * distance
+
+
+def _along_doubled(flip: Evaluation, Z: np.ndarray) -> np.ndarray:
+    """Unit direction (c,) of the branch of twice as many steps at a flip, there Z (c,):
+    the eigenvector of -1, carried through the steps, with both signs.
+    """
+    values, vectors = np.linalg.eig(flip.stride.jacobian[..., 0])
+    critical = np.argmin(np.abs(values + 1))
+    v = np.real(vectors[:, [critical]])
+
+    steps, half = flip.stride.singles, []
+    for i in range(flip.problem.steps):
+        half.append(v)
+        v = matvec(steps.jacobian[:, :, [i]], v)
+    other_half = [-part for part in half]
+    change = np.concatenate([*half, *other_half]) / flip.stride.y[0]
+
+    m = len(change)
+    direction = np.zeros(len(Z))
+    direction[:m] = similarity(_relative(Z, m), change)[:, 0]
+    return direction / np.linalg.norm(direction)
 
 
 def _relative(w: np.ndarray, m: int) -> np.ndarray:
@@ -97,8 +120,11 @@ def _twice(flip: Evaluation) -> np.ndarray:
     coordinates (2 (m + k), steps).
     """
     m, steps = flip.m, flip.problem.steps
-    y, durations = (np.tile(each, (2, 1, 1)) for each in sections(flip.w, m, steps))
-    w = np.repeat(joined(flip.w[:1], y, durations), steps, axis=1)
+    y, durations = sections(flip.w, m, steps)
+    y = np.tile(y, (2, 1, 1))
+    durations = np.tile(durations, (2, 1, 1))
+    w = joined(flip.w[:1], y, durations)
+    w = np.repeat(w, steps, axis=1)
     return begun_at(w, 2 * m, 2 * steps, np.arange(steps))
 
 
@@ -112,46 +138,61 @@ def begun_at_flips(branch: Branch, flips: Sequence[Evaluation]) -> Branch:
     flips : sequence of Evaluation
         Of gaits of half as many steps.
     """
-    if HALVED not in branch.why:
-        return branch
-    m, steps = branch.m, branch.steps
     for side in (0, 1):
-        if branch.why[side] != HALVED:
-            continue
-        w = branch.Z[:-1, -side]
-        near = [(np.abs(_twice(flip) - w[:, None]).max(axis=0), flip) for flip in flips]
-        apart, flip = min(
-            near,
-            key=lambda each: float(each[0].min()),
-            default=(np.array([np.inf]), None),
-        )
-        if flip is None or apart.min() > _NEAR:
-            branch = branch.ending(side, NO_FURTHER)
-            continue
-        at = _twice(flip)[:, int(apart.argmin())]
-        # The halves leave the flip to opposite sides; all else changes by the square of
-        # the distance.
-        y, durations = (
-            part - np.roll(part, steps // 2, axis=0)
-            for part in sections(w[:, None], m, steps)
-        )
-        along = np.concatenate(
-            [
-                similarity(_relative(at, m), y.reshape(m, 1))[:, 0],
-                np.cumsum(durations),
-                [0.0],
-            ]
-        )
-        Z = np.append(at, flip.q[0])
-        apart = np.abs(branch.Z - Z[:, None]).max(axis=0)
-        clear = np.flatnonzero(apart > min(_CLEAR, _CLEAR_SHARE * apart.max()))
-        kept = np.arange(*((clear[0], len(apart)) if side == 0 else (0, clear[-1] + 1)))
-        branch, node = branch.part(kept), branch.Z[:, kept[-side]]
-        along *= (
-            (1 - 2 * side) * np.sign(total((node - Z) * along)) / np.linalg.norm(along)
-        )
-        branch = branch.insert(side * len(branch.q), Z, along)
-        branch = branch.ending(
-            side, "branch_point", slope_error(flip.problem, "flip", flip.Z[:, 0])
-        )
+        if branch.why[side] == HALVED:
+            branch = _begun_at_a_flip(branch, side, flips)
     return branch
+
+
+def _begun_at_a_flip(branch: Branch, side: int, flips: Sequence[Evaluation]) -> Branch:
+    """Branch with the nearest of the flips as its end on one side, if one is near."""
+    last = branch.Z[:-1, [-side]]
+    found, nearest = None, np.inf
+    for flip in flips:
+        twice = _twice(flip)
+        apart = np.abs(twice - last).max(axis=0)
+        if apart.min() < nearest:
+            nearest = apart.min()
+            found = flip, twice[:, apart.argmin()]
+    if found is None or nearest > _NEAR:
+        return branch.ending(side, NO_FURTHER)
+
+    flip, w = found
+    Z = np.append(w, flip.q[0])
+    branch = branch.part(_nodes_clear_of(branch, Z, side))
+    along = _away_from_flip(branch, w, last)
+    to_node = branch.Z[:, -side] - Z
+    forward = (1 - 2 * side) * np.sign(total(to_node * along))
+    branch = branch.insert(side * len(branch.q), Z, forward * along)
+    error = slope_error(flip.problem, CONDITIONS["flip"], flip.Z[:, 0])
+    return branch.ending(side, "branch_point", error)
+
+
+def _away_from_flip(branch: Branch, flip: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Unit direction (c,) in which the branch leaves a flip (m + k,), by a gait (m + k,
+    1) near it.
+
+    The halves leave it to opposite sides; all else changes by the square of the
+    distance.
+    """
+    m, half = branch.m, branch.steps // 2
+    y, durations = sections(w, m, branch.steps)
+    y = y - np.roll(y, half, axis=0)
+    durations = durations - np.roll(durations, half, axis=0)
+
+    change = similarity(_relative(flip, m), y.reshape(m, 1))[:, 0]
+    times = np.cumsum(durations)
+    along = np.concatenate([change, times, [0.0]])
+    return along / np.linalg.norm(along)
+
+
+def _nodes_clear_of(branch: Branch, Z: np.ndarray, side: int) -> np.ndarray:
+    """Nodes (k,) from the first that is not known worse than a flip Z (c,) on one side
+    of the branch.
+    """
+    apart = np.abs(branch.Z - Z[:, None]).max(axis=0)
+    enough = min(_CLEAR, _CLEAR_SHARE * apart.max())
+    clear = np.flatnonzero(apart > enough)
+    if side == 0:
+        return np.arange(clear[0], len(apart))
+    return np.arange(clear[-1] + 1)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar
+from gaitsweep.tasks.continuation.conditions import Condition
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure, run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
@@ -47,9 +47,9 @@ _LEAST_SHARE, _LEAST_APART = 0.5, 1e-10
 _SHARP = 1e-13
 
 
-def value_of(kind: str) -> Callable[[Point], float]:
-    """Return the scalar of a kind of special point as a test function."""
-    return lambda point: float(scalar(kind, point.at)[0])
+def value_of(condition: Condition) -> Callable[[Point], float]:
+    """Return how far a condition is from being fulfilled, as a test function."""
+    return lambda point: float(condition.residual(point.at)[0])
 
 
 def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:

@@ -1,5 +1,5 @@
-"""Special points of a branch: where a scalar of `defining` vanishes along it, evaluated
-at corrected points.
+"""Special points of a branch: where a condition is fulfilled along it, evaluated at
+corrected points.
 
 Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike
 meets kneestrike, heelstrike turns tangential or an earlier strike occurs; and the
@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import LOST, Branch
-from gaitsweep.tasks.continuation.defining import SCALARS, scalar, slope_error
+from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
+from gaitsweep.tasks.continuation.equations import slope_error
 from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.locate import TestFunction, locate_root, value_of
 from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.tracking import branch_point_determinant, correct
 from gaitsweep.tasks.fixed_points.rounding import rounding
+from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
 
@@ -47,8 +49,11 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         number between those of its neighbours.
     """
     nodes = corrected(problem, branch)
-    kinds = ["flip", "neimark_sacker", "branch_point"]
-    kinds += ["release_hyperextension"] if problem.walker.knees else []
+    kinds = [
+        name
+        for name, kind in KINDS.items()
+        if kind.is_passed and (problem.walker.knees or not kind.needs_knee)
+    ]
     found = [
         (float(node), kind, nodes, node, error)
         for kind, node, error in turns_and_ends(branch)
@@ -119,37 +124,45 @@ def crossings(
     nodes : Point
         Its nodes.
     kinds : sequence of str
-        Of SCALARS, and `branch_point`.
+        Of CONDITIONS, and `branch_point`.
     """
-    tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        kind: (scalar(kind, nodes.at), value_of(kind))
-        for kind in kinds
-        if kind in SCALARS
-    }
-    if "branch_point" in kinds:
-        tests["branch_point"] = (
-            branch_point_determinant(nodes, nodes.direction),
-            lambda point: float(branch_point_determinant(point, point.direction)[0]),
-        )
     crossed: list[tuple[str, int, Procedure[Point]]] = []
-    for kind, (values, test) in tests.items():
-        crosses = np.sign(values[1:]) != np.sign(values[:-1])
-        for segment, end in zip((0, -1), branch.why, strict=True):
-            crosses[segment] &= (
-                end != kind
-            )  # nodes beside an end may lie on either side of it by rounding
-        crossed += [
-            (kind, int(i), locate_root(branch, int(i), test))
-            for i in np.nonzero(
-                crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1])
-            )[0]
-        ]
-    located = side_by_side(
-        problem, [0] * len(crossed), [procedure for *_, procedure in crossed]
-    )
+    for kind in kinds:
+        values, test = _tested(kind, nodes)
+        for segment in _changes_of_sign(values, kind, branch.why):
+            crossed.append((kind, segment, locate_root(branch, segment, test)))
+
+    procedures = [procedure for *_, procedure in crossed]
+    located = side_by_side(problem, [0] * len(crossed), procedures)
     for (kind, segment, _), point in zip(crossed, located, strict=True):
         if point.ok[0] and _is_genuine(kind, point):
             yield kind, segment, point
+
+
+def _tested(kind: str, nodes: Point) -> tuple[np.ndarray, TestFunction]:
+    """What changes its sign at points of a kind: its values at nodes, shape (n,), and
+    the function.
+    """
+    if kind in CONDITIONS:
+        condition = CONDITIONS[kind]
+        return condition.residual(nodes.at), value_of(condition)
+
+    def at_point(point: Point) -> float:
+        return float(branch_point_determinant(point, point.direction)[0])
+
+    return branch_point_determinant(nodes, nodes.direction), at_point
+
+
+def _changes_of_sign(values: np.ndarray, kind: str, ends: tuple[str, str]) -> list[int]:
+    """Segments over which values at nodes change their sign."""
+    signs, finite = np.sign(values), np.isfinite(values)
+    changes = signs[1:] != signs[:-1]
+    changes &= finite[1:]
+    changes &= finite[:-1]
+    # Nodes beside an end may lie on either side of it by rounding.
+    for segment, end in zip((0, -1), ends, strict=True):
+        changes[segment] &= end != kind
+    return np.flatnonzero(changes).tolist()
 
 
 def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
@@ -163,38 +176,47 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
     Z, tangent = branch.Z[:, order], branch.tangent[:, order]
+    rates = np.abs(Z[1 : branch.m, 0])
+    share = 1 / np.abs(Z[1 + int(rates.argmax())])
+    slope = np.exp(Z[-1])
+
+    value = float(slope[0])
     left = abs(float(tangent[-1, 0] / tangent[0, 0]))
-    values = np.exp(Z[-1, :1])
-    shares = 1 / np.abs(Z[1 + int(np.abs(Z[1 : branch.m, 0]).argmax())])
-    beyond = shares > _EXTRAPOLATION_SPAN * shares[0]
-    count = int(beyond.argmax()) if beyond.any() else len(shares)
+    beyond = share > _EXTRAPOLATION_SPAN * share[0]
+    count = int(beyond.argmax()) if beyond.any() else len(share)
     if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
-        wanted = np.cos(
-            np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1)
-        )
-        wanted = shares[0] + (shares[count - 1] - shares[0]) * (0.5 - 0.5 * wanted)
-        at = np.unique(np.abs(shares[:count, None] - wanted).argmin(axis=0))
-        x, row = shares[at], np.exp(Z[-1, at])
-        for k in range(1, len(x)):
-            row = (x[k:] * row[:-1] - x[:-k] * row[1:]) / (x[k:] - x[:-k])
-            values = np.append(values, row[0])
+        values = _extrapolated(share[:count], slope[:count])
+        value = float(values[-1])
         # Rounding, which extrapolation enlarges, may be alike in the last three: they
         # were up to 3.6 times as far off.
-        left = 4 * float(np.ptp(values[-3:]) / values[-1])
-    return {"slope": float(values[-1]), "error_bound": 4 * left + 8 * EPS}
+        left = 4 * float(np.ptp(values[-3:]) / value)
+    return {"slope": value, "error_bound": 4 * left + 8 * EPS}
+
+
+def _extrapolated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values at zero of polynomials of rising degree through points (n,), by Neville's
+    scheme over Chebyshev's points, the first value of y before them.
+    """
+    angles = np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1)
+    wanted = x[0] + (x[-1] - x[0]) * (0.5 - 0.5 * np.cos(angles))
+    nearest = np.unique(np.abs(x[:, None] - wanted).argmin(axis=0))
+
+    values, x, row = [y[0]], x[nearest], y[nearest]
+    for k in range(1, len(x)):
+        weighted = x[k:] * row[:-1] - x[:-k] * row[1:]
+        row = weighted / (x[k:] - x[:-k])
+        values.append(row[0])
+    return np.array(values)
 
 
 def _is_genuine(kind: str, point: Point) -> bool:
     """Whether a sign change of the test function is a special point of its kind."""
     if not np.isfinite(point.at.jacobians).all():
         return False
-    values = np.linalg.eigvals(point.at.jacobians[0])
-    if kind == "flip":
-        return bool(np.abs(values + 1).min() < 1e-6)
-    if kind == "neimark_sacker":
-        pair = values[np.abs(np.abs(values) - 1) < 1e-6]
-        return len(pair) == 2 and bool(np.abs(pair.imag).min() > 1e-6)
-    return True
+    condition = CONDITIONS.get(kind)
+    if condition is None or condition.is_genuine is None:
+        return True
+    return condition.is_genuine(np.linalg.eigvals(point.at.jacobians[0]))
 
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:
@@ -226,11 +248,11 @@ def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
 
 def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
-    error = known
+    error, problem, Z = known, point.at.problem, point.Z[:, lane]
     if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
-        error += slope_error(point.at.problem, "foot_at_kneestrike", point.Z[:, lane])
-    elif kind in SCALARS and kind != "window":
-        error += slope_error(point.at.problem, kind, point.Z[:, lane])
+        error += slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
+    elif is_located(kind) and kind != "window":
+        error += slope_error(problem, CONDITIONS[kind], Z)
     elif not (
         kind == "branch_point" and known
     ):  # that of a flip at which the branch begins is known

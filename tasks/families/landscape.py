@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.defining import SCALARS, foot_radius, log_froude
+from gaitsweep.tasks.continuation.conditions import (
+    foot_radius,
+    is_located,
+    log_froude,
+)
 from gaitsweep.tasks.continuation.extremes import (
     ANY_SLOPE,
     COSTS,
@@ -33,6 +37,7 @@ from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.manifold import Manifold
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.families.tuning import Tuning
+from gaitsweep.tasks.kinds import RIVALS
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 
@@ -45,10 +50,9 @@ _DRAWN = 2
 _NEAR_NODE = 0.02
 #: Predictions that differ by less are both solved.
 _TIE = 1e-3
-#: Kinds of points that get a manifold, if one can be made, already where their value
-#: comes this near the best of a line: points of other kinds become the best only where
-#: another point changes its flags.
-_RIVALS = ("fold", "flip")
+#: Rivals get a manifold, if one can be made, already where their value comes this near
+#: the best of a line: points of other kinds become the best only where another point
+#: changes its flags.
 _RIVAL = {
     "smallest_slope": 0.05,
     "largest_stable_slope": 0.1,
@@ -339,11 +343,10 @@ class _Surveyor:
                         for j in np.flatnonzero(own.line == i)
                     ]
                     if any(on) or (
-                        rivals
-                        and (kind not in _RIVALS or (kind, i, name) in self.tried)
+                        rivals and (kind not in RIVALS or (kind, i, name) in self.tried)
                     ):
                         continue
-                    if kind not in SCALARS:
+                    if not is_located(kind):
                         raise Refused(f"a branch ends at {kind}", self.roughest())
                     self.tried.add((kind, i, name))
                     edges = np.array(self.window)

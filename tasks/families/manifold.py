@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import (
+from gaitsweep.tasks.continuation.conditions import (
+    CONDITIONS,
+    Condition,
     foot_radius,
     log_froude_by_Z,
-    newton_step,
 )
+from gaitsweep.tasks.continuation.equations import Equations, newton_step
 from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
@@ -154,7 +156,7 @@ class Manifold:
     ----------
     kind : str
     target : float
-        As `tasks.continuation.defining.scalar` has it.
+        The value that the scalar of the kind's condition has.
     region : Region
     chart : Chart
         Of Z and of the derivatives of the kind's scalar (2 c values); its error is the
@@ -169,6 +171,11 @@ class Manifold:
     chart: Chart
     linear: float
     quadratic: float
+
+    @property
+    def condition(self) -> Condition:
+        """What its points fulfil."""
+        return CONDITIONS[self.kind].equal_to(self.target)
 
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
@@ -202,25 +209,16 @@ class Manifold:
             Whether they are as near their predictions as they should be.
         """
         Z, rows = self.predict(unit)
-        step = newton_step(
-            problem,
-            self.kind,
-            Z,
-            rows,
-            self.target,
-            0 if _is_end(self.kind) else SAMPLES,
-        )
+        condition = self.condition
+        equations = Equations(problem, [condition])
+        step = newton_step(equations, Z, rows, 0 if condition.walking else SAMPLES)
         near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
-        walks = _walks(problem, self.kind, step, near)
+        walks = _walks(problem, condition, step, near)
         error = self._error(step.last_step) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))
         if len(again):
             further = newton_step(
-                problem.some(again),
-                self.kind,
-                step.Z[:, again],
-                rows[:, again],
-                self.target,
+                equations.some(again), step.Z[:, again], rows[:, again]
             )
             step.Z[:, again] = further.Z
             error[again] = self._error(further.last_step) + further.rounding
@@ -239,11 +237,9 @@ class Manifold:
         return np.asarray(_SAFETY * (self.linear * size + self.quadratic * size**2))
 
 
-def _is_end(kind: str) -> bool:
-    return kind.startswith("end_")
-
-
-def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarray:
+def _walks(
+    problem: Lanes, condition: Condition, step: Point, near: np.ndarray
+) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits
     just before it.
     """
@@ -251,10 +247,9 @@ def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarr
     if not len(lanes):
         return walks
     Z, stride = step.at.Z[:, lanes], None
-    if _is_end(kind):
-        # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
-        side = 1 if "kneestrike_at" in kind else -1
-        Z = step.Z[:, lanes] + side * _INSIDE * step.direction[:, lanes]
+    if condition.walking:
+        # Just before the end, where gaits are steps.
+        Z = step.Z[:, lanes] + condition.walking * _INSIDE * step.direction[:, lanes]
     else:
         stride = lanes_of(step.at.stride, lanes)
     _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)

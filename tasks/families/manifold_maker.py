@@ -10,9 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import (
-    defining_system,
-    gradient,
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import (
+    Equations,
+    meeting,
     newton_step,
     solve,
 )
@@ -155,7 +156,8 @@ class Maker:
         Refused
             If they are not smooth enough, or do not extend over the box.
         """
-        rows = gradient(self.problem(unit), kind, Z)
+        condition = CONDITIONS[kind]
+        rows = Equations(self.problem(unit)).gradient(condition, Z)
         between = Chart.of_corners(unit, np.vstack([Z, rows]))
         return _Extension(self, kind, 0.0, unit[0], Z[:, 0]).ends(total, between)
 
@@ -185,6 +187,13 @@ class _Extension:
             maker,
         )
         self.kind, self.target, self.unit, self.Z = kind, target, unit, Z
+        self.condition = CONDITIONS[kind].equal_to(target)
+
+    def equations(self, problem: Lanes) -> Equations:
+        return Equations(problem, [self.condition])
+
+    def gradient(self, problem: Lanes, Z: np.ndarray) -> np.ndarray:
+        return Equations(problem).gradient(self.condition, Z)
 
     def manifold(self) -> Manifold:
         sizes = (_FIRST,) * self.d
@@ -216,7 +225,7 @@ class _Extension:
         )
         nodes = tensor_nodes(chart.sizes)
         guess, rows = np.split(chart(nodes), 2)
-        solved = solve(self.problem(nodes), self.kind, guess, self.target, rows)
+        solved = solve(self.equations(self.problem(nodes)), guess, rows)
         chart = self.fitted(chart.sizes, region, nodes, solved.Z, rows)
         if not (chart.error <= _FAIR and solved.ok.all()):
             raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
@@ -244,9 +253,7 @@ class _Extension:
             Z, rows, ok = points.Z, points.rows, ~ok
         elif before is not None:
             guess, rows = region.predict(before, nodes)
-            solved = solve(
-                self.problem(nodes), self.kind, guess, self.target, rows, quick=True
-            )
+            solved = solve(self.equations(self.problem(nodes)), guess, rows, quick=True)
             Z, rows, ok = (
                 solved.Z,
                 solved.rows,
@@ -280,9 +287,8 @@ class _Extension:
             np.repeat([1.0, np.inf], len(Z)),
         )
         unit = self.drawn(region, chart)
-        step = newton_step(
-            self.problem(unit), self.kind, *region.predict(chart, unit), self.target
-        )
+        equations = self.equations(self.problem(unit))
+        step = newton_step(equations, *region.predict(chart, unit))
         return replace(chart, error=float(step.last_step.max()))
 
     def drawn(self, region: Region, chart: Chart) -> np.ndarray:
@@ -302,10 +308,8 @@ class _Extension:
         which are accepted.
         """
         solved = solve(
-            problem,
-            self.kind,
+            self.equations(problem),
             guess + growth,
-            self.target,
             points.rows[:, active],
             quick=True,
         )
@@ -325,7 +329,7 @@ class _Extension:
             own.own(nodes),
         )
         row, smooth = (
-            gradient(self.problem(here), self.kind, self.Z[:, None]),
+            self.gradient(self.problem(here), self.Z[:, None]),
             self.Z[:, None] - own.growth(here)[0],
         )
         points = _Points(
@@ -438,7 +442,7 @@ class _Extension:
             Where two sheets meet, so that points cannot be followed.
         """
         n, u, active = len(start), start[:, axis].copy(), np.arange(len(start))
-        points = _Points(Z, gradient(self.problem(start), self.kind, Z), _FIRST_STRIDE)
+        points = _Points(Z, self.gradient(self.problem(start), Z), _FIRST_STRIDE)
         counts, ended, turned = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, bool)
         while len(active):
             at, stride = start[active].copy(), points.stride[active]
@@ -502,10 +506,10 @@ class _Extension:
         )
         if not ((off > 0) & (off < _BESIDE)).all():
             return ()
-        sizes = np.log(norm(gradient(self.problem(unit), self.kind, Z)))
+        sizes = np.log(norm(self.gradient(self.problem(unit), Z)))
         unit[:, axis] -= _FARTHER * side * off
-        solved = solve(self.problem(unit), self.kind, Z, self.target)
-        farther = np.log(norm(gradient(self.problem(unit), self.kind, solved.Z)))
+        solved = solve(self.equations(self.problem(unit)), Z)
+        farther = np.log(norm(self.gradient(self.problem(unit), solved.Z)))
         growth = np.vstack([solved.Z - Z, farther - sizes]) / (0.5 * np.log1p(_FARTHER))
         powers = np.round(np.median(growth, axis=1))
         if (
@@ -532,9 +536,8 @@ class _Extension:
             lanes = (V[:, None, :] + h.T[:, :, None]).reshape(c + 1, -1)
             at = np.tile(start, (len(h), 1))
             at[:, axis] = lanes[-1]
-            values = defining_system(
-                self.problem(at), self.kind, lanes[:-1], self.target
-            ).reshape(c + 1, len(h), n)
+            equations = self.equations(self.problem(at))
+            values = meeting(equations, lanes[:-1]).reshape(c + 1, len(h), n)
             J = (values[:, 1:] - values[:, :1]) / 1e-6
             change = -np.linalg.solve(J.transpose(2, 0, 1), values[:, 0].T[:, :, None])[
                 :, :, 0
@@ -552,20 +555,19 @@ class _Extension:
         """
         nodes = region.unit(tensor_nodes(chart.sizes))
         problem, (guess, rows) = self.problem(nodes), region.predict(chart, nodes)
-        Z = solve(problem, self.kind, guess, self.target, rows).Z
-        chart = self.fitted(
-            chart.sizes, region, nodes, Z, gradient(problem, self.kind, Z)
-        )
+        Z = solve(self.equations(problem), guess, rows).Z
+        chart = self.fitted(chart.sizes, region, nodes, Z, self.gradient(problem, Z))
         unit = self.drawn(region, chart)
         problem, (guess, rows) = self.problem(unit), region.predict(chart, unit)
-        solved = solve(problem, self.kind, guess, self.target, rows)
+        equations = self.equations(problem)
+        solved = solve(equations, guess, rows)
         if not (chart.error <= _FAIR and solved.ok.all()):
             raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
-        first, Z = newton_step(problem, self.kind, guess, rows, self.target), solved.Z
+        first, Z = newton_step(equations, guess, rows), solved.Z
         displaced = (
             Z + _DISPLACED * np.sign(self.box.draw(Z.shape[1], len(Z), "displaced")).T
         )
-        off = newton_step(problem, self.kind, displaced, rows, self.target).Z - Z
+        off = newton_step(equations, displaced, rows).Z - Z
         own = np.abs(first.Z - Z).max(axis=0)
         linear, quadratic = (
             (own / np.maximum(first.last_step, LEAST)).max(),

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.mechanics.sums import norm, polynomial
 
 #: Radius around an eigenvalue that is tried, over that which a linear change would
@@ -207,11 +208,11 @@ def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
     values = np.full(A.shape[:2], np.inf, complex)
     values[finite] = np.linalg.eigvals(A[finite])
     lanes = np.arange(len(A))
-    left = {"flip": -1.0, "fold": 1.0}
+    critical = KINDS[kind].critical if kind in KINDS else None
     sizes = np.abs(values)
-    if kind in left:
-        sizes[lanes, np.abs(values - left[kind]).argmin(axis=1)] = 0.0
-    if kind == "neimark_sacker":
+    if isinstance(critical, float):
+        sizes[lanes, np.abs(values - critical).argmin(axis=1)] = 0.0
+    elif critical == "pair":
         pair = np.argsort(-np.abs(values.imag), axis=1)[:, :2]
         real = np.abs(values.imag).max(axis=1) < 1e-9
         sizes[lanes[:, None], pair] = 0.0

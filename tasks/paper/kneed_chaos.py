@@ -239,11 +239,11 @@ def _compute_corners(paper: Paper, walker: str) -> Arrays:
     sensitivity = interval(paper, f"{walker} flip").sensitivity
     brackets = []
     for direction in (-1, 1):
-        corner = CATALOGUE[walker]
-        for key, half in HALF_UNITS[walker].items():
-            corner = changed(
-                walker, corner, key, direction * float(np.sign(sensitivity[key])) * half
-            )
+        changes = {
+            key: direction * float(np.sign(sensitivity[key])) * half
+            for key, half in HALF_UNITS[walker].items()
+        }
+        corner = changed(walker, CATALOGUE[walker], changes)
         params = {
             "line": {"walker": asdict(corner), "set": {}},
             "near": paper.line(walker).params["line"],

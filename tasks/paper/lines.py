@@ -18,6 +18,7 @@ from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.measures.kinematics import step_length
 from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.solve_points import atlas, lines, points
@@ -30,8 +31,6 @@ LONG, SHORT = GAITS.index("long"), GAITS.index("short")
 BOTH = {"long": LONG, "short": SHORT}
 #: Variables that a look-up returns by default.
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
-#: Special points at which stability may change.
-_EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
 #: Ends of the usual grid of slopes [rad].
 GRID = (1e-8, 0.2)
 #: The walkers that meet the static conditions exactly.
@@ -222,7 +221,7 @@ class Line:
             bounds = [
                 p
                 for p in points
-                if p["kind"] in _EXCHANGES or p in (points[0], points[-1])
+                if _exchanges_stability(p["kind"]) or p in (points[0], points[-1])
             ]
             for a, b in itertools.pairwise(bounds):
                 between = (
@@ -266,6 +265,10 @@ class Line:
             ),
             "speed": step_length(walker, angle) / period,
         }
+
+
+def _exchanges_stability(kind: str) -> bool:
+    return kind in KINDS and KINDS[kind].exchanges_stability
 
 
 #: A walker of the catalogue, and the keys that a line sets with their values.

@@ -1,25 +1,26 @@
 """How far the rounding of a walker's printed parameters can move a landmark: its
 interval (sections 4 and 5).
 
-A landmark is a zero of the defining equations of a special point
-(`tasks.continuation.defining`), G(Z, p) = 0, with Z the gait and ln slope and p the
-printed parameters. Implicit differentiation gives dZ/dp = -G_Z^-1 G_p. The interval is
+A landmark solves the equations of a gait and one condition
+(`tasks.continuation.equations`), G(Z, p) = 0, with Z the gait and ln slope and p the
+printed parameters, which the implicit function theorem differentiates. The interval is
 the printed walker's value plus or minus the sum of |sensitivity| x half unit.
 """
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.defining import joint_derivative
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import Equations, Keys, sensitivity
 from gaitsweep.tasks.continuation.special_points import corrected, crossings
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
 from gaitsweep.tasks.paper.lines import Line, Paper, memoize
-from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
 from gaitsweep.tasks.walkers.walker import KEYS, Walker
 
@@ -30,7 +31,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's
+    """A special point of a walker: its kind, as `CONDITIONS` has it, the gait's
     label, and which of several.
 
     `printed` is the slope as the paper prints it [rad]; `point` is its number in the
@@ -102,9 +103,10 @@ class Interval:
         return max(self.contribution, key=lambda k: self.contribution[k])
 
 
-def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
-    """Change one key of a walker; exact A and C stay on the tuned manifold."""
-    moved = replace(base, **{key: getattr(base, key) + change})
+def changed(walker: str, base: Walker, changes: Mapping[str, float]) -> Walker:
+    """Change keys of a walker; exact A and C stay on the tuned manifold."""
+    values = {key: getattr(base, key) + change for key, change in changes.items()}
+    moved = replace(base, **values)
     return tune_exactly(moved) if walker in ("A", "C") else moved
 
 
@@ -158,17 +160,21 @@ def sensitivities(
     ndarray, shape (c, keys)
         Per unit of each key.
     """
-    steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
-    moved = [
-        changed(mark.walker, base, k, h)
-        for each in (steps, -steps)
-        for k, h in zip(keys, each, strict=True)
-    ]
-    lanes = Lanes([base, *moved])
-    _, derivative = joint_derivative(lanes, mark.kind, Z, steps)
-    return np.asarray(
-        -np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :])
+    sizes = np.array([_size(base, key) for key in keys])
+
+    def walker_at(*changes: float) -> Walker:
+        return changed(mark.walker, base, dict(zip(keys, changes, strict=True)))
+
+    around = Keys(
+        names=tuple(keys),
+        walker_at=walker_at,
+        low=tuple(-0.5 * sizes),
+        high=tuple(0.5 * sizes),
+        ordinary=(0.0,) * len(keys),
+        difference=float(step * np.exp(Z[0])),
     )
+    unchanged = np.append(Z, np.zeros(len(keys)))
+    return sensitivity(Equations(around, [CONDITIONS[mark.kind]]), unchanged)
 
 
 def _size(walker: Walker, key: str) -> float:
@@ -190,14 +196,8 @@ def interval(paper: Paper, name: str) -> Interval:
     Z, half = place(gaits, mark), dict(HALF_UNITS[mark.walker])
     keys, slope, angle = list(half), float(np.exp(Z[-1])), float(np.exp(Z[0]))
     by_key = sensitivities(mark, Z, gaits.walker, keys)
-    sensitivity = {k: slope * float(d) for k, d in zip(keys, by_key[-1], strict=True)}
-    total = sum(abs(sensitivity[k]) * half[k] for k in keys)
-    return Interval(
-        slope,
-        angle,
-        slope - total,
-        slope + total,
-        sensitivity,
-        {k: angle * float(d) for k, d in zip(keys, by_key[0], strict=True)},
-        half,
-    )
+    slope_by_key = dict(zip(keys, (slope * by_key[-1]).tolist(), strict=True))
+    angle_by_key = dict(zip(keys, (angle * by_key[0]).tolist(), strict=True))
+    moved = sum(abs(slope_by_key[key]) * half[key] for key in keys)
+    low, high = slope - moved, slope + moved
+    return Interval(slope, angle, low, high, slope_by_key, angle_by_key, half)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from gaitsweep.tasks.continuation import defining
 from soak import whole_lines as module
 from soak.whole_lines import whole_lines
 
@@ -81,15 +80,15 @@ def test_a_bound_that_is_too_small_is_told(monkeypatch):
 
 
 def test_special_points_and_gaits_that_change_with_units_are_told(monkeypatch):
-    solve = defining.solve
+    solve = module.solve
 
-    def moved(problem, kind, guess):
-        found = solve(problem, kind, guess)
+    def moved(equations, guess):
+        found = solve(equations, guess)
         return replace(found, Z=found.Z + 1e-7)
 
-    monkeypatch.setattr(defining, "solve", moved)
+    monkeypatch.setattr(module, "solve", moved)
     found = whole_lines([IN_OTHER_UNITS])
     assert len(found.wrong) == found.special > 0
-    monkeypatch.setattr(defining, "solve", solve)
+    monkeypatch.setattr(module, "solve", solve)
     monkeypatch.setitem(module._UNITS, "angle", 1.001)
     assert "in other units" in {what for what, _ in whole_lines([IN_OTHER_UNITS]).wrong}

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from gaitsweep.tasks.continuation import defining
 from gaitsweep.tasks.continuation.atlas import to_arrays
 from gaitsweep.tasks.continuation.branch import Branch
+from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
+from gaitsweep.tasks.continuation.equations import Equations, solve
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.registry import STATUSES
 from gaitsweep.tasks.solve_points import atlas, points
@@ -196,11 +197,12 @@ def _check_in_other_units(
     for branch in branches:
         for special in special_points(problem, branch):
             kind, at = str(special["kind"]), float(special["slope"])
-            if kind not in defining.SCALARS or kind == "window":
+            if not is_located(kind) or kind == "window":
                 continue
             outcome.special += 1
             guess = _nearest(branch, np.log([special["stance_angle"], at]))
-            solved = defining.solve(other, kind, guess[:, None])
+            equations = Equations(other, [CONDITIONS[kind]])
+            solved = solve(equations, guess[:, None])
             off = abs(float(np.expm1(solved.Z[-1, 0] - np.log(at))))
             if not solved.ok[0] or off > _ANOTHER:
                 continue

@@ -389,7 +389,7 @@ def test_the_registry_names_every_claim_and_curve_of_the_tasks():
 
     assert set(registry.CLAIMS) == set(resolve("gaitsweep.tasks.paper.claim:CLAIMS"))
     assert set(registry.FOLLOWED) < set(
-        resolve("gaitsweep.tasks.continuation.defining:SCALARS")
+        resolve("gaitsweep.tasks.continuation.conditions:CONDITIONS")
     )
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks import columns, locate_cascade
-from gaitsweep.tasks.continuation import defining
 from gaitsweep.tasks.continuation.atlas import from_arrays
 from gaitsweep.tasks.continuation.special_points import flips as flips_of
 from gaitsweep.tasks.dynamics import crisis
@@ -233,14 +232,20 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
     (start,) = locate_cascade._first_gaits(
         problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1
     )
-    begun, evaluated, rounding_step = (
-        (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02),
-        [],
-        defining.rounding_step,
-    )
-    monkeypatch.setattr(
-        defining, "rounding_step", lambda *a: evaluated.append(1) or rounding_step(*a)
-    )
+    begun = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02)
+    evaluated, solve = [], locate_cascade.solve
+
+    def counted(equations, guess):
+        stride = Problem.stride
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                Problem,
+                "stride",
+                lambda *a, **more: evaluated.append(1) or stride(*a, **more),
+            )
+            return solve(equations, guess)
+
+    monkeypatch.setattr(locate_cascade, "solve", counted)
     event, _ = locate_cascade._first_event(
         problem, begun, "flip", *np.log([0.0145, 0.016])
     )
@@ -249,8 +254,11 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
 
 
 def test_an_event_that_is_not_located_is_told(monkeypatch):
+    solve = locate_cascade.solve
     monkeypatch.setattr(
-        defining, "_NEWTON", replace(defining._NEWTON, max_iterations=1)
+        locate_cascade,
+        "solve",
+        lambda *of: replace(found := solve(*of), ok=np.zeros_like(found.ok)),
     )
     (stopped,) = doublings("D", 0.0145, 0.0195, periods=2, steps=0)[
         "accumulation/stopped"

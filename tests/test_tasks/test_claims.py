@@ -181,7 +181,7 @@ def test_half_units_are_those_of_the_reference():
 
 def test_exact_walkers_stay_tuned_as_their_keys_move():
     for key in HALF_UNITS["C"]:
-        assert is_tuned(changed("C", CATALOGUE["C"], key, 1e-3))
+        assert is_tuned(changed("C", CATALOGUE["C"], {key: 1e-3}))
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gaitsweep.tasks.continuation import atlas, defining
+from gaitsweep.tasks.continuation import atlas
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.defining import scalar, solve
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import Equations, solve
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
@@ -257,7 +258,10 @@ def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
         "end_kneestrike_at_heelstrike",
     ):
         np.testing.assert_allclose(
-            scalar(kind, point.at), scalar(kind, at), rtol=1e-6, atol=1e-10
+            CONDITIONS[kind].residual(point.at),
+            CONDITIONS[kind].residual(at),
+            rtol=1e-6,
+            atol=1e-10,
         )
 
 
@@ -265,19 +269,23 @@ def test_special_points_are_solved_with_derivatives_of_points_nearby(monkeypatch
     """The steps themselves bring the row up to date, and no point goes far."""
     problem, found = branches("B")
     Z, steps = found[0].at(np.array([20.5])), []
-    rounding_step = defining.rounding_step
+    stride = Problem.stride
     monkeypatch.setattr(
-        defining, "rounding_step", lambda *a: steps.append(1) or rounding_step(*a)
+        Problem, "stride", lambda *a, **more: steps.append(1) or stride(*a, **more)
     )
     row, q = np.eye(len(Z))[:, [-1]], Z[-1, 0]
-    near = solve(problem, "window", Z, q + 0.1, rows=1.3 * row)
+
+    def at_slope(q):
+        return Equations(problem, [CONDITIONS["window"].equal_to(q)])
+
+    near = solve(at_slope(q + 0.1), Z, rows=1.3 * row)
     assert (
         near.ok[0]
         and near.Z[-1, 0] == pytest.approx(q + 0.1, abs=1e-13)
         and len(steps) < 8
     )
     assert near.rows[-1, 0] == pytest.approx(1.0, abs=0.2)
-    far = solve(problem, "window", Z, q + 0.7, rows=1.5 * row)
+    far = solve(at_slope(q + 0.7), Z, rows=1.5 * row)
     assert not far.ok[0] and far.error[0] == np.inf
     np.testing.assert_array_equal(far.Z, Z)
 

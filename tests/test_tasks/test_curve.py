@@ -8,12 +8,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import codimension_one
-from gaitsweep.tasks.continuation.codimension_one import (
-    Curve,
+from gaitsweep.tasks.continuation import curves
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.curves import (
     follow,
     follow_both_directions,
     turning,
+    walks,
+)
+from gaitsweep.tasks.continuation.equations import (
+    Equations,
+    Keys,
+    System,
+    correct_on_curve,
 )
 from gaitsweep.tasks.continuation.joint import rounding_step
 from gaitsweep.tasks.continuation.special_points import special_points
@@ -24,7 +31,7 @@ from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, branches
 
 LINE = {"walker": "C", "set": {}}
-WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}
+WINDOW = np.array([(-6.0, -1.0), (0.6, 0.8)])
 #: A fold of C on the way to the machine: similarity coordinates, event times, ln slope,
 #: detuning.
 FOLD = np.array(
@@ -42,12 +49,18 @@ SLOPE, DETUNING = 5, 6
 
 
 def folds_of_c():
-    return Curve(
-        "fold",
-        lambda value: resolve("C", {"detuning": value}),
-        FOLD[DETUNING],
-        (0.0, 1.0),
+    detuning = Keys(
+        names=("detuning",),
+        walker_at=lambda value: resolve("C", {"detuning": value}),
+        low=(0.0,),
+        high=(1.0,),
+        ordinary=(FOLD[DETUNING],),
     )
+    return Equations(detuning, [CONDITIONS["fold"]])
+
+
+def corrected(equations, X, border):
+    return correct_on_curve(equations, X.reshape(-1, 1), border.reshape(-1, 1))
 
 
 def pairs(points, tangents):
@@ -56,7 +69,8 @@ def pairs(points, tangents):
 
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     folds = folds_of_c()
-    track = follow(folds, folds.correct(FOLD, np.eye(7)[DETUNING]), -1.0, WINDOW)
+    first = corrected(folds, FOLD, np.eye(7)[DETUNING])
+    track = follow(folds, first, -1.0, WINDOW)
     both = [
         (a, b)
         for a, b in pairs(track.Z.T, track.tangent.T)
@@ -71,27 +85,35 @@ def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     # A bound that is measured, on the slope; differences over other steps move the
     # turning by less.
     assert 1e-15 < error < 1e-8
-    monkeypatch.setattr(codimension_one, "DIFFERENCE", 3e-5)
-    monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
+    # Over other steps.
+    at = Equations.at
+    monkeypatch.setattr(curves, "DIFFERENCE", 3e-5)
+    monkeypatch.setattr(
+        Equations, "at", lambda self, X, step=3e-5, **more: at(self, X, step, **more)
+    )
     other, other_error = turning(folds, *both[0], DETUNING)
     assert 0 < abs(other[SLOPE] - found[SLOPE]) < other_error + error
-    assert folds.walks(found)
+    assert walks(folds, found)
 
 
 def test_the_equations_of_a_curve_have_the_derivatives_that_differences_have():
     folds, h = folds_of_c(), 1e-6
-    _, derivative = folds.system(FOLD)
+    derivative = folds.at(FOLD[:, None]).derivative[..., 0]
     for i in range(7):
-        up, down = (folds.system(FOLD + sign * h * np.eye(7)[i])[0] for sign in (1, -1))
+        move = h * np.eye(7)[:, [i]]
+        up, down = (
+            folds.at(FOLD[:, None] + sign * move).residual[:, 0] for sign in (1, -1)
+        )
         np.testing.assert_allclose(
             derivative[:, i], (up - down) / (2 * h), rtol=1e-5, atol=1e-7
         )
 
 
 def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_linearly():
-    folds = folds_of_c()
-    assert folds.value(np.insert(np.delete(FOLD, DETUNING), DETUNING, 1.5)) == 1.0
-    beyond, at, before = folds._lanes(np.array([1.25, 1.0, 0.75])).constants.T
+    keys = folds_of_c().keys
+    assert keys.values(np.array([[1.5]])) == [[1.0]]
+    problem = keys.lanes(np.array([[1.25, 1.0, 0.75]]))
+    beyond, at, before = problem.constants[:, problem.lanes].T
     np.testing.assert_allclose(beyond - at, at - before, rtol=1e-12)
 
 
@@ -402,21 +424,29 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
         assert found[lane] == pytest.approx(6 * error.max(), rel=1e-9)
 
 
-class Plane(Curve):
+class Plane(Equations):
     """A curve of one equation in ln slope and the key, without a gait; `equation` gives
     its value and derivatives.
     """
 
-    def __init__(self, equation):
-        self.equation, self.scale, self.m = equation, 1.0, 0
+    size = 3
 
-    def system(self, Z, h=codimension_one.DIFFERENCE):
-        value, by_Z = self.equation(*Z[1:])
+    def __init__(self, equation):
+        self.equation, self.problem = equation, SimpleNamespace(m=0, phases=1)
+
+    def some(self, lanes):
+        return self
+
+    def at(self, X, difference=None, samples=0):
+        time, q, key = X[:, 0]
+        value, by_X = self.equation(q, key)
         # The event time is zero.
-        return np.array([Z[0], value]), np.array([[1.0, 0.0, 0.0], [0.0, *by_Z]])
+        derivative = np.array([[1.0, 0.0, 0.0], [0.0, *by_X]])
+        no_gait = np.zeros((0, 1))
+        return System(X, np.array([[time], [value]]), derivative[..., None], no_gait)
 
     def through(self, q, key):
-        return self.correct(np.array([0.0, q, key]), np.array([0.0, 0.0, 1.0]))
+        return corrected(self, np.array([0.0, q, key]), np.array([0.0, 0.0, 1.0]))
 
 
 def circle(q, key):
@@ -424,16 +454,14 @@ def circle(q, key):
 
 
 def ended(key):
-    if key > 1.5:
-        raise WalkerError("key", key, "is too large")
-    return key
+    return key if key <= 1.5 else np.nan
 
 
 @pytest.mark.parametrize("begin", [(0.6, 0.8), (-1.0, 0.0)])
 def test_a_closed_curve_is_gone_round_once(begin):
     """It was gone round again and again, in both directions."""
     curve = Plane(circle)
-    window = {"q": (-2.0, 2.0), "key": (-2.0, 2.0)}
+    window = np.array([(-2.0, 2.0), (-2.0, 2.0)])
     Z, tangent, stopped = follow_both_directions(curve, curve.through(*begin), window)
     assert stopped == ("closed", "closed")
     assert Z[0] == pytest.approx(Z[-1], abs=1e-14)
@@ -449,7 +477,7 @@ def test_a_closed_curve_is_gone_round_once(begin):
     )
     # One that leaves the window ends there, though it would close.
     arc, _, stopped = follow_both_directions(
-        curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)}
+        curve, curve.through(*begin), np.array([(-2.0, 0.9), (-2.0, 2.0)])
     )
     assert stopped == ("border", "border")
     assert arc[[0, -1], 1] == pytest.approx([0.9, 0.9])
@@ -459,7 +487,7 @@ def test_a_long_curve_is_followed_to_the_border():
     """It ended after 300 points, without a word."""
     curve = Plane(lambda q, key: (key - np.sin(q) / 4, [-np.cos(q) / 4, 1.0]))
     Z, _, stopped = follow_both_directions(
-        curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)}
+        curve, curve.through(1.0, 0.2), np.array([(-40.0, 40.0), (-1.0, 1.0)])
     )
     assert Z[[0, -1], 1] == pytest.approx([-40.0, 40.0])
     assert stopped == ("border", "border")
@@ -468,13 +496,13 @@ def test_a_long_curve_is_followed_to_the_border():
 def test_a_curve_that_is_lost_says_so():
     curve = Plane(lambda q, key: (ended(key) - q, [-1.0, 1.0]))
     Z, _, stopped = follow_both_directions(
-        curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)}
+        curve, curve.through(1.0, 1.0), np.array([(0.0, 2.0), (0.0, 2.0)])
     )
     assert stopped == ("border", "no further point")
     assert Z[-1, 2] == pytest.approx(1.5, abs=1e-3)
     # One that begins on the border has its first point there.
     Z, _, stopped = follow_both_directions(
-        curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)}
+        curve, curve.through(0.0, 0.0), np.array([(0.0, 1.0), (0.0, 2.0)])
     )
     assert stopped == ("border", "border") and Z[0, 2] == 0.0
 
@@ -518,42 +546,40 @@ def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(
     assert curves["curves/slope"][end] == pytest.approx(slope, rel=1e-12)
 
 
-class Shy(Plane):
-    """A curve whose points in planes across an axis are found from very near only."""
+def refused_across_axes(monkeypatch, from_farther_than):
+    """Points in planes across an axis are found from very near only."""
+    plain = curves.correct_on_curve
 
-    def correct(self, Z, border):
-        point = super().correct(Z, border)
-        if (
-            np.count_nonzero(border) == 1
-            and np.abs(self.system(Z.ravel())[0]).max() > 1e-7
-        ):
+    def shy(equations, X, border):
+        point = plain(equations, X, border)
+        is_far = np.abs(equations.at(X).residual).max() > from_farther_than
+        if np.count_nonzero(border) == 1 and is_far:
             point.ok[:] = False
         return point
+
+    monkeypatch.setattr(curves, "correct_on_curve", shy)
 
 
 def wave(q, key):
     return key - np.sin(3 * q) / 4, [-0.75 * np.cos(3 * q), 1.0]
 
 
-def test_a_step_beyond_the_window_from_which_the_border_is_not_found_is_shortened():
+def test_a_step_beyond_the_window_from_which_the_border_is_not_found_is_shortened(
+    monkeypatch,
+):
     """The curve ended before the border, as if it could be continued no further."""
-    window = {"q": (-2.0, 2.0), "key": (-1.0, 2.0)}
+    window = np.array([(-2.0, 2.0), (-1.0, 2.0)])
     first = Plane(wave).through(1.0, np.sin(3) / 4)
-    plain, shy = (
-        follow_both_directions(of(wave), first, window) for of in (Plane, Shy)
-    )
+    plain = follow_both_directions(Plane(wave), first, window)
+    with monkeypatch.context() as patched:
+        refused_across_axes(patched, 1e-7)
+        shy = follow_both_directions(Plane(wave), first, window)
     assert plain[2] == shy[2] == ("border", "border")
     assert len(shy[0]) > len(plain[0])
     np.testing.assert_allclose(shy[0][[0, -1]], plain[0][[0, -1]], atol=1e-12)
     # Where no step finds it, that is said.
-    assert follow(Never(wave), first, 1.0, window).stop_reason == "no further point"
-
-
-class Never(Plane):
-    def correct(self, Z, border):
-        point = super().correct(Z, border)
-        point.ok &= np.count_nonzero(border) > 1
-        return point
+    refused_across_axes(monkeypatch, -1.0)
+    assert follow(Plane(wave), first, 1.0, window).stop_reason == "no further point"
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -563,7 +589,8 @@ def test_a_turning_point_is_that_end_of_its_bracket_whose_tangent_changes_sign_b
     """Corrected anew, both tangents had one sign: it raised."""
     curve = Plane(circle)
     found = [
-        curve.correct(
+        corrected(
+            curve,
             np.array([0.0, np.cos(a), np.sin(a)]),
             np.array([0.0, -np.sin(a), np.cos(a)]),
         )

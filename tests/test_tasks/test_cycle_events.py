@@ -8,7 +8,8 @@ import pytest
 
 from exact_special_points import exact_cycle_slope, steps_of
 from gaitsweep.tasks import locate_cascade
-from gaitsweep.tasks.continuation.defining import slope_error
+from gaitsweep.tasks.continuation.conditions import CONDITIONS
+from gaitsweep.tasks.continuation.equations import slope_error
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.mechanics.lumped import lump
 from gaitsweep.tasks.step.extended_precision import _extended_step_map
@@ -225,7 +226,7 @@ def test_a_slope_that_is_off_is_told(first):
         Z = event.gait.Z[:, 0]
         for off in (1e-9, -3e-8):
             moved = Z + off * np.eye(len(Z))[-1]
-            assert slope_error(event.gait.problem, event.kind, moved) == pytest.approx(
-                abs(off), rel=1e-3
-            )
-        assert 0 < slope_error(event.gait.problem, event.kind, Z) < 1e-12
+            assert slope_error(
+                event.gait.problem, CONDITIONS[event.kind], moved
+            ) == pytest.approx(abs(off), rel=1e-3)
+        assert 0 < slope_error(event.gait.problem, CONDITIONS[event.kind], Z) < 1e-12

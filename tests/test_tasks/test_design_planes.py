@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gaitsweep.tasks.continuation import defining, extremes
+from gaitsweep.tasks.continuation import extremes
 from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.defining import (
-    SCALARS,
+from gaitsweep.tasks.continuation.conditions import (
+    CONDITIONS,
+    Condition,
     foot_radius,
-    gradient,
+    is_located,
     log_froude,
-    scalar,
-    solve,
 )
+from gaitsweep.tasks.continuation.equations import Equations, newton_step, solve
 from gaitsweep.tasks.continuation.extremes import Points, Sought, best, find
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.refine import COARSE
@@ -495,6 +495,10 @@ def test_lower_halves_stand_before_upper_ones_however_often_they_are_halved():
     assert [box.low[0] for box in parts] == [0.0, 0.125, 0.25, 0.5]
 
 
+def at_slope(problem, log_slope):
+    return Equations(problem, [CONDITIONS["window"].equal_to(log_slope)])
+
+
 def lanes(walker, **keys):
     return Lanes(
         resolve_many(walker, {key: np.array([value]) for key, value in keys.items()})
@@ -549,11 +553,14 @@ def test_the_scalars_vanish_at_points_known_otherwise():
         kind, Z = str(points.kind[k]), points.Z[:, [k]]
         at = evaluate(problem, Z)
         if (
-            kind in SCALARS
+            is_located(kind)
             and kind != "window"
             and np.isfinite(at.stride.jacobian).all()
         ):
-            assert abs(scalar(kind, at)[0]) < 1e-9 * np.abs(points.rows[:, k]).max()
+            assert (
+                abs(CONDITIONS[kind].residual(at)[0])
+                < 1e-9 * np.abs(points.rows[:, k]).max()
+            )
         values = (
             np.linalg.eigvals(at.jacobians[0])
             if kind in (*value, "neimark_sacker")
@@ -569,7 +576,8 @@ def test_the_scalars_vanish_at_points_known_otherwise():
         if kind == "fastest":
             step = 1e-4
             others = [
-                solve(problem, "window", Z, Z[-1] + sign * step).Z for sign in (-1, 1)
+                solve(at_slope(problem, Z[-1, 0] + sign * step), Z).Z
+                for sign in (-1, 1)
             ]
             v = [
                 log_froude(each, foot_radius(problem))[0]
@@ -590,12 +598,13 @@ def test_a_row_of_differences_is_the_derivative():
         "end_tangential_heelstrike",
         "speed",
     ):
+        condition = CONDITIONS[kind]
         there, here = (
-            scalar(kind, evaluate(problem, Z + sign * move))[0] for sign in (1, -1)
+            condition.residual(evaluate(problem, Z + sign * move))[0]
+            for sign in (1, -1)
         )
-        assert there - here == pytest.approx(
-            2 * float(gradient(problem, kind, Z)[:, 0] @ move[:, 0]), rel=1e-4
-        )
+        row = Equations(problem).gradient(condition, Z)[:, 0]
+        assert there - here == pytest.approx(2 * float(row @ move[:, 0]), rel=1e-4)
 
 
 def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
@@ -603,8 +612,9 @@ def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
     points = find(problem, survey_lines(problem, COARSE), SOUGHT)
     flip = lanes_of(points, np.flatnonzero((points.kind == "flip") & points.walks)[:1])
     differences = []
-    monkeypatch.setattr(defining, "gradient", lambda *_: differences.append(1))
-    solved = solve(problem, "flip", flip.Z + 1e-4, rows=1.2 * flip.rows)
+    monkeypatch.setattr(Equations, "gradient", lambda *_: differences.append(1))
+    equations = Equations(problem, [CONDITIONS["flip"]])
+    solved = solve(equations, flip.Z + 1e-4, rows=1.2 * flip.rows)
     assert solved.ok.all() and not differences
     assert np.abs(solved.Z - flip.Z).max() <= (solved.error + flip.error)[0]
 
@@ -665,9 +675,11 @@ def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_n
     manifold = extension.manifold()
     nodes = manifold.region.unit(roots(manifold.chart.sizes[0])[:, None])
     problem, (Z, rows) = extension.problem(nodes), manifold.predict(nodes)
-    assert defining.newton_step(problem, "flip", Z, rows).last_step.max() < 1e-11
+    equations = Equations(problem, [CONDITIONS["flip"]])
+    assert newton_step(equations, Z, rows).last_step.max() < 1e-11
+    by_differences = equations.gradient(CONDITIONS["flip"], Z)
     np.testing.assert_allclose(
-        rows, gradient(problem, "flip", Z), rtol=1e-6, atol=1e-6 * np.abs(rows).max()
+        rows, by_differences, rtol=1e-6, atol=1e-6 * np.abs(rows).max()
     )
     c = len(Z)
     assert (manifold.chart.tails()[:, c:] == 0).all() and (
@@ -808,11 +820,10 @@ def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
         evaluate=lambda node, share: np.array([node + share]),
     )
     monkeypatch.setattr(extremes, "evaluate", lambda problem, Z: Z[0])
-    monkeypatch.setattr(extremes, "scalar", lambda kind, at, target: 3.074 - 2 * at)
-    kind, node, Z, _ = extremes._crossings(
-        SimpleNamespace(some=lambda lanes: None), nodes, "flip", 0.0
-    )
-    assert (kind, node.tolist()) == ("flip", [1]) and Z[0] == pytest.approx([1.537])
+    flip = Condition("flip", lambda at: 3.074 - 2 * at)
+    found = extremes._crossings(SimpleNamespace(some=lambda lanes: None), nodes, flip)
+    assert (found.kind, found.node.tolist()) == ("flip", [1])
+    assert found.Z[0] == pytest.approx([1.537])
 
 
 def test_a_point_that_wanders_off_is_another_one_even_if_it_comes_back():
@@ -837,7 +848,8 @@ def test_a_point_that_wanders_off_is_another_one_even_if_it_comes_back():
         :, None
     ]
     rows = np.array([1.0282389, -5.7727299, -1.9885476, -7.1496630, 0.5656257])[:, None]
-    found = solve(Lanes(walkers, common_structure(walkers)), "flip", guess, rows=rows)
+    problem = Lanes(walkers, common_structure(walkers))
+    found = solve(Equations(problem, [CONDITIONS["flip"]]), guess, rows=rows)
     assert (
         not found.ok.any()
         and np.isinf(found.error).all()

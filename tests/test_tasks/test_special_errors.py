@@ -9,7 +9,7 @@ import pytest
 from exact_special_points import exact_earlier_strike, exact_slope
 from gaitsweep.tasks import follow_curves
 from gaitsweep.tasks.continuation.atlas import survey
-from gaitsweep.tasks.continuation.defining import SCALARS
+from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.continuation.special_points import special_points
 from gaitsweep.tasks.continuation.tracking import correct
@@ -20,7 +20,7 @@ from lines import _atlas
 from soak.missed import neighbour
 
 #: Kinds that equations define, and lines of the long test.
-KINDS = {*SCALARS, "end_earlier_strike"} - {
+KINDS = {*filter(is_located, CONDITIONS), "end_earlier_strike"} - {
     "window",
     "label",
     "speed",
@@ -77,8 +77,9 @@ def test_slopes_of_curves_lie_within_their_bounds(
 ):
     shares = []
 
-    def compared(problem, kind, Z):
-        bound, exact = slope_error(problem, kind, Z), exact_slope(problem, kind, Z)
+    def compared(problem, condition, Z):
+        kind, bound = condition.name, slope_error(problem, condition, Z)
+        exact = exact_slope(problem, kind, Z)
         shares.append(
             (
                 kind,
