@@ -290,7 +290,7 @@ def _curvature(
         stride, _ = problem.stride(moved, log_slope)
         change = (stride.derivative - base.derivative)[:, : len(w)] / h
         product = matvec(base.inverse[:, :, None], change)
-        weighted = np.abs(product * size[None] / size[:, None])
+        weighted = np.abs(product * size / size[:, None])
         lipschitz = np.maximum(lipschitz, total(weighted.swapaxes(0, 1)).max(axis=0))
         gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
 
