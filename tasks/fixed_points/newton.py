@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
 from gaitsweep.tasks.fixed_points.rounding import characteristic_scale, rounding
+from gaitsweep.tasks.mechanics.arrays import (
+    LogSlopes,
+    Marks,
+    Numbers,
+    PerLane,
+    Sections,
+    Unknowns,
+)
 from gaitsweep.tasks.mechanics.sums import matvec, total
+from gaitsweep.tasks.step.iterate import Ended, iterate
 from gaitsweep.tasks.step.problem import Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 
@@ -17,6 +27,9 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 LONGEST_PERIOD = 12.0
 #: Shortest time of a strike of an initial guess [sqrt(leg/g)].
 _SHORTEST_PHASE = 0.005
+#: Largest rate over angle of an iterate in steps of pi or more [1/sqrt(leg/g)], and ln of
+#: its largest angle.
+_MAX_RATE, _MAX_LOG_ANGLE = 50, 0.4
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
 
@@ -32,86 +45,47 @@ _DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
 _MAX_STEEPNESS = 0.05
 
 
-def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
-    """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to
-    first order; all (m, n).
+def similarity(y: Sections, dy: Sections) -> Sections:
+    """Change of (ln angle, rates/angle) for a change dy of section coordinates y, to
+    first order.
     """
     d = dy / y[0]
     return np.vstack([d[:1], d[1:] - y[1:] / y[0] * d[:1]])
 
 
-def newton_step(stride: AnyStride, w: np.ndarray) -> np.ndarray:
-    """Newton step of P(y) = y in similarity coordinates.
-
-    Parameters
-    ----------
-    stride : Stride
-        The step at w.
-    w : ndarray, shape (m + phases, n)
-        ln(angle), rates/angle and event times [sqrt(leg/g)].
-
-    Returns
-    -------
-    ndarray, shape (m + phases, n)
-    """
-    return np.vstack(
-        [similarity(stride.y, stride.newton), stride.newton_times - w[len(stride.y) :]]
-    )
+def newton_step(stride: AnyStride, w: Unknowns) -> Unknowns:
+    """Newton step of P(y) = y in similarity coordinates, from the step at w."""
+    change = similarity(stride.y, stride.newton)
+    return np.vstack([change, stride.newton_times - w[len(change) :]])
 
 
-def relative_sizes(w: np.ndarray, m: int) -> np.ndarray:
+def relative_sizes(w: Unknowns, m: int) -> Unknowns:
     """How far similarity coordinates and event times move for relative changes by 1 of
     angle, rates and period.
-
-    Parameters
-    ----------
-    w : ndarray, shape (m + phases, n)
-    m : int
-
-    Returns
-    -------
-    ndarray, shape (m + phases, n)
     """
     sizes = np.ones(w.shape)
-    sizes[1:m], sizes[m:] = np.abs(w[1:m]).max(axis=0), w[-1]
+    sizes[1:m] = np.abs(w[1:m]).max(axis=0)
+    sizes[m:] = w[-1]
     return sizes
-
-
-# Beside a known solution, or where the step leads away from it at once, deflation
-# divides by nothing.
-@np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def _deflated(
-    step: np.ndarray, w: np.ndarray, known: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Newton steps (m + k, n) at iterates w that known solutions repel, and whether
-    these are beside the iterates (n,).
-
-    With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is
-    its step s for F over 1 - s.grad ln M (Sherman-Morrison formula), at no extra
-    evaluation.
-    """
-    offset = w[:, None] - known[:, :, None]
-    square = total(offset * offset)
-    growth = total(-2 * offset * step[:, None]) / (square**2 + square)
-    return step / (1 - total(growth)), np.asarray((square <= _BESIDE**2).any(axis=0))
 
 
 def newton(
     problem: Problem,
-    w: np.ndarray,
-    log_slope: np.ndarray,
+    w: Unknowns,
+    log_slope: LogSlopes,
     coarse: bool = False,
     enough: float = 0.0,
     max_iterations: int = _MAX_ITERATIONS,
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
     group: np.ndarray | None = None,
-    known: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+    known: Unknowns | None = None,
+) -> tuple[Unknowns, Marks]:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
     ----------
+    problem : Problem
     w : ndarray, shape (m + phases, n)
         Initial guesses in similarity coordinates.
     log_slope : ndarray, shape (n,)
@@ -138,51 +112,128 @@ def newton(
     w : ndarray, shape (m + phases, n)
     converged : ndarray of bool, shape (n,)
     """
-    w = w.copy()
-    n = w.shape[1]
-    converged = np.zeros(n, bool)
-    active = np.arange(n)
-    last = np.full(n, np.inf)
-    for taken in range(max_iterations):
-        if not len(active):
-            break
-        stride, _ = problem.some(active).stride(
-            w[:, active], log_slope[active], coarse=coarse
+    rule = _DampedNewton(
+        problem,
+        w.copy(),
+        log_slope,
+        np.full(w.shape[1], np.inf),
+        coarse,
+        enough,
+        max_step_by_iteration,
+        merge_cell,
+        group,
+        known,
+    )
+    ended = iterate(rule, w.shape[1], max_iterations)
+    return rule.w, ended == Ended.CONVERGED
+
+
+@dataclass
+class _DampedNewton:
+    """Newton's method with steps cut to length, at iterates `w` with last steps of
+    `size`; its options are those of `newton`.
+    """
+
+    problem: Problem
+    w: Unknowns
+    log_slope: LogSlopes
+    size: PerLane
+    coarse: bool
+    enough: float
+    max_step_by_iteration: Sequence[float]
+    merge_cell: float
+    group: np.ndarray | None
+    known: Unknowns | None
+
+    def step(self, lanes: Numbers, taken: int) -> np.ndarray:
+        """Step once more in some lanes."""
+        w = self.w[:, lanes]
+        problem = self.problem.some(lanes)
+        stride, _ = problem.stride(w, self.log_slope[lanes], coarse=self.coarse)
+        step = newton_step(stride, w)
+        size = _largest(step)
+        step, beside = _deflated(step, w, self.known)
+
+        exists = np.isfinite(step).all(axis=0)
+        moves = exists & (size < self._longest(taken))
+        w[:, moves] += _shortened(step[:, moves])
+        at_rest = self._is_at_rest(stride, size, self.size[lanes])
+
+        self.w[:, lanes], self.size[lanes] = w, size
+        ended = np.select(
+            [~exists, ~(moves & _may_walk(problem, w)), ~at_rest, beside],
+            [Ended.SINGULAR, Ended.DIVERGED, Ended.RUNNING, Ended.KNOWN],
+            Ended.CONVERGED,
         )
-        step = newton_step(stride, w[:, active])
-        size = np.abs(step).max(axis=0)
-        rounding_std = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        beside = np.zeros(len(active), bool)
-        if known is not None:
-            step, beside = _deflated(step, w[:, active], known)
-        length = np.abs(step).max(axis=0)
-        alive = np.isfinite(length) & (
-            size < max_step_by_iteration[min(taken, len(max_step_by_iteration) - 1)]
-        )
-        step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(length[alive], 1e-300))
-        w[:, active[alive]] += step[:, alive]
-        # Done when the step is rounding, or has become small and stopped shrinking.
-        done = alive & (
-            (size < np.maximum(1e-5 if coarse else rounding_std, enough))
-            | ((size < 1e-6) & (size > 0.3 * last[active]))
-        )
-        brevity = np.minimum(1.0, w[-1, active] / np.pi)
-        sane = (np.abs(brevity * w[1 : problem.m, active]) < 50).all(axis=0)
-        sane &= (w[problem.m :, active] > _SHORTEST_PHASE).all(axis=0)
-        sane &= (w[-1, active] < LONGEST_PERIOD * problem.steps) & (w[0, active] < 0.4)
-        converged[active[done & sane & ~beside]] = True
-        last[active] = size
-        active = active[alive & sane & ~done]
-        if merge_cell and group is not None and taken > 1:
-            active = active[np.argsort(last[active], kind="stable")]
-            cells = np.vstack([group[active], np.round(w[:, active] / merge_cell)])
-            active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
-    return w, converged
+        if taken > 1:
+            ended[self._led_by_others(lanes, ended == Ended.RUNNING)] = Ended.KNOWN
+        return ended
+
+    def _longest(self, taken: int) -> float:
+        """Size of a step that ends a lane's search."""
+        last = len(self.max_step_by_iteration) - 1
+        return self.max_step_by_iteration[min(taken, last)]
+
+    def _is_at_rest(self, stride: AnyStride, size: PerLane, before: PerLane) -> Marks:
+        """Whether steps suffice, or are rounding: small, and no longer shrinking."""
+        of_rounding = np.float64(1e-5)
+        if not self.coarse:
+            of_rounding = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
+        suffices = size < np.maximum(of_rounding, self.enough)
+        return suffices | ((size < 1e-6) & (size > 0.3 * before))
+
+    def _led_by_others(self, lanes: Numbers, running: Marks) -> Marks:
+        """Which of the lanes that run on lie in a cell with a smaller step's."""
+        if not self.merge_cell or self.group is None:
+            return np.zeros(len(lanes), bool)
+        nearest_first = lanes[running][
+            np.argsort(self.size[lanes[running]], kind="stable")
+        ]
+        w = np.round(self.w[:, nearest_first] / self.merge_cell)
+        cells = np.vstack([self.group[nearest_first], w])
+        _, first = np.unique(cells, axis=1, return_index=True)
+        return running & ~np.isin(lanes, nearest_first[first])
+
+
+def _shortened(step: Unknowns) -> Unknowns:
+    """Steps, cut to half a unit where they are longer."""
+    length = np.maximum(_largest(step), 1e-300)
+    return step * np.minimum(1.0, 0.5 / length)
+
+
+# Beside a known solution, or where the step leads away from it at once, deflation
+# divides by nothing.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _deflated(
+    step: Unknowns, w: Unknowns, known: Unknowns | None
+) -> tuple[Unknowns, Marks]:
+    """Newton steps at iterates w that known solutions repel, and whether these are
+    beside the iterates.
+
+    With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is
+    its step s for F over 1 - s.grad ln M (Sherman-Morrison formula), at no extra
+    evaluation.
+    """
+    if known is None:
+        return step, np.zeros(w.shape[1], bool)
+    offset = w[:, None] - known[:, :, None]
+    square = total(offset * offset)
+    growth = total(-2 * offset * step[:, None]) / (square**2 + square)
+    return step / (1 - total(growth)), np.asarray((square <= _BESIDE**2).any(axis=0))
+
+
+def _may_walk(problem: Problem, w: Unknowns) -> Marks:
+    """Whether iterates lie where gaits may: rates, durations and angles of some size."""
+    brevity = np.minimum(1.0, w[-1] / np.pi)
+    is_slow = (np.abs(brevity * w[1 : problem.m]) < _MAX_RATE).all(axis=0)
+    lasts = (w[problem.m :] > _SHORTEST_PHASE).all(axis=0)
+    ends = w[-1] < LONGEST_PERIOD * problem.steps
+    return is_slow & lasts & ends & (w[0] < _MAX_LOG_ANGLE)
 
 
 def curvature(
-    problem: Problem, w: np.ndarray, log_slope: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem, w: Unknowns, log_slope: LogSlopes
+) -> tuple[PerLane, np.ndarray]:
     """How the derivatives change near solutions, by differences in all directions.
 
     Directions are those of the section and of the event times, F the joint equations of
@@ -190,6 +241,7 @@ def curvature(
 
     Parameters
     ----------
+    problem : Problem
     w : ndarray, shape (m + phases, n)
         Gaits in similarity coordinates.
     log_slope : ndarray, shape (n,)
@@ -203,46 +255,51 @@ def curvature(
         Derivatives of the coefficients of the characteristic polynomial by w, over
         their `characteristic_scale`.
     """
-    lipschitz, lanes = np.full(w.shape[1], np.nan), np.arange(w.shape[1])
+    lipschitz = np.full(w.shape[1], np.nan)
     gradient = np.full((problem.structure.dimension, *w.shape), np.nan)
+    lanes = np.arange(w.shape[1])
     for h in _DIFFERENCES:
         lipschitz[lanes], gradient[..., lanes], change = _curvature(
             problem.some(lanes), w[:, lanes], log_slope[lanes], h
         )
         # Where derivatives change much over the difference, that must be smaller.
-        lanes = lanes[
-            ~((lipschitz[lanes] * h < _MAX_CHANGE) & (change < _MAX_STEEPNESS))
-        ]
+        is_small = (lipschitz[lanes] * h < _MAX_CHANGE) & (change < _MAX_STEEPNESS)
+        lanes = lanes[~is_small]
         if not len(lanes):
             break
     return lipschitz, gradient
 
 
 def _curvature(
-    problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, h: float
 ) -> tuple[np.ndarray, ...]:
     """What `curvature` returns, at w by differences h, and how much the polynomial
     changes over these, relatively.
     """
     base, _ = problem.stride(w, log_slope)
-    worst, gradient = np.zeros(w.shape[1]), np.zeros((len(base.jacobian), *w.shape))
     polynomial = characteristic(base.jacobian)
     # In relative coordinates of the base point; another scale would multiply rows and
     # divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
+
+    lipschitz = np.zeros(w.shape[1])
+    gradient = np.zeros((len(base.jacobian), *w.shape))
     for i in range(len(w)):
         moved = w.copy()
         moved[i] += h
         stride, _ = problem.stride(moved, log_slope)
-        change = (stride.derivative - base.derivative) / h
-        product = matvec(base.inverse[:, :, None], change[:, : len(w)])
-        weighted = product * size[None] / size[:, None]
-        worst = np.maximum(worst, total(np.abs(weighted).swapaxes(0, 1)).max(axis=0))
+        change = (stride.derivative - base.derivative)[:, : len(w)] / h
+        product = matvec(base.inverse[:, :, None], change)
+        weighted = np.abs(product * size / size[:, None])
+        lipschitz = np.maximum(lipschitz, total(weighted.swapaxes(0, 1)).max(axis=0))
         gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
+
     # Multipliers near zero have no size of their own: then 1 is their scale.
-    steepness = (
-        np.abs(gradient).max(axis=(0, 1))
-        * h
-        / np.maximum(np.abs(polynomial).max(axis=0), 1.0)
-    )
-    return worst, gradient / characteristic_scale(base)[:, None], steepness
+    scale = np.maximum(_largest(polynomial), 1.0)
+    steepness = _largest(np.concatenate(gradient)) * h / scale
+    return lipschitz, gradient / characteristic_scale(base)[:, None], steepness
+
+
+def _largest(values: np.ndarray) -> PerLane:
+    """Largest magnitude in every lane, of values (i, n)."""
+    return np.asarray(np.abs(values).max(axis=0))

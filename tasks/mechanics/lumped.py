@@ -178,6 +178,13 @@ class Structure:
         """Dimension of the stride map."""
         return 2 if self.point_foot else 3
 
+    @property
+    def phases(self) -> tuple[bool, ...]:
+        """Whether the swing knee is free in each phase of a step: to kneestrike, then
+        to heelstrike.
+        """
+        return (True, False) if self.kneed else (False,)
+
 
 def general_structure(kneed: bool) -> Structure:
     """Return the structure of all walkers with or without knees: every constant is a

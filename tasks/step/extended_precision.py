@@ -8,15 +8,18 @@ or in 128 bits; Newton keeps the derivative in doubles.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import heyoka as hy
 import numpy as np
 
+from gaitsweep.tasks.mechanics.arrays import Numbers
 from gaitsweep.tasks.mechanics.equations import Symbols, system
 from gaitsweep.tasks.mechanics.kernel import prepare_compiler
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
 from gaitsweep.tasks.mechanics.sums import matvec
+from gaitsweep.tasks.step.iterate import Ended, iterate
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.symbols import end_of_step, lock_knee, start_of_step
@@ -25,10 +28,6 @@ from gaitsweep.tasks.walkers.walker import Walker
 #: Error bounds of a fixed point in doubles from which long double is used, and 128
 #: bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
-#: Of a gait its scaled section coordinates (m,), event times (k,) [sqrt(leg/g)], rates
-#: just before heelstrike (2,) or (2, s) and state just after (angles,), and how
-#: accurate they are: relative size of the last Newton step, or a bound.
-Wide = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = (
     (np.longdouble, 1.1e-19),
@@ -44,8 +43,33 @@ _ROUNDING = (ESCALATE, 0.0)
 #: Error bound in doubles from which their Newton steps are not trusted: beside folds of
 #: small gaits they lead anywhere.
 UNTRUSTED = 1e-3
-#: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
-_MAX_STEP = 1e-2
+#: Relative size of a step from which Newton is lost: it begins at a gait in doubles. And
+#: that from which a first one is: larger than the gait, it leads to motions that may take
+#: for ever.
+_MAX_STEP, _MAX_FIRST_STEP = 1e-2, 1.0
+
+
+class Wide(NamedTuple):
+    """A gait in a wider number, or rounded from one.
+
+    Attributes
+    ----------
+    y : ndarray, shape (m,)
+        Scaled section coordinates.
+    times : ndarray, shape (k,) [sqrt(leg/g)]
+    impact : ndarray, shape (2,) or (2, s)
+        Rates just before heelstrike.
+    state : ndarray, shape (angles,)
+        Just after the first heelstrike.
+    error : float
+        Relative size of the last Newton step, or a bound.
+    """
+
+    y: np.ndarray
+    times: np.ndarray
+    impact: np.ndarray
+    state: np.ndarray
+    error: float
 
 
 class _ExtendedStepMap:
@@ -54,10 +78,10 @@ class _ExtendedStepMap:
     """
 
     def __init__(self, structure: Structure, number: Any, unit: float):
-        self.structure, self.number, self.unit = structure, number, unit
-        self.m, self.kneed = structure.dimension, structure.kneed
-        flows = [True, False] if self.kneed else [False]
-        systems = [system(structure, free, 0, False) for free in flows]
+        self.structure = structure
+        self.number, self.unit = number, unit
+        self.m = structure.dimension
+        systems = [system(structure, free, 0, False) for free in structure.phases]
         self._flows = [
             hy.taylor_adaptive(
                 motion.equations,
@@ -68,7 +92,7 @@ class _ExtendedStepMap:
             )
             for motion in systems
         ]
-        self._held = [
+        self._constants = [
             motion.parameters(fp_type=number, compact_mode=True) for motion in systems
         ]
         self._start, self._knee, self._finish = self._compile()
@@ -78,9 +102,14 @@ class _ExtendedStepMap:
         return np.array([self.number(v) for v in values], dtype=self.number)
 
     def _compile(self) -> tuple[Any, Any, Any]:
+        """The start of a step, its kneestrike and its end; the last two with the
+        strike's guard before the state beyond it.
+        """
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
+        two = x[:4]
+        end = [two[0] + two[1], *end_of_step(self.structure, p, two), two[2], two[3]]
 
         def function(outputs: list[Any], variables: list[Any]) -> Any:
             return hy.cfunc(
@@ -90,15 +119,11 @@ class _ExtendedStepMap:
                 compact_mode=True,
             )
 
-        # Each strike's guard and the state beyond it; the rates just before heelstrike.
-        knee = function([x[1] - x[2], *lock_knee(p, x)], x) if self.kneed else None
-        two = x[:4]
-        finish = [two[0] + two[1], *end_of_step(self.structure, p, two), two[2], two[3]]
-        return (
-            function(start_of_step(self.structure, p, y), y),
-            knee,
-            function(finish, two),
-        )
+        knee = None
+        if self.structure.kneed:
+            knee = function([x[1] - x[2], *lock_knee(p, x)], x)
+        start = function(start_of_step(self.structure, p, y), y)
+        return start, knee, function(end, two)
 
     def _integrate(
         self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any
@@ -106,7 +131,7 @@ class _ExtendedStepMap:
         ta = self._flows[k]
         ta.time = self.number(0.0)
         ta.state[:] = state
-        ta.pars[:] = self._held[k](parameters)
+        ta.pars[:] = self._constants[k](parameters)
         ta.propagate_until(duration)
         return ta.state.copy()
 
@@ -119,12 +144,15 @@ class _ExtendedStepMap:
         """Parameters of the compiled functions."""
         # Long double leaves differences in them too few digits.
         constants = lump(walker, hy.real128)
-        wide = [constants[k] for k in self.structure.constants]
+        values = [constants[name] for name in self.structure.constants]
         if self.number is not hy.real128:
-            wide = [
-                self.number(float(v)) + self.number(float(v - float(v))) for v in wide
-            ]
-        return self.array([slope, scale, *wide])
+            values = [self._rounded(value) for value in values]
+        return self.array([slope, scale, *values])
+
+    def _rounded(self, value: Any) -> Any:
+        """A number of 128 bits in this one."""
+        double = float(value)
+        return self.number(double) + self.number(float(value - double))
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike at y, of its first section."""
@@ -146,15 +174,16 @@ class _ExtendedStepMap:
         """
         steps = len(y) // self.m
         durations = np.diff(times, prepend=self.number(0.0)).reshape(steps, -1)
-        each = [
-            self._step(one, d, parameters)
-            for one, d in zip(y.reshape(steps, -1), durations, strict=True)
-        ]
-        images, guards, impacts = (list(values) for values in zip(*each, strict=True))
+        images, guards, impacts = [], [], []
+        for section, duration in zip(y.reshape(steps, -1), durations, strict=True):
+            image, guard, impact = self._step(section, duration, parameters)
+            images.append(image)
+            guards.append(guard)
+            impacts.append(impact)
+
         residual = np.concatenate([*images[-1:], *images[:-1]]) - y
-        return np.concatenate([residual, *guards]), np.stack(impacts, axis=-1)[
-            ..., 0 if steps == 1 else slice(None)
-        ]
+        impact = impacts[0] if steps == 1 else np.stack(impacts, axis=-1)
+        return np.concatenate([residual, *guards]), impact
 
     def _step(
         self, y: np.ndarray, durations: np.ndarray, parameters: np.ndarray
@@ -164,23 +193,15 @@ class _ExtendedStepMap:
         """
         state = self.start(y, parameters)
         guards = self.array([])
-        if self.kneed:
-            values = self._call(
-                self._knee,
-                self._integrate(0, state, parameters, durations[0]),
-                parameters,
-            )
+        if self.structure.kneed:
+            state = self._integrate(0, state, parameters, durations[0])
+            values = self._call(self._knee, state, parameters)
             guards, state = values[:1], values[1:]
-        values = self._call(
-            self._finish,
-            self._integrate(-1, state, parameters, durations[-1]),
-            parameters,
-        )
-        return (
-            values[1 : 1 + self.m],
-            np.concatenate([guards, values[:1]]),
-            values[1 + self.m :],
-        )
+
+        state = self._integrate(-1, state, parameters, durations[-1])
+        values = self._call(self._finish, state, parameters)
+        guards = np.concatenate([guards, values[:1]])
+        return values[1 : 1 + self.m], guards, values[1 + self.m :]
 
     def inverse(
         self,
@@ -199,19 +220,23 @@ class _ExtendedStepMap:
         """
         # Beside folds its rounding counts over 1e-11, beside falls the step bends
         # within 1e-17.
-        unknowns, difference = np.concatenate([y, times]), self.number(self.unit**0.6)
+        difference = self.number(self.unit**0.6)
+        unknowns = np.concatenate([y, times])
         columns = []
         for i in range(len(unknowns)):
             moved = unknowns.copy()
             moved[i] = moved[i] + difference
-            change = (
-                self(moved[: len(y)], moved[len(y) :], parameters)[0] - residual
-            ) / difference
-            columns.append([float(v) for v in change])
+            there, _ = self(moved[: len(y)], moved[len(y) :], parameters)
+            columns.append(_doubles((there - residual) / difference))
         try:
             return -np.linalg.inv(np.array(columns).T)
         except np.linalg.LinAlgError:
             return np.full((len(unknowns), len(unknowns)), np.nan)
+
+
+def _doubles(values: np.ndarray) -> np.ndarray:
+    """Numbers of any kind, rounded to doubles."""
+    return np.array([float(value) for value in values])
 
 
 @functools.lru_cache(maxsize=16)
@@ -263,41 +288,74 @@ def solved(start: Start, tier: int) -> Wide:
         In the tier's number; the last step is infinite where Newton's steps do not
         shrink.
     """
-    problem, lane, stride, y, times, slope, scale = start
-    exact = _extended_step_map(problem.structure, tier)
-    parameters = exact.parameters(problem.walker_of(lane), slope, scale)
-    wide, wide_times = exact.array(y), exact.array(times)
-    inverse, derivatives = stride.inverse[:, :, lane], 0
-    m, measure = len(y), joint_sizes(y[:, None], len(times))[:, 0]
-    # A first step larger than the gait leads to motions that may take for ever.
-    before, size = 2.0, np.inf
-    for _ in range(_MAX_STEPS):
-        residual, impact = exact(wide, wide_times, parameters)
-        step = matvec(inverse, np.array([float(v) for v in residual]))
-        size = float(np.max(np.abs(step / measure)))
-        if not size <= 0.5 * before:
-            if before < _ROUNDING[tier]:
-                break
-            if derivatives == _MAX_DERIVATIVES[tier]:
-                before = size = np.inf
-                break
+    exact = _extended_step_map(start.problem.structure, tier)
+    walker = start.problem.walker_of(start.lane)
+    rule = _WideNewton(
+        exact,
+        exact.parameters(walker, start.slope, start.scale),
+        tier,
+        exact.array(start.y),
+        exact.array(start.times),
+        start.stride.inverse[:, :, start.lane],
+        joint_sizes(start.y[:, None], len(start.times))[:, 0],
+    )
+    iterate(rule, 1, _MAX_STEPS)
+    state = exact.start(rule.y, rule.parameters)
+    return Wide(rule.y, rule.times, rule.impact, state, rule.size)
+
+
+@dataclass
+class _WideNewton:
+    """Newton's method for a single gait; `size` is the relative size of its last step,
+    infinite where these do not shrink.
+    """
+
+    exact: _ExtendedStepMap
+    parameters: np.ndarray
+    tier: int
+    y: np.ndarray
+    times: np.ndarray
+    inverse: np.ndarray
+    measure: np.ndarray
+    size: float = 2 * _MAX_FIRST_STEP
+    derivatives: int = 0
+    impact: np.ndarray = field(init=False)
+
+    def step(self, lanes: Numbers, taken: int) -> np.ndarray:
+        """Step once more."""
+        return np.array([self._step()])
+
+    def _step(self) -> Ended:
+        residual, self.impact = self.exact(self.y, self.times, self.parameters)
+        step, size = self._newton_step(residual)
+        if not size <= 0.5 * self.size:
+            if self.size < _ROUNDING[self.tier]:
+                self.size = min(self.size, size)
+                return Ended.CONVERGED
+            if self.derivatives == _MAX_DERIVATIVES[self.tier]:
+                self.size = np.inf
+                return Ended.STALLED
             # Beside falls, where the step amplifies its start most, the derivative in
             # doubles does not serve.
-            derivatives += 1
-            inverse = exact.inverse(wide, wide_times, parameters, residual)
-            step = matvec(inverse, np.array([float(v) for v in residual]))
-            size = float(np.max(np.abs(step / measure)))
+            self.derivatives += 1
+            self.inverse = self.exact.inverse(
+                self.y, self.times, self.parameters, residual
+            )
+            step, size = self._newton_step(residual)
             if not size < _MAX_STEP:
-                before = size = np.inf
-                break
-        wide, wide_times = (
-            wide + exact.array(step[:m]),
-            wide_times + exact.array(step[m:]),
-        )
-        before = size
-        if size < EPS / 64:
-            break
-    return wide, wide_times, impact, exact.start(wide, parameters), min(before, size)
+                self.size = np.inf
+                return Ended.DIVERGED
+
+        m = len(self.y)
+        self.y = self.y + self.exact.array(step[:m])
+        self.times = self.times + self.exact.array(step[m:])
+        self.size = size
+        return Ended.CONVERGED if size < EPS / 64 else Ended.RUNNING
+
+    def _newton_step(self, residual: np.ndarray) -> tuple[np.ndarray, float]:
+        """Newton's step in doubles, and its relative size."""
+        step = matvec(self.inverse, _doubles(residual))
+        return step, float(np.max(np.abs(step / self.measure)))
 
 
 def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
@@ -314,14 +372,14 @@ def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
     ndarray, shape (m + k, n)
         Over the stance angle.
     """
-    exact, columns = _extended_step_map(problem.structure, 1), []
-    (y, scale), times = problem.section(Z), Z[problem.m : -1]
+    exact = _extended_step_map(problem.structure, 1)
+    y, scale = problem.section(Z)
+    columns = []
     for lane, slope in enumerate(np.exp(Z[-1]).tolist()):
         parameters = exact.parameters(problem.walker_of(lane), slope, scale[lane])
-        values, _ = exact(
-            exact.array(y[:, lane]), exact.array(times[:, lane]), parameters
-        )
-        columns.append([float(value) for value in values] / y[0, lane])
+        times = exact.array(Z[problem.m : -1, lane])
+        values, _ = exact(exact.array(y[:, lane]), times, parameters)
+        columns.append(_doubles(values) / y[0, lane])
     return np.array(columns).T
 
 
@@ -350,12 +408,12 @@ def refine(
     def rounding(tier: int) -> float:
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
-    for tier in (
-        (0, 1) if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else (1,)
-    ):
-        *gait, last_step = solved(start, tier)
-        error = 2 * last_step * max(1.0, amplification) + rounding(tier)
-        if error <= accuracy if accuracy else np.isfinite(last_step):
+    # Long double first, where it may reach the accuracy.
+    serves = bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0)
+    for tier in (0, 1) if serves else (1,):
+        gait = solved(start, tier)
+        error = 2 * gait.error * max(1.0, amplification) + rounding(tier)
+        if error <= accuracy if accuracy else np.isfinite(gait.error):
             break
-    y, times, impact, state = (np.vectorize(float)(each) for each in gait)
-    return y, times, impact, state, error
+    y, times, impact, state = (np.vectorize(float)(values) for values in gait[:4])
+    return Wide(y, times, impact, state, error)

@@ -187,16 +187,14 @@ def compared(
         )
         near = at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane]
         start = extended_precision.Start(problem, lane, at.stride, *near)
-        _, times, _, start_of_step, last_step = extended_precision.solved(
-            start, min(tier, 1)
-        )
-        if not np.isfinite(last_step):
-            _, times, _, start_of_step, last_step = extended_precision.solved(start, 1)
+        gait = extended_precision.solved(start, min(tier, 1))
+        if not np.isfinite(gait.error):
+            gait = extended_precision.solved(start, 1)
         state, half = (
-            convert(start_of_step, np.longdouble) * at.scale[lane],
-            len(start_of_step) // 2,
+            convert(gait.state, np.longdouble) * at.scale[lane],
+            len(gait.state) // 2,
         )
-        period = convert(times[-1:], np.longdouble) * time_unit
+        period = convert(gait.times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit
         reference = {
             "stance_angle": state[0],
@@ -216,7 +214,7 @@ def compared(
             for k, x in reference.items()
         )
         # Without a reference no bound is shown to hold.
-        error = error if np.isfinite(last_step) else np.inf
+        error = error if np.isfinite(gait.error) else np.inf
         rows.append(
             (
                 float(slope[lane]),

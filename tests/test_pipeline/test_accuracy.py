@@ -198,7 +198,7 @@ from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step import extended_precision
 
 refine = extended_precision.refine
-extended_precision.refine = lambda *args: (*refine(*args)[:-1], 2e-15)
+extended_precision.refine = lambda *args: refine(*args)._replace(error=2e-15)
 """
 
 

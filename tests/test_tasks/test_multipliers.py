@@ -145,8 +145,8 @@ def exact_multipliers(problem, found, g, slope):
     w = np.array([[np.log(angle), *rates, *times]]).T
     at = settle(problem, unmeasured(problem, w, np.array([slope])))
     start = Start(problem, 0, at.stride, at.y[:, 0], at.times[:, 0], slope, at.scale[0])
-    y, times, *_, last_step = solved(start, 1)
-    assert last_step < 1e-15
+    y, times, *_, error = solved(start, 1)
+    assert error < 1e-15
     step = _extended_step_map(problem.structure, 1)
     with mpmath.workdps(34):
         return eigenvalues(
