@@ -15,12 +15,11 @@ from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.equations import Equations, slope_error, solve
+from gaitsweep.tasks.continuation.equations import slope_error
 from gaitsweep.tasks.continuation.flips import doubled
-from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
+from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
-from gaitsweep.tasks.continuation.root import hermite
-from gaitsweep.tasks.continuation.special_points import RATES, state_at
+from gaitsweep.tasks.continuation.special_points import RATES, passings, state_at
 from gaitsweep.tasks.continuation.tracking import check_steps, correct, points_along
 from gaitsweep.tasks.dynamics.crisis import lost
 from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
@@ -461,13 +460,17 @@ def _event_between(
     )
     if not at_before * at_after < 0:
         return None, False
-    length = float(np.linalg.norm(after.Z - before.Z))
-    ends = (before.Z, before.direction), (after.Z, after.direction)
-    guess = hermite(*ends, length, at_before / (at_before - at_after))
-    solved = solve(Equations(problem, [condition]), guess)
-    # What lies between two points is nearer to its guess than they are to each other.
-    if not solved.ok[0] or np.linalg.norm(solved.Z - guess) > length:
+    segment = Branch(
+        problem.m,
+        np.hstack([before.Z, after.Z]),
+        np.hstack([before.direction, after.direction]),
+        lipschitz=np.zeros(2),
+        why=("", ""),
+        steps=problem.steps,
+    )
+    located = passings(problem, segment, kind)
+    if not located:
         return None, True
-    error = slope_error(problem, condition, solved.Z[:, 0])
-    gait = evaluate(problem, solved.Z)
+    gait = located[0][1].at
+    error = slope_error(problem, condition, gait.Z[:, 0])
     return _Event(kind, gait, error, (before, after)), True

@@ -63,34 +63,34 @@ TASKS = {
         Task("points", "gaitsweep.tasks.solve_points:points", 25, needs=("atlas",)),
         Task("charts", "gaitsweep.tasks.solve_planes:charts", 10),
         Task("trace", "gaitsweep.tasks.trace_motion:trace", 7, needs=("atlas",)),
-        Task("branch", "gaitsweep.tasks.follow_branches:branch", 21, needs=("atlas",)),
+        Task("branch", "gaitsweep.tasks.follow_branches:branch", 22, needs=("atlas",)),
         Task("orbit", "gaitsweep.tasks.iterate_orbits:orbit", 11, needs=("atlas",)),
-        Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 20, needs=("atlas",)),
+        Task("cascade", "gaitsweep.tasks.locate_cascade:cascade", 21, needs=("atlas",)),
         Task("basin", "gaitsweep.tasks.map_basin:basin", 13, needs=("atlas",)),
-        Task("curve", "gaitsweep.tasks.follow_curves:curve", 19, needs=("atlas",)),
-        Task("design", "gaitsweep.tasks.map_designs:design", 25),
+        Task("curve", "gaitsweep.tasks.follow_curves:curve", 20, needs=("atlas",)),
+        Task("design", "gaitsweep.tasks.map_designs:design", 26),
         Task("census", "gaitsweep.tasks.count_gaits:census", 16),
         Task("scaling", "gaitsweep.tasks.fit_laws:scaling", 6, needs=("points",)),
         Task("transition", "gaitsweep.tasks.fit_laws:transition", 6, needs=("points",)),
         Task(
             "landmarks",
             "gaitsweep.tasks.locate_landmarks:landmarks",
-            8,
+            9,
             needs=("atlas",),
         ),
         Task(
-            "corners", "gaitsweep.tasks.locate_landmarks:corners", 5, needs=("atlas",)
+            "corners", "gaitsweep.tasks.locate_landmarks:corners", 6, needs=("atlas",)
         ),
         Task(
             "crises",
             "gaitsweep.tasks.locate_landmarks:crises",
-            7,
+            8,
             needs=("atlas", "cascade", "corners"),
         ),
         Task(
             "claims",
             "gaitsweep.tasks.check_claims:claims",
-            23,
+            24,
             needs=("points", "atlas"),
         ),
     )

@@ -281,6 +281,23 @@ class Branch:
         along = total((Z - a) * chord) / length**2
         return (along > 0) & (along < 1) & (norm(Z - a - along * chord) < 0.5 * length)
 
+    def place_of(self, segment: np.ndarray, Z: np.ndarray) -> np.ndarray:
+        """Return where points lie along the chords of segments: their numbers plus the
+        shares of the chords.
+
+        Parameters
+        ----------
+        segment : ndarray of int, shape (k,)
+        Z : ndarray, shape (c, k)
+
+        Returns
+        -------
+        ndarray, shape (k,)
+        """
+        chord = self.Z[:, segment + 1] - self.Z[:, segment]
+        along = total((Z - self.Z[:, segment]) * chord)
+        return np.asarray(segment + along / total(chord**2))
+
     def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Evaluate the segments' polynomials.
 

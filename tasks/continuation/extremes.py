@@ -17,16 +17,20 @@ import numpy as np
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import (
     CONDITIONS,
-    Condition,
     foot_radius,
     is_located,
     log_froude,
     log_froude_by_Z,
 )
-from gaitsweep.tasks.continuation.equations import Equations, solve
 from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
+from gaitsweep.tasks.continuation.passings import (
+    Guesses,
+    Nodes,
+    guess_passings,
+    locate,
+)
 from gaitsweep.tasks.continuation.special_points import turns_and_ends
-from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
+from gaitsweep.tasks.fixed_points.multipliers import other_multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.kinds import (
     COSTS,
@@ -38,14 +42,8 @@ from gaitsweep.tasks.kinds import (
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import EPS, Lanes
-from gaitsweep.tasks.step.sameness import NEAR_POINT, same
 from gaitsweep.tasks.walkers.statics import are_tuned
 
-#: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
-_PARTS = 8
-_BLOCK = 4096
-#: Value of a scalar of stability at a node beside which it may change its sign twice.
-_NEAR_ZERO = 0.3
 #: A special point is at an end of stability if the magnitudes of its other multipliers
 #: are below this.
 _STABLE = 1 - 1e-9
@@ -272,75 +270,6 @@ def classify(
     )
 
 
-class _Nodes:
-    """Nodes of all branches of several lines, one after another, and how far each
-    condition is from being fulfilled there.
-    """
-
-    def __init__(
-        self,
-        problem: Lanes,
-        surveyed: Sequence[Sequence[Branch]],
-        conditions: Sequence[Condition],
-    ):
-        self.branches = [branch for branches in surveyed for branch in branches]
-        lines = [i for i, branches in enumerate(surveyed) for _ in branches]
-        lengths = [len(branch.q) for branch in self.branches]
-        self.line = np.repeat(lines, lengths)
-        self.branch = np.repeat(np.arange(len(lines)), lengths)
-        self.first = np.cumsum([0, *lengths])[:-1]
-        self.Z = np.hstack([branch.Z for branch in self.branches])
-        self.walks = self.of_nodes("leg_passes") == 1
-
-        n = len(self.line)
-        radius = np.full(n, np.nan)
-        self.values = {condition.name: np.full(n, np.nan) for condition in conditions}
-        for begin in range(0, n, _BLOCK):
-            part = slice(begin, begin + _BLOCK)
-            at = evaluate(problem.some(self.line[part]), self.Z[:, part])
-            largest = multipliers(at.stride.jacobian, problem.m)[:, 0]
-            radius[part] = np.abs(largest)
-            for condition in conditions:
-                self.values[condition.name][part] = condition.residual(at)
-        self.stable = (radius < 1) & self.walks
-        # Branches have their ratios measured.
-        self.values["label"] = self.of_nodes("ratio") - LONG_BELOW
-
-    def of_nodes(self, name: str) -> np.ndarray:
-        """An attribute of the branches at their nodes."""
-        return np.concatenate([getattr(branch, name) for branch in self.branches])
-
-    def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Points (c, n) of the branches' polynomials at shares of the segments after
-        some nodes.
-        """
-        Z = np.zeros((len(self.Z), len(node)))
-        for b in np.unique(self.branch[node]).tolist():
-            which = np.flatnonzero(self.branch[node] == b)
-            Z[:, which] = self.branches[b].at(
-                node[which] - self.first[b] + share[which]
-            )
-        return Z
-
-    def inner(self, node: np.ndarray) -> np.ndarray:
-        """Neighbours (n,) of nodes, along the branch or, from its last, back."""
-        has_next = np.append(self.branch, -1)[node + 1] == self.branch[node]
-        return np.where(has_next, node + 1, node - 1)
-
-
-@dataclass
-class _Guesses:
-    """Guesses of points of one kind: the nodes before them (n,), and Z (c, n).
-
-    `condition` is what they fulfil; None where only the node itself is known.
-    """
-
-    kind: str
-    condition: Condition | None
-    node: np.ndarray
-    Z: np.ndarray
-
-
 def find(
     problem: Lanes, surveyed: Sequence[Sequence[Branch]], sought: Sought
 ) -> Points:
@@ -359,13 +288,16 @@ def find(
     if not any(surveyed):
         return nothing(problem)
     window, log_speed = sought
-    conditions = [CONDITIONS[kind] for kind in ("flip", "neimark_sacker", "fastest")]
+    kinds = ("label", "flip", "neimark_sacker", "fastest")
+    conditions = [CONDITIONS[kind] for kind in kinds]
     if log_speed is not None:
         conditions.append(CONDITIONS["speed"].equal_to(log_speed))
 
-    nodes = _Nodes(problem, surveyed, conditions)
-    passed = [CONDITIONS["label"], *conditions]
-    guesses = [_crossings(problem, nodes, condition) for condition in passed]
+    nodes = Nodes(problem, surveyed, conditions)
+    guesses = [
+        guess_passings(problem, nodes, each, each.kind.is_of_stable_gaits)
+        for each in conditions
+    ]
     guesses += [_at_edge(nodes, edge) for edge in window]
     guesses += _turns_and_ends(nodes, are_tuned(problem.every_walker), window[0])
 
@@ -374,91 +306,7 @@ def find(
     return points
 
 
-def _crossings(problem: Lanes, nodes: _Nodes, condition: Condition) -> _Guesses:
-    """Where a condition's scalar passes its target on segments of the branches."""
-    node = _changing(nodes, condition)
-    inner_shares = np.linspace(0, 1, _PARTS + 1)[1:-1]
-    every = np.repeat(node, _PARTS - 1)
-    lines = nodes.line[every]
-    Z = nodes.evaluate(every, np.tile(inner_shares, len(node)))
-    between = np.zeros(len(every))
-    for begin in range(0, len(every), _BLOCK):
-        part = slice(begin, begin + _BLOCK)
-        at = evaluate(problem.some(lines[part]), Z[:, part])
-        between[part] = condition.residual(at)
-
-    at_nodes = nodes.values[condition.name]
-    values = np.column_stack(
-        [at_nodes[node], between.reshape(len(node), _PARTS - 1), at_nodes[node + 1]]
-    )
-    row, share = _roots(values)
-    return _Guesses(
-        condition.name, condition, node[row], nodes.evaluate(node[row], share)
-    )
-
-
-def _changing(nodes: _Nodes, condition: Condition) -> np.ndarray:
-    """Nodes before the segments on which a condition's scalar may pass its target."""
-    values = nodes.values[condition.name]
-    signs, finite = np.sign(values), np.isfinite(values)
-    joined = nodes.branch[1:] == nodes.branch[:-1]
-    changes = joined & (signs[1:] != signs[:-1])
-    changes &= finite[1:] & finite[:-1]
-    if condition.kind.is_of_stable_gaits:
-        changes &= nodes.stable[1:] | nodes.stable[:-1]
-
-    if condition.kind.exchanges_stability:
-        # Between nodes it may change twice: beside one where it comes near zero.
-        size = np.abs(values)
-        inner = size[1:-1]
-        least = (size[:-2] >= inner) & (inner <= size[2:])
-        least &= joined[:-1] & joined[1:]
-        least &= inner < _NEAR_ZERO
-        changes[:-1] |= least
-        changes[1:] |= least
-    return np.flatnonzero(changes)
-
-
-@np.errstate(invalid="ignore", divide="ignore")
-def _roots(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and places, as shares of a row, of the roots of functions that have values
-    (n, p) at equal distances.
-
-    Between values of one sign two roots are those of the parabola through three of
-    them.
-    """
-    row, left = np.nonzero(values[:, :-1] * values[:, 1:] <= 0)
-    at_left = values[row, left]
-    at_right = values[row, left + 1]
-    crossed = left + np.nan_to_num(at_left / (at_left - at_right))
-
-    also, before, after = _parabolas(values)
-    rows = np.concatenate([row, also, also])
-    places = np.concatenate([crossed, before, after])
-    return rows, places / (values.shape[1] - 1)
-
-
-def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of functions (n, p), and the two roots of parabolas through three of their
-    values of one sign, as places.
-    """
-    a = values[:, :-2]
-    b = values[:, 1:-1]
-    c = values[:, 2:]
-    slope = 0.5 * (c - a)
-    bend = 0.5 * (a + c) - b
-    root = np.sqrt(slope**2 - 4 * bend * b)
-
-    is_between = np.abs(slope) + root <= np.abs(2 * bend)
-    is_one_sign = (a * b > 0) & (b * c > 0)
-    touches = is_one_sign & np.isfinite(root) & is_between & (bend != 0)
-    row, middle = np.nonzero(touches)
-    before = ((-root - slope) / (2 * bend))[touches]
-    after = ((root - slope) / (2 * bend))[touches]
-    return row, middle + 1 + before, middle + 1 + after
-
-
-def _at_edge(nodes: _Nodes, edge: float) -> _Guesses:
+def _at_edge(nodes: Nodes, edge: float) -> Guesses:
     """Where branches cross the edge of the window."""
     node = [np.zeros(0, int)]
     Z = [np.zeros((len(nodes.Z), 0))]
@@ -467,12 +315,12 @@ def _at_edge(nodes: _Nodes, edge: float) -> _Guesses:
             node.append(first + segment)
             Z.append(crossing)
     condition = CONDITIONS["window"].equal_to(edge)
-    return _Guesses(
+    return Guesses(
         condition.name, condition, np.concatenate(node), np.concatenate(Z, axis=1)
     )
 
 
-def _turns_and_ends(nodes: _Nodes, tuned: np.ndarray, low: float) -> list[_Guesses]:
+def _turns_and_ends(nodes: Nodes, tuned: np.ndarray, low: float) -> list[Guesses]:
     """The folds and the ends of the branches, which are nodes.
 
     `tuned` says of each line whether its walker is; `low` is the least ln slope of the
@@ -486,7 +334,7 @@ def _turns_and_ends(nodes: _Nodes, tuned: np.ndarray, low: float) -> list[_Guess
             by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
     by_kind.pop("window", None)
     return [
-        _Guesses(
+        Guesses(
             kind,
             CONDITIONS[kind] if is_located(kind) else None,
             np.array(numbers, int),
@@ -496,7 +344,7 @@ def _turns_and_ends(nodes: _Nodes, tuned: np.ndarray, low: float) -> list[_Guess
     ]
 
 
-def _located(problem: Lanes, nodes: _Nodes, guesses: _Guesses) -> Points:
+def _located(problem: Lanes, nodes: Nodes, guesses: Guesses) -> Points:
     """Solve for points of one kind, or take them as nodes where no condition defines
     them.
     """
@@ -513,30 +361,16 @@ def _located(problem: Lanes, nodes: _Nodes, guesses: _Guesses) -> Points:
         error = _UNSOLVED + _end_errors(nodes, node)
         return classify(guesses.kind, at, line, guesses.Z, no_rows, error, walks)
 
-    solved = solve(Equations(of_lines, [guesses.condition]), guesses.Z)
-    # Where a scalar is far from linear, Newton's steps are long: they may lead along
-    # the branch, but not off it.
-    is_far = solved.ok & ~same(solved.Z, guesses.Z, NEAR_POINT)
-    for lane in np.flatnonzero(is_far).tolist():
-        branch = nodes.branches[nodes.branch[node[lane]]]
-        if not _lies_on(branch, solved.Z[:, lane]):
-            solved.ok[lane] = False
-            solved.Z[:, lane] = guesses.Z[:, lane]
+    solved = locate(problem, nodes, guesses)
     at = evaluate(of_lines, solved.Z)
     walks = walks & (is_end | solved.ok)
     return classify(guesses.kind, at, line, solved.Z, solved.rows, solved.error, walks)
 
 
-def _end_errors(nodes: _Nodes, node: np.ndarray) -> np.ndarray:
+def _end_errors(nodes: Nodes, node: np.ndarray) -> np.ndarray:
     """Errors of ln slope at nodes that are ends of branches, shape (n,)."""
     errors = []
     for b, number in zip(nodes.branch[node], node, strict=True):
         side = int(number > nodes.first[b])
         errors.append(nodes.branches[b].end_errors[side])
     return np.array(errors)
-
-
-def _lies_on(branch: Branch, Z: np.ndarray) -> bool:
-    """Whether a point (c,) lies on a branch."""
-    on_pieces = [on[:, 0] for _, on, _ in branch.guesses(Z[-1:])]
-    return any(same(on, Z, NEAR_POINT) for on in on_pieces)

@@ -8,28 +8,36 @@ hyperextension of the released knee, beyond which the branch continues.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.continuation.branch import LOST, Branch
-from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
+from gaitsweep.tasks.continuation.conditions import (
+    CONDITIONS,
+    Condition,
+    is_located,
+)
 from gaitsweep.tasks.continuation.equations import slope_error
-from gaitsweep.tasks.continuation.joint import Evaluation
-from gaitsweep.tasks.continuation.locate import TestFunction, locate_root, value_of
-from gaitsweep.tasks.continuation.lockstep import Procedure, side_by_side
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
+from gaitsweep.tasks.continuation.locate import locate_root
+from gaitsweep.tasks.continuation.lockstep import side_by_side
+from gaitsweep.tasks.continuation.passings import Nodes, guess_passings, locate
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.tracking import branch_point_determinant, correct
 from gaitsweep.tasks.fixed_points.rounding import rounding
 from gaitsweep.tasks.kinds import KINDS
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.sameness import SAME_GAIT, same
 from gaitsweep.tasks.step.several_steps import from_largest
 
 #: Rates at the start of a step.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Height of the foot at kneestrike, in angles of order one, that is rounding.
 _ON_GROUND = 1e-12
+#: Share of a segment by which rounding moves a point beyond its node.
+_AT_NODE = 1e-9
 #: Points from which the slope of vanishing steps is extrapolated, and how far they
 #: reach, over the first's distance.
 _EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
@@ -58,16 +66,17 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         (float(node), kind, nodes, node, error)
         for kind, node, error in turns_and_ends(branch)
     ]
-    found += [
-        (k + 0.5, kind, point, 0, 0.0)
-        for kind, k, point in crossings(problem, branch, nodes, kinds)
-    ]
+    for kind in kinds:
+        for place, point in passings(problem, branch, kind):
+            found.append((place, kind, point, 0, 0.0))
+
     records = []
     for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
-        own = record(kind, point.at, lane, _error(kind, point, lane, known))
+        error = _error(kind, point, lane, known)
+        described = record(kind, point.at, lane, error)
         if kind == "end_zero_step":
-            own |= _limit_of_short_steps(branch, lane)
-        records.append({**own, "place": place})
+            described |= _limit_of_short_steps(branch, lane)
+        records.append({**described, "place": place})
     return records
 
 
@@ -107,62 +116,77 @@ def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     list of Evaluation
         Of one lane each.
     """
-    found = crossings(problem, branch, corrected(problem, branch), ["flip"])
-    return [point.at for _, segment, point in found if branch.leg_passes[segment] == 1]
+    return [
+        point.at
+        for place, point in passings(problem, branch, "flip")
+        if branch.leg_passes[int(place)] == 1
+    ]
 
 
-def crossings(
-    problem: Problem, branch: Branch, nodes: Point, kinds: Sequence[str]
-) -> Iterator[tuple[str, int, Point]]:
-    """Yield what a branch passes between its nodes: kinds, segments and points of one
-    lane.
+def passings(problem: Problem, branch: Branch, kind: str) -> list[tuple[float, Point]]:
+    """Locate where a branch passes points of a kind between its nodes.
 
     Parameters
     ----------
     problem : Problem
+        Of one walker.
     branch : Branch
-    nodes : Point
-        Its nodes.
-    kinds : sequence of str
-        Of CONDITIONS, and `branch_point`.
+    kind : str
+        Of CONDITIONS, or `branch_point`.
+
+    Returns
+    -------
+    list of (float, Point)
+        Places in their order, numbers of segments plus shares of them, and the points
+        there, of one lane, evaluated.
     """
-    crossed: list[tuple[str, int, Procedure[Point]]] = []
-    for kind in kinds:
-        values, test = _tested(kind, nodes)
-        for segment in _changes_of_sign(values, kind, branch.why):
-            crossed.append((kind, segment, locate_root(branch, segment, test)))
+    if kind not in CONDITIONS:
+        return _branch_points(problem, branch)
+    condition = CONDITIONS[kind]
+    nodes = Nodes(problem, [[branch]], [condition])
+    guesses = guess_passings(problem, nodes, condition)
+    if not len(guesses.node):
+        return []
 
-    procedures = [procedure for *_, procedure in crossed]
-    located = side_by_side(problem, [0] * len(crossed), procedures)
-    for (kind, segment, _), point in zip(crossed, located, strict=True):
-        if point.ok[0] and _is_genuine(kind, point):
-            yield kind, segment, point
+    solved = locate(problem, nodes, guesses)
+    solved.at = evaluate(problem, solved.Z)
+    share = branch.place_of(guesses.node, solved.Z) - guesses.node
+    solved.ok &= (share > -_AT_NODE) & (share < 1 + _AT_NODE)
+    place = guesses.node + np.clip(share, _AT_NODE, 1 - _AT_NODE)
+    found: list[tuple[float, Point]] = []
+    for lane in np.flatnonzero(solved.ok).tolist():
+        point = lanes_of(solved, np.array([lane]))
+        is_known = any(same(point.Z, other.Z, SAME_GAIT)[0] for _, other in found)
+        if not is_known and _is_genuine(condition, point):
+            found.append((float(place[lane]), point))
+    return sorted(found, key=lambda each: each[0])
 
 
-def _tested(kind: str, nodes: Point) -> tuple[np.ndarray, TestFunction]:
-    """What changes its sign at points of a kind: its values at nodes, shape (n,), and
-    the function.
+def _branch_points(problem: Problem, branch: Branch) -> list[tuple[float, Point]]:
+    """Where branches cross: between two nodes Newton's equations are singular, and the
+    root of their determinant is bracketed.
     """
-    if kind in CONDITIONS:
-        condition = CONDITIONS[kind]
-        return condition.residual(nodes.at), value_of(condition)
 
-    def at_point(point: Point) -> float:
+    def determinant(point: Point) -> float:
         return float(branch_point_determinant(point, point.direction)[0])
 
-    return branch_point_determinant(nodes, nodes.direction), at_point
-
-
-def _changes_of_sign(values: np.ndarray, kind: str, ends: tuple[str, str]) -> list[int]:
-    """Segments over which values at nodes change their sign."""
-    signs, finite = np.sign(values), np.isfinite(values)
-    changes = signs[1:] != signs[:-1]
-    changes &= finite[1:]
-    changes &= finite[:-1]
+    nodes = corrected(problem, branch)
+    values = branch_point_determinant(nodes, nodes.direction)
+    crosses = np.sign(values[1:]) != np.sign(values[:-1])
+    crosses &= np.isfinite(values[1:]) & np.isfinite(values[:-1])
     # Nodes beside an end may lie on either side of it by rounding.
-    for segment, end in zip((0, -1), ends, strict=True):
-        changes[segment] &= end != kind
-    return np.flatnonzero(changes).tolist()
+    for segment, end in zip((0, -1), branch.why, strict=True):
+        crosses[segment] &= end != "branch_point"
+
+    segments = np.flatnonzero(crosses).tolist()
+    searches = [locate_root(branch, segment, determinant) for segment in segments]
+    points = side_by_side(problem, [0] * len(segments), searches)
+    located = zip(segments, points, strict=True)
+    return [
+        (segment + 0.5, point)
+        for segment, point in located
+        if point.ok[0] and np.isfinite(point.at.jacobians).all()
+    ]
 
 
 def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
@@ -209,14 +233,14 @@ def _extrapolated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.array(values)
 
 
-def _is_genuine(kind: str, point: Point) -> bool:
-    """Whether a sign change of the test function is a special point of its kind."""
-    if not np.isfinite(point.at.jacobians).all():
+def _is_genuine(condition: Condition, point: Point) -> bool:
+    """Whether a root of a condition's scalar is a point of its kind."""
+    jacobian = point.at.jacobians[0]
+    if not np.isfinite(jacobian).all():
         return False
-    condition = CONDITIONS.get(kind)
-    if condition is None or condition.is_genuine is None:
+    if condition.is_genuine is None:
         return True
-    return condition.is_genuine(np.linalg.eigvals(point.at.jacobians[0]))
+    return condition.is_genuine(np.linalg.eigvals(jacobian))
 
 
 def _strikes_with_knee(point: Point, lane: int) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.equations import Equations, Keys, sensitivity
-from gaitsweep.tasks.continuation.special_points import corrected, crossings
+from gaitsweep.tasks.continuation.special_points import passings
 from gaitsweep.tasks.paper.claim import NOT_PRINTED, PRINTED, Printed
 from gaitsweep.tasks.paper.lines import Line, Paper, memoize
 from gaitsweep.tasks.walkers.catalogue import tune_exactly
@@ -126,9 +126,8 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
     rows = [np.array(point["Z"]) for point in gaits.special_of(mark.kind)]
     if mark.kind == "exponent_two_thirds":
         for branch in gaits.branches:
-            nodes = corrected(gaits.problem, branch)
-            passed = crossings(gaits.problem, branch, nodes, [mark.kind])
-            rows += [point.Z[:, 0] for _, _, point in passed]
+            passed = passings(gaits.problem, branch, mark.kind)
+            rows += [point.Z[:, 0] for _, point in passed]
     if mark.label:
         rows = [
             Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")

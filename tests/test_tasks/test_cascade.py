@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks import columns, locate_cascade
+from gaitsweep.tasks.continuation import passings
 from gaitsweep.tasks.continuation.atlas import from_arrays
 from gaitsweep.tasks.continuation.special_points import flips as flips_of
 from gaitsweep.tasks.dynamics import crisis
@@ -89,14 +90,14 @@ def test_a_cascade_tells_why_it_stopped():
 
 
 def test_a_flip_that_does_not_lie_between_its_points_is_not_taken(monkeypatch):
-    solve = locate_cascade.solve
+    solve = passings.solve
 
     def astray(*asked):
         point = solve(*asked)
         point.Z[1] += 0.4
         return point
 
-    monkeypatch.setattr(locate_cascade, "solve", astray)
+    monkeypatch.setattr(passings, "solve", astray)
 
     found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
 
@@ -233,7 +234,7 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
         problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1
     )
     begun = (start, np.array([0.0, 0.0, 0.0, 1.0]), 0.02)
-    evaluated, solve = [], locate_cascade.solve
+    evaluated, solve = [], passings.solve
 
     def counted(equations, guess):
         stride = Problem.stride
@@ -245,7 +246,7 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
             )
             return solve(equations, guess)
 
-    monkeypatch.setattr(locate_cascade, "solve", counted)
+    monkeypatch.setattr(passings, "solve", counted)
     event, _ = locate_cascade._first_event(
         problem, begun, "flip", *np.log([0.0145, 0.016])
     )
@@ -254,9 +255,9 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
 
 
 def test_an_event_that_is_not_located_is_told(monkeypatch):
-    solve = locate_cascade.solve
+    solve = passings.solve
     monkeypatch.setattr(
-        locate_cascade,
+        passings,
         "solve",
         lambda *of: replace(found := solve(*of), ok=np.zeros_like(found.ok)),
     )

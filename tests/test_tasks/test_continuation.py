@@ -19,11 +19,7 @@ from gaitsweep.tasks.continuation.lockstep import run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
 from gaitsweep.tasks.continuation.root import bracketed_root
-from gaitsweep.tasks.continuation.special_points import (
-    corrected,
-    crossings,
-    special_points,
-)
+from gaitsweep.tasks.continuation.special_points import passings, special_points
 from gaitsweep.tasks.continuation.tracking import correct, follow
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
@@ -234,11 +230,9 @@ def test_a_pole_of_the_local_exponent_is_no_root():
     for walker, count in (("physical", 3), ("physical-straight", 2)):
         problem, found = branches(walker)
         points = [
-            p
-            for b in found
-            for *_, p in crossings(
-                problem, b, corrected(problem, b), ["exponent_two_thirds"]
-            )
+            point
+            for branch in found
+            for _, point in passings(problem, branch, "exponent_two_thirds")
         ]
         assert len(points) == count
         for point in points:

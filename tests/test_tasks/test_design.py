@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import extremes
+from gaitsweep.tasks.continuation import extremes, passings
 from gaitsweep.tasks.continuation.atlas import survey
 from gaitsweep.tasks.continuation.extremes import Points, Sought, find
 from gaitsweep.tasks.continuation.refine import COARSE
@@ -195,12 +195,12 @@ def test_a_special_point_off_the_branch_is_not_one_of_its_points(monkeypatch):
     flips = find(lanes, [found], Sought(window)).kind == "flip"
 
     def astray(*asked):
-        point = extremes_solve(*asked)
+        point = solve(*asked)
         point.Z[1] += 0.1
         return point
 
-    extremes_solve = extremes.solve
-    monkeypatch.setattr(extremes, "solve", astray)
+    solve = passings.solve
+    monkeypatch.setattr(passings, "solve", astray)
     points = find(lanes, [found], Sought(window))
 
     assert flips.any() and not points.walks[points.kind == "flip"].any()

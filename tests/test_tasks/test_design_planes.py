@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 from gaitsweep.tasks.continuation import extremes
+from gaitsweep.tasks.continuation import passings as module_of_passings
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.conditions import (
     CONDITIONS,
@@ -819,9 +820,10 @@ def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
         stable=np.array([False, True, False, False]),
         evaluate=lambda node, share: np.array([node + share]),
     )
-    monkeypatch.setattr(extremes, "evaluate", lambda problem, Z: Z[0])
+    monkeypatch.setattr(module_of_passings, "evaluate", lambda problem, Z: Z[0])
     flip = Condition("flip", lambda at: 3.074 - 2 * at)
-    found = extremes._crossings(SimpleNamespace(some=lambda lanes: None), nodes, flip)
+    problem = SimpleNamespace(some=lambda lanes: None)
+    found = module_of_passings.guess_passings(problem, nodes, flip, True)
     assert (found.kind, found.node.tolist()) == ("flip", [1])
     assert found.Z[0] == pytest.approx([1.537])
 

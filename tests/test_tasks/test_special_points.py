@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.continuation.atlas import survey, to_arrays
+from gaitsweep.tasks.continuation.special_points import passings
 from gaitsweep.tasks.follow_branches import branch
 from gaitsweep.tasks.map_step import map_step
 from gaitsweep.tasks.solve_points import atlas
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
+from lines import branches
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
@@ -107,3 +109,18 @@ def test_a_branch_that_ends_within_its_window_has_no_row_at_its_edges(tables):
     for walker, table in tables.items():
         kinds = table["special_points/kind"].astype(str)
         assert ("window" in kinds) == (walker == "physical-straight")
+
+
+def test_two_flips_between_two_nodes_are_both_located():
+    """Between the nodes the scalar changes its sign twice: neither was seen."""
+    problem, found = branches("A", detuning=0.6, m_h=0.5)
+    (doubling,) = [each for each in found if passings(problem, each, "flip")]
+    flips = [place for place, _ in passings(problem, doubling, "flip")]
+    outside = np.r_[: int(flips[0]) + 1, int(flips[1]) + 1 : len(doubling.q)]
+
+    located = passings(problem, doubling.part(outside), "flip")
+
+    slopes = sorted(float(np.exp(point.at.q[0])) for _, point in located)
+    assert slopes == pytest.approx([0.0085101, 0.0098504], rel=2e-3)
+    places = [place for place, _ in located]
+    assert int(places[0]) == int(places[1]) == int(flips[0])
