@@ -171,6 +171,7 @@ CLAIMS = tuple(
 #: check of a walker.
 CALLS = {
     "solve": "gaitsweep.tasks.solve_at_slope:solve_one",
+    "solve_at": "gaitsweep.tasks.solve_at_value:solve_at_value",
     "step_map": "gaitsweep.tasks.map_step:map_step",
     "simulate": "gaitsweep.tasks.simulate_steps:simulate_steps",
     "prove": "gaitsweep.tasks.prove_gaits:prove_one",

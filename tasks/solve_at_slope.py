@@ -27,7 +27,7 @@ from gaitsweep.tasks.walkers.tuning import untuned
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Variables measured for one point: all but proofs.
-_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
+WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
 #: First columns of a gait, and all columns.
 _FIRST = (
     *(
@@ -64,7 +64,7 @@ _COLUMNS = (
     *_FIRST,
     *(
         v
-        for v in _WANT
+        for v in WANT
         if v not in (*_FIRST, "reason", "multiplier_real", "multiplier_imag")
     ),
 )
@@ -100,7 +100,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         for name in ("steps", "accuracy", "violation_limits")
         if name in params
     }
-    request = {"line": line, "slope": np.array([slope]), "want": _WANT, **asked}
+    request = {"line": line, "slope": np.array([slope]), "want": WANT, **asked}
     if int(params.get("steps", 1)) > 1:
         return _solve_cycles(request, walker)
     problem = Problem(walker)
@@ -126,14 +126,14 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         others = []
         log += _left_out(point)
     records = [
-        _record(_name(place), slope, found[place], walker) for place in sorted(found)
+        record(_name(place), slope, found[place], walker) for place in sorted(found)
     ]
     if params.get("all"):
         records += [
-            _record(f"passes_{gait['passes']}_times", slope, gait, walker)
+            record(f"passes_{gait['passes']}_times", slope, gait, walker)
             for gait in others
         ]
-    return _answer(
+    return answer(
         records,
         walker.si,
         log,
@@ -164,7 +164,7 @@ def _converged(point: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
     label.
     """
     solved = np.flatnonzero(np.isin(point["status"][0], status.SOLVED)).tolist()
-    return {g: {k: point[k][0, g] for k in _WANT} for g in solved}
+    return {g: {k: point[k][0, g] for k in WANT} for g in solved}
 
 
 def _left_out(point: Mapping[str, Any]) -> list[str]:
@@ -173,13 +173,26 @@ def _left_out(point: Mapping[str, Any]) -> list[str]:
     return [str(point["reasons"][status.UNLABELLED])] if has_more else []
 
 
-def _answer(
+def answer(
     records: list[dict[str, Any]],
     is_si: bool,
     log: list[str],
     absent: Sequence[str] = (),
 ) -> dict[str, Any]:
-    units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
+    """Return what a solve answers.
+
+    Parameters
+    ----------
+    records : list of dict
+        Of the gaits, as `record` describes them.
+    is_si : bool
+        Whether the walker is in SI units.
+    log : list of str
+        How gaits were searched for, in sentences.
+    absent : sequence of str
+        Why there are none.
+    """
+    units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in WANT}}
     return {
         "gaits": records,
         "columns": list(_COLUMNS),
@@ -197,9 +210,9 @@ def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
         state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         # The heelstrike is at another angle than the one before.
         end = map_step({**request["line"], "slope": slope, "state": state})["state"][0]
-        records.append(_record(GAITS[place], slope, gait, walker, float(end)))
+        records.append(record(GAITS[place], slope, gait, walker, float(end)))
     log = _left_out(point) if records else [str(point["reasons"][status.NO_LONG])]
-    return _answer(records, walker.si, log)
+    return answer(records, walker.si, log)
 
 
 def _name(place: int) -> str:
@@ -249,8 +262,8 @@ def _search_slope(
             for lane in np.flatnonzero(has_label)
         ]
 
-    measured = describe(problem, at, slopes, _WANT, wanted.limits)
-    measured = {name: measured[name] for name in _WANT if name in measured}
+    measured = describe(problem, at, slopes, WANT, wanted.limits)
+    measured = {name: measured[name] for name in WANT if name in measured}
     to_accuracy(
         {name: values[:, None] for name, values in measured.items()}, wanted.accuracy
     )
@@ -285,15 +298,24 @@ def _search_slope(
     )
 
 
-def _record(
+def record(
     label: str,
     slope: float,
     value: dict[str, Any],
     walker: Walker,
     end: float | None = None,
 ) -> dict[str, Any]:
-    """One gait as a plain dict, its heelstrike at the angle `end` or that of its start;
-    an absent quantity is None.
+    """Return one gait as a plain dict; an absent quantity is None.
+
+    Parameters
+    ----------
+    label : str
+    slope : float [rad]
+    value : dict
+        Its variables, as `describe` measures them.
+    walker : Walker
+    end : float, optional [rad]
+        The angle at its heelstrike, by default that of its start.
     """
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)

@@ -313,29 +313,39 @@ def gaits(
 @in_turn
 def solve(
     walker: str | Path | Mapping[str, object],
-    slope: float,
+    slope: float | None = None,
     every: bool = False,
     *,
+    at: Mapping[str, float] | None = None,
+    vary: str = "slope",
+    between: tuple[float, float] | None = None,
     steps: int = 1,
     accuracy: float | None = None,
     violation_limits: Mapping[str, float] | None = None,
     tuned: Sequence[str] = (),
     **keys: float,
 ) -> pd.DataFrame:
-    """Find every gait of a walker at one slope.
+    """Find every gait of a walker at one slope, or at a value of a measure.
 
     Parameters
     ----------
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in [1e-18, 0.5).
+        Slope of the ground, in [1e-18, 0.5); none where `at` is reached by varying it.
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
+    at : mapping, optional
+        A measure and the value that it is to have, as `{"speed": 0.4}`: all gaits that
+        have it, by varying the slope or a key.
+    vary : str
+        `slope`, or a key of the walker.
+    between : (float, float), optional
+        Least and largest value of what is varied; for a key they must be given.
     steps : int
-        Number of steps after which a gait repeats, as for `gaits`.
+        Number of steps after which a gait repeats, as for `gaits`; 1 with `at`.
     accuracy : float, optional
-        Largest error bound wanted, as for `gaits`.
+        Largest error bound wanted, as for `gaits`; not with `at`.
     violation_limits : mapping, optional
         As for `gaits`.
     tuned : sequence of str
@@ -347,24 +357,29 @@ def solve(
     -------
     pandas.DataFrame
         One row for each gait, with the columns of archives, and `multipliers` and
-        `violations` as tuples. No row if there is no gait; `attrs["search"]` describes
-        the search.
+        `violations` as tuples; first that of the key that is varied. No row if there is
+        no gait; `attrs["search"]` describes the search, `attrs["absent"]` says why
+        there is none.
 
     Raises
     ------
     StudyError
         If the walker, a key or the slope is invalid.
     """
-    answer = single_point.solve(
-        broadcast.definition(walker),
-        broadcast.number("slope", slope),
-        broadcast.changes(keys),
-        every,
-        Location("", "steps").count(steps, MAX_STEPS),
-        accuracy,
-        violation_limits or {},
-        tuned,
-    )
+    definition, changes = broadcast.definition(walker), broadcast.changes(keys)
+    fixed = None if slope is None else broadcast.number("slope", slope)
+    limits = violation_limits or {}
+    steps = Location("", "steps").count(steps, MAX_STEPS)
+    if at is not None:
+        if every or steps > 1 or accuracy is not None:
+            raise StudyError("`at` takes no `every`, `steps` or `accuracy`.")
+        asked = vary, between, fixed, changes, limits, tuned
+        answer = single_point.solve_at(definition, at, *asked)
+    elif fixed is None:
+        raise StudyError("`slope` is needed, or `at` with the value of a measure.")
+    else:
+        chosen = every, steps, accuracy, limits, tuned
+        answer = single_point.solve(definition, fixed, changes, *chosen)
     rows = [
         {
             **{
@@ -378,4 +393,5 @@ def solve(
     ]
     frame = pd.DataFrame(rows, columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
+    frame.attrs["absent"] = list(answer["absent"])
     return frame

@@ -9,7 +9,7 @@ from typing import Any
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes
-from gaitsweep.pipeline.study.single_point import solve
+from gaitsweep.pipeline.study.single_point import solve, solve_at
 from gaitsweep.tasks.registry import SLOPES, VARIABLES
 
 #: Rows of a gait unless all variables are asked for.
@@ -32,14 +32,17 @@ _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 
 def run(options: argparse.Namespace) -> int:
     """Print the gaits; the exit code is 1 if one is not converged."""
-    slope = math.radians(options.slope) if options.degrees else options.slope
-    if options.degrees and not slopes.is_slope(slope):
-        low, high = map(math.degrees, SLOPES)
-        raise StudyError(
-            f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}."
-        )
-    asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
-    answer = solve(options.walker, slope, options.set, *asked)
+    slope = _slope(options)
+    if options.at:
+        between = _between(options)
+        asked = options.vary, between, slope, options.set, options.limit, options.tuned
+        answer = solve_at(options.walker, options.at, *asked)
+    elif slope is None:
+        raise StudyError("`slope` is needed, or `at` with the value of a measure.")
+    else:
+        accuracy, limits = options.accuracy, options.limit
+        chosen = options.all, options.steps, accuracy, limits, options.tuned
+        answer = solve(options.walker, slope, options.set, *chosen)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):
@@ -61,6 +64,36 @@ def run(options: argparse.Namespace) -> int:
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
+def _rows(options: argparse.Namespace) -> set[str]:
+    """Variables that are shown unless all are asked for: what was varied to reach the
+    value of a measure is an answer, too.
+    """
+    rows = {*_FIRST, *options.at}
+    if options.at:
+        rows |= {"slope", options.vary}
+    return rows
+
+
+def _slope(options: argparse.Namespace) -> float | None:
+    """The slope that is asked for [rad]."""
+    if options.slope is None or not options.degrees:
+        return options.slope
+    slope = math.radians(options.slope)
+    if not slopes.is_slope(slope):
+        low, high = map(math.degrees, SLOPES)
+        raise StudyError(
+            f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}."
+        )
+    return slope
+
+
+def _between(options: argparse.Namespace) -> list[float] | None:
+    """The range of what is varied, slopes in rad."""
+    if options.between is None or not options.degrees or options.vary != "slope":
+        return options.between
+    return [math.radians(end) for end in options.between]
+
+
 def _lines(
     all_gaits: Iterable[dict[str, Any]],
     units: dict[str, str],
@@ -71,6 +104,7 @@ def _lines(
     """
     every = options.all_variables
     digits, of_multipliers = (15, 12) if every else (6, 6)
+    shown = _rows(options)
     has_others = False
     for gait in all_gaits:
         left_out = {
@@ -78,7 +112,7 @@ def _lines(
             "stable",
             "status",
             "contact_mass_matrix",
-            *(() if every else gait.keys() - {*_FIRST}),
+            *(() if every else gait.keys() - shown),
         }
         rows = {
             key: value

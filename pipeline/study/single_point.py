@@ -12,7 +12,7 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.pipeline.study.options import violation_limits
 from gaitsweep.pipeline.study.parse import accuracy
-from gaitsweep.tasks.registry import GAITS, MAX_STEPS
+from gaitsweep.tasks.registry import GAITS, MAX_STEPS, VARIABLES
 
 
 def solve(
@@ -76,6 +76,81 @@ def solve(
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
     return ask("solve", params)
+
+
+def solve_at(
+    definition: Definition,
+    at: Mapping[str, float],
+    vary: str,
+    between: Sequence[float] | None,
+    slope: float | None,
+    keys: Mapping[str, Any],
+    limits: Mapping[str, float] | None = None,
+    tuned: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Find the gaits of a walker at which a measure has a value.
+
+    Parameters
+    ----------
+    definition : str or dict
+        Name, file or table of the walker.
+    at : mapping
+        The name of one measure, and the value wanted in the walker's units.
+    vary : str
+        `slope`, or a key of the walker.
+    between : sequence of float, optional
+        Least and largest value of what is varied; a key needs it.
+    slope : float, optional [rad]
+        Where a key is varied.
+    keys, limits, tuned
+        As for `solve`.
+
+    Returns
+    -------
+    dict
+        As from `solve`.
+
+    Raises
+    ------
+    StudyError
+        If the walker, a key, the measure, its value, the range or the slope is invalid.
+    """
+    if len(at) != 1:
+        raise Location("", "at").wrong("must name one measure", ", ".join(at))
+    ((measure, value),) = at.items()
+    Location("", "at").check_names([measure], VARIABLES, "measure")
+    params: dict[str, Any] = {
+        "measure": measure,
+        "value": Location("", measure).number(value),
+        "vary": vary,
+    }
+    if vary == "slope":
+        if slope is not None:
+            raise Location("", "slope").wrong("is varied and cannot be set too", slope)
+        for end in between or ():
+            slopes.check(end, Location("", "between"))
+    else:
+        if slope is None or between is None:
+            place = Location("", "vary")
+            raise place.wrong("needs `slope` and `between`, as a key is varied", vary)
+        slopes.check(slope)
+        params["slope"] = slope
+    if between is not None:
+        params["between"] = _rising(between, Location("", "between"))
+
+    given, params["set"] = led(definition, keys)
+    params["walker"] = files.changed(given, tuned=tuned)
+    if limits:
+        params["violation_limits"] = violation_limits(limits, Location(""))
+    return ask("solve_at", params)
+
+
+def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:
+    """The ends of a range, checked."""
+    low, high = (place.number(end) for end in between)
+    if not low < high:
+        raise place.wrong("must rise", f"{low:g} to {high:g}")
+    return low, high
 
 
 def state_of(

@@ -1,10 +1,10 @@
-"""Curves of points that solve equations with one freedom left, in a window of two
-unknowns: folds, flips and ends of walking over slope and a key, or over two keys.
+"""Curves of points that solve equations with one freedom left, in a window of the
+unknowns beside state and event times: folds, flips and ends of walking over slope and a
+key, or over two keys; gaits at a fixed slope over a key.
 
-A point is X (`tasks.continuation.equations`): that of a gait, then the two unknowns
-beside its state and event times, which are ln slope and a key over its range, or two
-keys. Nothing is singular where strikes turn tangential or coincide, so ends are followed
-as folds and flips are.
+A point is X (`tasks.continuation.equations`), whose last unknowns are ln slope, unless
+it is fixed, and keys over their ranges. Nothing is singular where strikes turn
+tangential or coincide, so ends are followed as folds and flips are.
 """
 
 from __future__ import annotations
@@ -115,20 +115,21 @@ class _Followed(engine.Tracks):
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
     def _inside(self, Z: np.ndarray) -> np.ndarray:
-        """The nearest values of the last two unknowns within the window, (2, 1)."""
-        return np.clip(Z[-2:], self.edges[:, :1], self.edges[:, 1:])
+        """The nearest values of the last unknowns within the window, (f, 1)."""
+        low, high = self.edges[:, :1], self.edges[:, 1:]
+        return np.clip(Z[-len(self.edges) :], low, high)
 
     def _is_inside(self, Z: np.ndarray) -> bool:
-        return bool((self._inside(Z) == Z[-2:]).all())
+        return bool((self._inside(Z) == Z[-len(self.edges) :]).all())
 
     def _ends(self, beyond: engine.Point) -> bool:
         """Whether the curve's point on the border is found, between its last point and
         one beyond the window.
         """
-        nearest = self._inside(beyond.Z)
-        out = np.flatnonzero(nearest != beyond.Z[-2:])
-        shares = ((nearest - self.Z[-2:]) / (beyond.Z - self.Z)[-2:])[out, 0]
-        share, component = min(zip(shares.tolist(), (out - 2).tolist(), strict=True))
+        f, nearest = len(self.edges), self._inside(beyond.Z)
+        out = np.flatnonzero(nearest != beyond.Z[-f:])
+        shares = ((nearest - self.Z[-f:]) / (beyond.Z - self.Z)[-f:])[out, 0]
+        share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
         if share < _BEGINS_THERE:
             return True
 
@@ -156,8 +157,9 @@ def follow(
         Where it begins.
     direction : float
         1 towards increasing values of the last unknown, -1 towards decreasing ones.
-    window : ndarray, shape (2, 2)
-        Least and largest value of each of the last two unknowns, as X counts them.
+    window : ndarray, shape (f, 2)
+        Least and largest value of each of the f last unknowns, those beside state and
+        event times, as X counts them.
     """
     tracks = _Followed(equations, first, direction, window)
     (track,) = tracks.follow(_MAX_POINTS)

@@ -142,7 +142,15 @@ def passings(problem: Problem, branch: Branch, kind: str) -> list[tuple[float, P
     """
     if kind not in CONDITIONS:
         return _branch_points(problem, branch)
-    condition = CONDITIONS[kind]
+    return where_fulfilled(problem, branch, CONDITIONS[kind])
+
+
+def where_fulfilled(
+    problem: Problem, branch: Branch, condition: Condition
+) -> list[tuple[float, Point]]:
+    """Locate where a branch fulfils a condition between its nodes, as `passings`
+    returns it.
+    """
     nodes = Nodes(problem, [[branch]], [condition])
     guesses = guess_passings(problem, nodes, condition)
     if not len(guesses.node):

@@ -302,7 +302,7 @@ def describe(
         "passes": at.leg_passes,
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
-    solved |= without_knees(want, walker, len(slope)) | _of_all_steps(
+    solved |= without_knees(want, walker, len(slope)) | of_all_steps(
         measured, problem.steps
     )
     solved |= travel(
@@ -346,9 +346,19 @@ def _steps(problem: Problem, walker: Walker, at: Polished, slope: np.ndarray) ->
     )
 
 
-def _of_all_steps(measured: Arrays, steps: int) -> Arrays:
-    """What gaits have of the variables of their steps, as the registry's `over_steps`
-    says, shape (n,).
+def of_all_steps(measured: Arrays, steps: int) -> Arrays:
+    """Return what gaits have of the variables of their steps, as the registry's
+    `over_steps` says.
+
+    Parameters
+    ----------
+    measured : dict of ndarray, shape (steps n,)
+        Of the first steps of all gaits, then of the second ones.
+    steps : int
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
     """
     measured = {name: values.reshape(steps, -1) for name, values in measured.items()}
     if (

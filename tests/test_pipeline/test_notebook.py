@@ -244,6 +244,57 @@ def test_solve_gives_what_the_command_gives(capsys):
         assert [[z.real, z.imag] for z in row["multipliers"]] == gait["multipliers"]
 
 
+def test_gaits_at_a_value_of_a_measure_in_python_and_by_the_command(capsys):
+    table = gaitsweep.solve("A", at={"froude_speed": 0.2})
+    assert sorted(table.gait) == ["long", "short"]
+    words = ["solve", "--walker", "A", "--at", "froude_speed=0.2", "--json"]
+    assert commands.main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert table.slope.tolist() == [gait["slope"] for gait in told]
+    for slope, speed in zip(table.slope, table.froude_speed, strict=True):
+        there = gaitsweep.solve("A", slope).froude_speed
+        assert speed == pytest.approx(0.2, rel=1e-12)
+        assert np.abs(there - 0.2).min() < 1e-12
+
+    key = {"vary": "m_h", "between": (0.05, 1.0), "slope": 0.02}
+    (m_h,) = gaitsweep.solve("A", at={"froude_speed": 0.2}, **key).m_h
+    assert np.abs(gaitsweep.solve("A", 0.02, m_h=m_h).froude_speed - 0.2).min() < 1e-12
+    none = gaitsweep.solve("A", at={"speed": 9.0})
+    assert none.empty and none.attrs["absent"][0].startswith("No gait has speed = 9 ")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "`slope` is needed, or `at` with the value of a measure."),
+        (["--at", "sped=1"], "Unknown measure `sped`, did you mean `speed`?"),
+        (
+            ["--at", "speed=1", "--slope", "0.1"],
+            "`slope` is varied and cannot be set too; got 0.1.",
+        ),
+        (
+            ["--at", "speed=1", "--vary", "R", "--slope", "0.1"],
+            "`vary` needs `slope` and `between`, as a key is varied; got 'R'.",
+        ),
+        (
+            ["--at", "speed=1", "--between", "0.3", "0.1"],
+            "`between` must rise; got '0.3 to 0.1'.",
+        ),
+        (
+            ["--at", "speed=1", "--between", "0", "0.1"],
+            "`between` must lie in [1e-18, 0.5) rad; got 0.0.",
+        ),
+        (
+            ["--at", "speed=1", "--at", "period=1"],
+            "`at` must name one measure; got 'speed, period'.",
+        ),
+    ],
+)
+def test_targets_that_cannot_be_asked_are_refused_in_a_line(words, message, capsys):
+    assert commands.main(["solve", "--walker", "A", *words]) == 2
+    assert capsys.readouterr().err == f"gaitsweep: {message}\n"
+
+
 def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
     found = gaitsweep.solve("physical", 1e-4)
     assert (

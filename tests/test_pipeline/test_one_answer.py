@@ -102,9 +102,9 @@ def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(
 ):
     # Half of the time of one `solve` goes into violations, which are not compared.
     wanted = tuple(
-        name for name in solve_at_slope._WANT if VARIABLES[name].group != "violations"
+        name for name in solve_at_slope.WANT if VARIABLES[name].group != "violations"
     )
-    monkeypatch.setattr(solve_at_slope, "_WANT", wanted)
+    monkeypatch.setattr(solve_at_slope, "WANT", wanted)
     walkers = sorted(CATALOGUE)
     for case in resumed(CASES * len(walkers)):
         walker = walkers[case // CASES]

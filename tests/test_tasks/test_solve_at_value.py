@@ -1,0 +1,123 @@
+"""Gaits at a value of a measure, against single solves and crossings of dense grids."""
+
+import numpy as np
+import pytest
+
+from gaitsweep.tasks.measures.levels import measures
+from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.solve_at_value import solve_at_value
+from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.walkers.walker import WalkerError
+from lines import _atlas
+
+
+def at(walker, measure, value, **more):
+    return solve_at_value(
+        {"walker": walker, "measure": measure, "value": value, **more}
+    )
+
+
+def crossings_of_a_grid(walker, measure, value, low, high):
+    """Slopes at which both gaits' measures pass a value, by linear interpolation."""
+    slope = np.geomspace(low, high, 1500)
+    line = {"walker": walker, "set": {}}
+    request = {"line": line, "slope": slope, "want": (measure,)}
+    grid = points(request, [_atlas(walker, ())])[measure]
+    found = []
+    for gait in (0, 1):
+        off = grid[:, gait] - value
+        for k in np.flatnonzero(off[1:] * off[:-1] < 0):
+            share = off[k] / (off[k] - off[k + 1])
+            found.append(float(slope[k] * (slope[k + 1] / slope[k]) ** share))
+    return sorted(found)
+
+
+@pytest.mark.parametrize(
+    ("walker", "measure", "value"),
+    [
+        ("A", "froude_speed", 0.2),
+        ("C", "speed", 0.3),
+        ("A", "spectral_radius", 1.0),
+        ("C", "foot_clearance", -0.005),
+        ("D", "least_normal_force", 0.75),
+    ],
+)
+def test_gaits_at_a_value_are_those_of_a_dense_grid(walker, measure, value):
+    window = 1e-4, 0.2
+    expected = crossings_of_a_grid(walker, measure, value, *window)
+
+    found = at(walker, measure, value, between=window)
+
+    slopes = [gait["slope"] for gait in found["gaits"]]
+    assert slopes == pytest.approx(expected, rel=1e-4) and expected
+    for gait in found["gaits"]:
+        assert gait[measure] == pytest.approx(value, rel=1e-11)
+
+
+def test_a_gait_at_a_value_is_the_one_that_its_slope_has():
+    (gait, *_) = at("C", "speed", 0.3)["gaits"]
+    answer = solve_one({"walker": "C", "slope": gait["slope"]})
+    (other,) = [g for g in answer["gaits"] if g["gait"] == gait["gait"]]
+    for name in ("stance_angle", "period", "loss_normal", "multipliers"):
+        np.testing.assert_allclose(gait[name], other[name], rtol=1e-11)
+    assert gait["violations"] == other["violations"]
+
+
+def test_a_key_is_found_at_which_gaits_of_a_slope_have_a_value():
+    slope, keys = 0.02, (0.05, 1.0)
+    found = at("A", "froude_speed", 0.2, vary="m_h", between=keys, slope=slope)
+
+    assert found["columns"][0] == "m_h" and found["gaits"]
+    for gait in found["gaits"]:
+        there = {"walker": "A", "slope": slope, "set": {"m_h": gait["m_h"]}}
+        speeds = [other["froude_speed"] for other in solve_one(there)["gaits"]]
+        assert min(abs(speed - 0.2) for speed in speeds) < 1e-12
+    # As often as both gaits' speeds pass the value over the range.
+    signs = []
+    for m_h in np.linspace(*keys, 7):
+        gaits = solve_one({"walker": "A", "slope": slope, "set": {"m_h": m_h}})["gaits"]
+        signs.append([gait["froude_speed"] > 0.2 for gait in gaits])
+    passed = np.count_nonzero(np.diff(np.array(signs, int), axis=0))
+    assert len(found["gaits"]) == passed
+
+
+def test_a_value_that_no_gait_has_is_told_with_what_there_is():
+    (sentence,) = at("A", "speed", 9.0)["absent"]
+    assert sentence.startswith("No gait has speed = 9 for `slope` from 1e-06 to 0.5: ")
+    assert " to 2.08385" in sentence
+    (sentence,) = at("A", "speed", 0.2, between=(0.4, 0.45))["absent"]
+    assert sentence.startswith("No gait")
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (
+            {"measure": "kneestrike_time"},
+            "`at` must be a measure of its gaits: stance_",
+        ),
+        ({"measure": "residual"}, "`at` must be a measure of its gaits: stance_"),
+        ({"value": np.inf}, "`at` must be finite; got inf."),
+        ({"between": (0.2, 0.1)}, "`between` must rise; got (0.2, 0.1)."),
+        (
+            {"vary": "R", "set": {"R": 0.2}, "between": (0.1, 0.3), "slope": 0.1},
+            "`R` is varied and cannot be set too; got 0.2.",
+        ),
+        (
+            {"vary": "l_x", "between": (0.1, 0.3), "slope": 0.1},
+            "`l_x` is not a walker key",
+        ),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_a_line(asked, message):
+    request = {"measure": "speed", "value": 0.2} | asked
+    with pytest.raises(WalkerError) as refused:
+        at("A", **request)
+    assert str(refused.value).startswith(message)
+
+
+def test_measures_of_knees_are_for_knees():
+    assert "kneestrike_time" in measures(True) and "kneestrike_time" not in measures(
+        False
+    )
+    assert not {"branch", "status", "proved", "violations"} & set(measures(True))
