@@ -73,6 +73,11 @@ def _any(marks: np.ndarray) -> Marks:
     return np.asarray(marks.any(axis=0))
 
 
+def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values at the beginning and at the end of each interval."""
+    return values[:-1], values[1:]
+
+
 def _stance(phase: np.ndarray) -> _Samples:
     """The stance leg's angle."""
     return phase[:, 0], phase[:, phase.shape[1] // 2]
@@ -133,17 +138,19 @@ def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.
     lies on the side to which the guard bends: so they do at strikes that are nearly
     tangential.
     """
-    low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
+    a, b = _ends(g)
+    low = np.minimum(np.abs(a), np.abs(b))
     is_near = low < _chord_error_bound(g) + margin
 
     change, error = np.diff(rate, axis=0), _chord_error_bound(rate)
     bends = np.abs(change) > 4 * error + 2 * margin
-    is_one_sign = np.signbit(rate[:-1]) == np.signbit(rate[1:])
-    least_rate = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:]))
+    da, db = _ends(rate)
+    is_one_sign = np.signbit(da) == np.signbit(db)
+    least_rate = np.minimum(np.abs(da), np.abs(db))
     is_steady = is_one_sign & (least_rate > np.where(bends, 0.0, error) + margin)
 
-    is_above = np.maximum(g[:-1], g[1:]) >= margin
-    is_below = np.minimum(g[:-1], g[1:]) <= -margin
+    is_above = np.maximum(a, b) >= margin
+    is_below = np.minimum(a, b) <= -margin
     arches = bends & np.where(change < 0, is_above, is_below)
     return is_near & ~is_steady & ~arches
 
@@ -271,7 +278,7 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Infinite, and minus infinite, where it has none.
     """
     cubic = _cubics(g, rate)
-    da, db = rate[:-1], rate[1:]
+    da, db = _ends(rate)
     _, _, second, third = cubic
     root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
 
@@ -292,8 +299,10 @@ def _cubics(
     """Coefficients of the cubics in some intervals through values and rates per
     interval at both ends.
     """
-    a, b, da, db = g[:-1][some], g[1:][some], rate[:-1][some], rate[1:][some]
-    return a, da, 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
+    a, b, da, db = (values[some] for values in (*_ends(g), *_ends(rate)))
+    second = 3 * (b - a) - 2 * da - db
+    third = da + db - 2 * (b - a)
+    return a, da, second, third
 
 
 def _value(cubic: _Cubics, share: np.ndarray) -> np.ndarray:
@@ -326,18 +335,18 @@ def _falls_behind(
     Both are given with their rates per interval. Also returned is whether in one of
     them that angle is so near zero as the guard falls that finer samples tell better.
     """
-    angle, g = stance[0], guard[0]
-    ahead = angle >= 0
-    passes = falls & (ahead[:-1] != ahead[1:])
+    angle, before = stance[0], stance[0][:-1] >= 0
+    passes = falls & (before != (angle[1:] >= 0))
     behind = falls & (angle[1:] < 0)
     at_zero = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes)))
     behind[passes] = at_zero < 0
 
     # Both cubics err, that of the guard by a time.
-    late_by = _cubic_error_bound(guard[1])[passes] / np.abs(np.diff(g, axis=0))[passes]
-    error = late_by * np.abs(np.diff(angle, axis=0))[passes]
-    error = _cubic_error_bound(stance[1])[passes] + error
-    late = passes & ahead[:-1]
+    fall = np.abs(np.diff(guard[0], axis=0))[passes]
+    turn = np.abs(np.diff(angle, axis=0))[passes]
+    late_by = _cubic_error_bound(guard[1])[passes] / fall
+    error = _cubic_error_bound(stance[1])[passes] + late_by * turn
+    late = passes & before
     late[passes] &= ~(np.abs(at_zero) > error)
     return _any(behind), _any(late)
 
@@ -411,8 +420,8 @@ def verify(
     leg_passes = np.zeros(len(step), int)
     for phase in motion:
         apart, rate = _apart(phase)
-        is_crossed = np.signbit(apart)
-        leg_passes += (is_crossed[1:] != is_crossed[:-1]).sum(axis=0)
+        before, after = _ends(np.signbit(apart))
+        leg_passes += (before != after).sum(axis=0)
         doubt |= _any(_unclear(apart, rate, margin))
 
     hyperextends = np.zeros(len(step), bool)
@@ -450,8 +459,9 @@ def _verify_locked(
     in doubt.
     """
     guard, rate = _height(two)
-    is_up = guard >= -touch
-    struck, late = _foot_strikes(two, interval, is_up[:-1] & (guard[1:] < -touch))
+    before, after = _ends(guard)
+    falls = (before >= -touch) & (after < -touch)
+    struck, late = _foot_strikes(two, interval, falls)
     unclear = _unclear(_to_strike(guard), rate, margin)
     doubt = _behind(two, unclear, margin) | late | np.isnan(two[0, 0])
     return ~struck & (two[-1, 0] < 0), doubt
@@ -491,7 +501,7 @@ def _behind(phase: np.ndarray, intervals: np.ndarray, margin: float | PerLane) -
     """Whether the stance angle may be negative in one of some intervals: a foot strikes
     only then.
     """
-    lowest = np.minimum(phase[:-1, 0], phase[1:, 0]) - margin
+    lowest = np.minimum(*_ends(phase[:, 0])) - margin
     return _any((lowest < 0) & intervals)
 
 
