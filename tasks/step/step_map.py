@@ -19,12 +19,20 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import heyoka as hy
 import numpy as np
 
-from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.arrays import (
+    Motion,
+    Parameters,
+    PerLane,
+    Sections,
+    States,
+    Times,
+)
+from gaitsweep.tasks.mechanics.equations import ZERO, Sym, Symbols
 from gaitsweep.tasks.mechanics.kernel import (
     LANES,
     CompiledFunction,
@@ -37,12 +45,15 @@ from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.symbols import (
     derivatives_along,
+    dot,
     end_of_step,
+    field,
     flat,
     inverse,
     lock_knee,
     matrix,
     start_of_step,
+    vector,
 )
 
 #: Intervals at whose ends the motion is sampled to verify a step.
@@ -87,31 +98,27 @@ class Stride:
         Samples of each phase; of no samples where not asked for.
     """
 
-    y: np.ndarray
-    image: np.ndarray
+    y: Sections
+    image: Sections
     jacobian: np.ndarray
-    times: np.ndarray
-    by_slope: np.ndarray
+    times: Times
+    by_slope: Sections
     residual: np.ndarray
     derivative: np.ndarray
     inverse: np.ndarray
-    newton: np.ndarray
-    newton_times: np.ndarray
+    newton: Sections
+    newton_times: Times
     impact: np.ndarray
     impact_by_y: np.ndarray
-    start: np.ndarray
+    start: States
     closing: np.ndarray
     knee: np.ndarray
     knee_by_y: np.ndarray
-    motion: list[np.ndarray]
+    motion: Motion
 
-    def scaled_motion(self) -> list[np.ndarray]:
+    def scaled_motion(self) -> Motion:
         """Samples of each phase over the stance angle, by which neighbours on a branch
         are compared.
-
-        Returns
-        -------
-        list of ndarray, shape (samples + 1, angles, n)
         """
         return [phase / self.y[0] for phase in self.motion]
 
@@ -119,13 +126,7 @@ class Stride:
         """Return a stride of changed arrays."""
         changed = copy.copy(self)
         for name, values in vars(self).items():
-            setattr(
-                changed,
-                name,
-                [change(x) for x in values]
-                if isinstance(values, list)
-                else change(values),
-            )
+            setattr(changed, name, _changed(values, change))
         return changed
 
     #: Of a single step: see `tasks.step.several_steps.Strides`.
@@ -144,20 +145,38 @@ class Stride:
         self.knee = self.knee + matvec(self.knee_by_y, self.newton)
 
 
+def _changed(values: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
+    """An array changed, or a list of arrays."""
+    if isinstance(values, list):
+        return [change(array) for array in values]
+    return change(values)
+
+
+class _Phase(NamedTuple):
+    """A phase to integrate; D (angles, directions, n) are the directions carried along,
+    that by the slope last where it is asked for.
+    """
+
+    structure: Structure
+    state: States
+    D: np.ndarray
+    parameters: Parameters
+    duration: PerLane
+
+
 class StrideMap:
     """The step map of one structure: compiled flows and the compiled algebra between
     them.
     """
 
     def __init__(self, structure: Structure):
-        self.structure, self.m = structure, structure.dimension
-        self.kneed = structure.kneed
+        self.structure = structure
+        self.m, self.kneed = structure.dimension, structure.kneed
         self.start_size = 6 if self.kneed else 4
         self._start = self._compile_start()
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
-        self._end = rows_of_end(self.m, 1 + self.kneed)
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> CompiledFunction:
         """Compile a function; `tests/soak/extended_reference.py` overrides this with
@@ -167,12 +186,10 @@ class StrideMap:
 
     def _compile_start(self) -> CompiledFunction:
         p = Symbols(self.structure)
-        y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
+        y = vector("y", self.m)
         state = start_of_step(self.structure, p, y)
-        return self._function(
-            state + flat([[hy.diff(x, v) for v in y] for x in state]),
-            [*y, *p.variables],
-        )
+        gradients = [[hy.diff(value, v) for v in y] for value in state]
+        return self._function(state + flat(gradients), [*y, *p.variables])
 
     def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y,
@@ -183,114 +200,55 @@ class StrideMap:
         the next event takes up. So each direction is given by its four parts, the
         field's first.
         """
-        p = Symbols(self.structure)
-        m = self.m + 1
-        x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        D = matrix("d", 6, m)
-        q, rate = x[:3], x[3:]
-        M, f = rows(p, q, rate, True)
-        field = [*rate, *Solver(M)(f)]
-        guard, closing = q[1] - q[2], rate[1] - rate[2]
-        guard_by = [D[1][d] - D[2][d] for d in range(m)]
+        p, m = Symbols(self.structure), self.m
+        x, carried = vector("x", 6), matrix("d", 6, m + 1)
+        rates = field(p, x, True)
+        D = []
+        for row, rate in zip(carried, rates, strict=True):
+            D.append([*row[:m], rate, row[m]])
         lock = lock_knee(p, x)
-        by_direction = derivatives_along(
-            lock, x, [[*D[i][: self.m], field[i], *D[i][self.m :]] for i in range(6)]
-        )
-        M, f = rows(p, lock[:2], lock[2:], False)
-        after = [lock[2], lock[3], *Solver(M)(f)]
-        along = [d / after[0] for d in by_direction[0]]
-        parts = [along] + [
-            [d - c * after[i] for d, c in zip(by_direction[i], along, strict=True)]
-            for i in range(1, 4)
-        ]
-        strike = [x[i] - field[i] * guard / closing for i in range(6)]
-        strike += [
-            D[i][d] - field[i] * guard_by[d] / closing
-            for i in range(6)
-            for d in range(self.m)
-        ]
-        guards = [guard, *guard_by[: self.m], closing, *guard_by[self.m :]]
-        return self._function(
-            lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables]
-        )
+        parts = _parts(derivatives_along(lock, x, D), field(p, lock, False))
+        outputs = lock + flat(parts) + _at_kneestrike(x, rates, carried)
+        return self._function(outputs, [*x, *flat(carried), *p.variables])
 
     def _compile_finish(self) -> CompiledFunction:
         """From the end of two links to the image on the section, its derivatives and
-        the Newton step.
+        the Newton step, in the order of `rows_of_end`.
 
-        Directions are (y, the duration of the phase with a free knee, slope), the
-        second only with knees.
+        Directions are (y, the durations of the phases, slope).
         """
-        p = Symbols(self.structure)
-        m, k = self.m, 1 + self.kneed
-        y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
-        x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        carried = D = matrix("d", 4, 4 if self.kneed else m + 1)
-        parts: list[list[Sym]] = matrix("c", 4, m + 2) if self.kneed else []
-        knee: list[list[Sym]] = matrix("k", 1, m + 3) if self.kneed else []
-        if self.kneed:
-            D = [
-                [
-                    sum(
-                        (parts[1 + j][d] * carried[i][j] for j in range(3)),
-                        carried[i][3] if d > m else ZERO,
-                    )
-                    for d in range(m + 2)
-                ]
-                for i in range(4)
-            ]
-        M, f = rows(p, x[:2], x[2:], False)
-        field = [x[2], x[3], *Solver(M)(f)]
-        # By y, durations, slope.
-        D = [[*D[i][:-1], field[i], D[i][-1]] for i in range(4)]
+        p, m = Symbols(self.structure), self.m
+        y, x = vector("y", m), vector("x", 4)
+        carried = matrix("d", 4, 4 if self.kneed else m + 1)
+        parts = matrix("c", 4, m + 2) if self.kneed else []
+        knee = matrix("k", 1, m + 3) if self.kneed else []
+        variables = [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables]
+
+        D = self._directions(carried, parts, field(p, x, False))
         section = end_of_step(self.structure, p, x)
-        by = derivatives_along(section, x, D)
-        guards = [g[0] for g in knee] + [x[0] + x[1]]
-        guards_by = [[*g[1:-1], ZERO, g[-1]] for g in knee] + [
-            [D[0][d] + D[1][d] for d in range(m + k + 1)]
-        ]
-        residual = [*(section[i] - y[i] for i in range(m)), *guards]
-        derivative = [
-            [by[i][d] - float(i == d) for d in range(m + k + 1)] for i in range(m)
-        ] + guards_by
-        moves = inverse(
-            [[-derivative[i][j] for j in range(m + k)] for i in range(m + k)]
-        )
-        newton = [
-            sum((moves[i][j] * residual[j] for j in range(m + k)), ZERO)
-            for i in range(m + k)
-        ]
-        # The durations by the guards' values, y and the slope, one after another.
-        shifts: list[list[Sym]] = []
-        for j, (guard, row) in enumerate(zip(guards, guards_by, strict=True)):
-            values = [guard, *row[:m], row[-1]]
-            for i, earlier in enumerate(shifts):
-                values = [
-                    v + row[m + i] * e for v, e in zip(values, earlier, strict=True)
+        outputs = _to_first_order(y, x, D, section, knee)
+        return self._function(outputs, variables)
+
+    def _directions(
+        self, carried: list[list[Sym]], parts: list[list[Sym]], rates: list[Sym]
+    ) -> list[list[Sym]]:
+        """Derivatives of the state at the end by y, the durations and the slope, from
+        those that the last flow carried.
+
+        With knees it carried unit vectors, of which `parts` make (y, the duration of
+        the phase with a free knee, slope).
+        """
+        directions = []
+        for row, rate in zip(carried, rates, strict=True):
+            if self.kneed:
+                starts = [ZERO] * (self.m + 1) + [row[3]]
+                columns = zip(*parts[1:], strict=True)
+                row = [
+                    dot(column, row[:3], start)
+                    for column, start in zip(columns, starts, strict=True)
                 ]
-            shifts.append([-v / row[m + j] for v in values])
-
-        def struck(row: list[Sym], d: int, value: Sym) -> Sym:
-            """A value with the derivatives `row` where the guards close: itself (d =
-            0), or its derivative.
-            """
-            return sum((row[m + j] * shifts[j][d] for j in range(k)), value)
-
-        outputs = [
-            *(struck(by[i], 0, section[i]) for i in range(m)),
-            *(struck(by[i], 1 + d, by[i][d]) for i in range(m) for d in range(m)),
-            *(struck(by[i], 1 + m, by[i][-1]) for i in range(m)),
-            *flat(shifts),
-            *residual,
-            *flat(derivative),
-            *flat(moves),
-            *newton,
-            *(struck(D[i], 0, x[i]) for i in (2, 3)),
-            *(struck(D[i], 1 + d, D[i][d]) for i in (2, 3) for d in range(m)),
-        ]
-        return self._function(
-            outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables]
-        )
+            directions.append([*row[:-1], rate, row[-1]])
+        return directions
 
     def _apply(self, function: CompiledFunction, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every
@@ -299,34 +257,22 @@ class StrideMap:
         # A register's sines are computed in another way if one of its arguments is not
         # finite.
         lost = ~np.isfinite(inputs).all(axis=0)
-        result = function(whole_groups(np.where(lost, 0.0, inputs), LANES))[
-            :, : inputs.shape[1]
-        ]
+        padded = whole_groups(np.where(lost, 0.0, inputs), LANES)
+        result = function(padded)[:, : inputs.shape[1]]
         result[:, lost] = np.nan
         return result
 
-    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike, then its derivatives by y.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m, n)
-            Scaled section coordinates.
-        parameters : ndarray, shape (n_parameters, n)
-            Slope, scale and the structure's constants.
-
-        Returns
-        -------
-        ndarray, shape (start_size (1 + m), n)
-            Scaled angles and rates; the matrix of derivatives follows row by row.
+    def start(self, y: Sections, parameters: Parameters) -> np.ndarray:
+        """State just after heelstrike, then the matrix of its derivatives by y row by
+        row, shape (start_size (1 + m), n).
         """
         return self._apply(self._start, np.vstack([y, parameters]))
 
     def __call__(
         self,
-        y: np.ndarray,
-        times: np.ndarray,
-        parameters: np.ndarray,
+        y: Sections,
+        times: Times,
+        parameters: Parameters,
         slope: bool = False,
         samples: int = 0,
         coarse: bool = False,
@@ -354,136 +300,253 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
-        size = self.start_size
-        start, by_y = _split(self.start(y, parameters), size)
-        D = by_y.reshape(size, m, n)
-        if slope:
-            D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
-        k, motion, strike, parts, knee = (
-            len(times),
-            [],
-            *(np.empty((0, n)) for _ in range(3)),
-        )
-        times_by = np.zeros((k, m + k + 1, n))
-        times_by[:, m + k - 1] = np.arange(k)[:, None] == k - 1
+        options = slope, samples, coarse
+        start, D = self._begin(y, parameters, slope)
+        phase = _Phase(self.structure, start, D, parameters, times[0])
+        parts = guard = strike = np.empty((0, n))
+        motion = []
         if self.kneed:
-            integrate = flow(self.structure, m + slope, slope, coarse)
-            final, phase = integrate(
-                np.vstack([start, _lanes(D)]), parameters, times[0], samples
-            )
-            motion.append(phase)
-            out = self._apply(
-                self._knee,
-                np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]),
-            )
-            start2, parts, knee, strike = _split(out, 4, 4 * (m + 2), m + 3)
-            D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
-            duration = times[1] - times[0]
-            # Heelstrike is timed from the start of the step; a part along the field is
-            # a shift of time.
-            times_by[:, m] = 1.0
-            times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
-        else:
-            start2, duration = start, times[0]
-        integrate = flow(
-            general_structure(False) if self.kneed else self.structure,
-            D.shape[1],
-            slope,
-            coarse,
-        )
-        constants = locked(parameters) if self.kneed else parameters
-        final, phase = integrate(
-            np.vstack([start2, _lanes(D)]), constants, duration, samples
-        )
-        motion.append(phase)
-        directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
-        out = self._apply(
-            self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters])
-        )
-        end = {
-            name: out[rows].reshape(*shape, n)
-            for name, (rows, shape) in self._end.items()
-        }
-        shifts, moves, newton, derivative = (
-            end.pop("shifts"),
-            end.pop("moves"),
-            end.pop("newton"),
-            end["derivative"],
-        )
-        # A later kneestrike with the same heelstrike shortens the last phase, and so
-        # does all else.
-        if self.kneed:
-            others = [*range(m + 1), m + 2]
-            derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
+            end, motion_of_free = _integrate(phase, *options)
+            motion.append(motion_of_free)
+            state, parts, guard, strike = self._kneestrike(end, parameters)
+            phase = _locked_phase(state, slope, parameters, times[1] - times[0])
+        end, motion_of_locked = _integrate(phase, *options)
+        motion.append(motion_of_locked)
+
+        inputs = np.vstack([y, end, parts, guard, parameters])
+        out = self._apply(self._finish, inputs)
+        angles = 6 if self.kneed else 0
         return Stride(
-            **end,
+            **self._by_times(out, times, self._times_by(parts, n)),
             y=y,
-            times=times + matvec(times_by[:, m : m + k], shifts[:, 0]),
-            inverse=np.stack(
-                [
-                    *moves[:m],
-                    *(matvec(moves.swapaxes(0, 1), row[: m + k]) for row in times_by),
-                ]
-            ),
-            newton=newton[:m],
-            newton_times=times + matvec(times_by[:, : m + k], newton),
             start=start,
-            closing=np.stack([derivative[m + j, m + j] for j in range(k)]),
-            knee=strike[:6],
-            knee_by_y=strike[6:].reshape(len(strike[:6]), m, n),
+            knee=strike[:angles],
+            knee_by_y=strike[angles:].reshape(angles, m, n),
             motion=motion,
         )
 
+    def _begin(
+        self, y: Sections, parameters: Parameters, slope: bool
+    ) -> tuple[States, np.ndarray]:
+        """State just after heelstrike, and its derivatives by y and, where asked for,
+        by the slope, on which it does not depend.
+        """
+        m, n = y.shape
+        size = self.start_size
+        values = self.start(y, parameters)
+        D = values[size:].reshape(size, m, n)
+        if slope:
+            D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
+        return values[:size], D
 
+    def _kneestrike(self, end: np.ndarray, parameters: Parameters) -> list[np.ndarray]:
+        """State after kneestrike, directions as parts along and beside the field,
+        (4 (m + 2), n), the guard with its derivatives and rate, (m + 3, n), and the
+        state before with its derivatives by y, (6 (1 + m), n).
+        """
+        out = self._apply(self._knee, np.vstack([end, parameters]))
+        sizes = np.cumsum([4, 4 * (self.m + 2), self.m + 3])
+        return np.split(out, sizes)
+
+    def _times_by(self, parts: np.ndarray, n: int) -> np.ndarray:
+        """Derivatives of the event times by y, the durations as the equations have
+        them, and the slope, shape (k, m + k + 1, n).
+
+        Heelstrike is timed from the start of the step; a part of a direction along the
+        field at kneestrike is a shift of time.
+        """
+        m, k = self.m, 1 + self.kneed
+        times_by = np.zeros((k, m + k + 1, n))
+        times_by[-1, m + k - 1] = 1.0
+        if self.kneed:
+            times_by[:, m] = 1.0
+            times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
+        return times_by
+
+    def _named(self, out: np.ndarray) -> dict[str, np.ndarray]:
+        """Rows that the end of a step gives, by their names and in their shapes."""
+        named = {}
+        for name, (place, shape) in rows_of_end(self.m, 1 + self.kneed).items():
+            named[name] = out[place].reshape(*shape, out.shape[1])
+        return named
+
+    def _by_times(
+        self, out: np.ndarray, times: Times, times_by: np.ndarray
+    ) -> dict[str, Any]:
+        """What the end of a step gives by the durations, as a stride has it by the
+        event times.
+        """
+        m, k = self.m, 1 + self.kneed
+        end = self._named(out)
+        shifts, moves, newton = (
+            end.pop(name) for name in ("shifts", "moves", "newton")
+        )
+        derivative = end["derivative"]
+        if self.kneed:
+            # A later kneestrike with the same heelstrike shortens the last phase, and
+            # so does all else.
+            others = [*range(m + 1), m + 2]
+            derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
+
+        of_times = [matvec(moves.swapaxes(0, 1), row[: m + k]) for row in times_by]
+        return {
+            **end,
+            "times": times + matvec(times_by[:, m : m + k], shifts[:, 0]),
+            "inverse": np.stack([*moves[:m], *of_times]),
+            "newton": newton[:m],
+            "newton_times": times + matvec(times_by[:, : m + k], newton),
+            "closing": np.stack([derivative[m + j, m + j] for j in range(k)]),
+        }
+
+
+def _locked_phase(
+    state: States, slope: bool, parameters: Parameters, duration: PerLane
+) -> _Phase:
+    """The phase from kneestrike on, with unit vectors beside the field as directions."""
+    unit = np.eye(4, 3 + slope, -1)[:, :, None]
+    D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
+    return _Phase(general_structure(False), state, D, locked(parameters), duration)
+
+
+def _integrate(
+    phase: _Phase, slope: bool, samples: int, coarse: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """State at the end of a phase with its directions as rows, and samples of its
+    motion; the slope's direction is zero where it is not asked for.
+    """
+    size, directions, n = phase.D.shape
+    integrate = flow(phase.structure, directions, slope, coarse)
+    # The flow has one direction after another, in each angles, then rates.
+    columns = phase.D.transpose(1, 0, 2).reshape(-1, n)
+    start = np.vstack([phase.state, columns])
+    final, motion = integrate(start, phase.parameters, phase.duration, samples)
+
+    rows = np.zeros((size, directions + (not slope), n))
+    rows[:, :directions] = final[size:].reshape(-1, size, n).transpose(1, 0, 2)
+    return np.vstack([final[:size], rows.reshape(-1, n)]), motion
+
+
+@functools.cache
 def rows_of_end(m: int, k: int) -> dict[str, tuple[slice, tuple[int, ...]]]:
     """Rows and shape of all that the end of a step gives, for m coordinates and k
     phases.
     """
     shapes: dict[str, tuple[int, ...]] = {
-        **{
-            "image": (m,),
-            "jacobian": (m, m),
-            "by_slope": (m,),
-            "shifts": (k, m + 2),
-            "residual": (m + k,),
-        },
-        **{
-            "derivative": (m + k, m + k + 1),
-            "moves": (m + k, m + k),
-            "newton": (m + k,),
-        },
-        **{"impact": (2,), "impact_by_y": (2, m)},
+        "image": (m,),
+        "jacobian": (m, m),
+        "by_slope": (m,),
+        "shifts": (k, m + 2),
+        "residual": (m + k,),
+        "derivative": (m + k, m + k + 1),
+        "moves": (m + k, m + k),
+        "newton": (m + k,),
+        "impact": (2,),
+        "impact_by_y": (2, m),
     }
-    rows = slices([math.prod(shape) for shape in shapes.values()])
-    return {
-        name: (own, shape)
-        for own, (name, shape) in zip(rows, shapes.items(), strict=True)
-    }
+    places = slices([math.prod(shape) for shape in shapes.values()])
+    return dict(zip(shapes, zip(places, shapes.values(), strict=True), strict=True))
 
 
-def _split(values: np.ndarray, *sizes: int) -> list[np.ndarray]:
-    """Parts of so many rows, and the rest."""
-    parts, end = [], 0
-    for size in sizes:
-        parts.append(values[end : (end := end + size)])
-    return [*parts, values[end:]]
-
-
-def _lanes(D: np.ndarray) -> np.ndarray:
-    """Directions (size, d, n) in the order of the flow's states: angles, then rates,
-    one direction after another.
+def _to_first_order(
+    y: list[Sym],
+    x: list[Sym],
+    D: list[list[Sym]],
+    section: list[Sym],
+    knee: list[list[Sym]],
+) -> list[Sym]:
+    """All that `rows_of_end` names, from a state x at the end of the flow, its
+    derivatives D by y, durations and slope, and the section there; `knee` has the guard
+    of kneestrike.
     """
-    return D.transpose(1, 0, 2).reshape(-1, D.shape[2])
+    m = len(y)
+    section_by = derivatives_along(section, x, D)
+    guards = [row[0] for row in knee] + [x[0] + x[1]]
+    guards_by = [[*row[1:-1], ZERO, row[-1]] for row in knee]
+    guards_by.append([a + b for a, b in zip(D[0], D[1], strict=True)])
+    residual = [a - b for a, b in zip(section, y, strict=True)] + guards
+
+    shifts = _shifts(guards, guards_by, m)
+    image = _at_strikes(section, section_by, shifts, m)
+    impact = _at_strikes(x[2:], D[2:], shifts, m)
+    return [
+        *_values_then_derivatives(image),
+        *(row[-1] for row in image),
+        *flat(shifts),
+        *_joint_equations(residual, section_by, guards_by),
+        *_values_then_derivatives(impact),
+    ]
 
 
-def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
-    """Back from the flow's order to rows of (size, directions); the slope's direction
-    is zero where it has none.
+def _parts(by_direction: list[list[Sym]], rates: list[Sym]) -> list[list[Sym]]:
+    """Parts of directions along the field of two links, whose rates are given, and
+    along unit vectors beside it.
     """
-    n = flat.shape[1]
-    rows = np.zeros((size, directions, n))
-    rows[:, : len(flat) // size] = flat.reshape(-1, size, n).transpose(1, 0, 2)
-    return rows.reshape(-1, n)
+    along = [d / rates[0] for d in by_direction[0]]
+    parts = [along]
+    for row, rate in zip(by_direction[1:], rates[1:], strict=True):
+        parts.append([d - c * rate for d, c in zip(row, along, strict=True)])
+    return parts
+
+
+def _at_kneestrike(
+    x: list[Sym], rates: list[Sym], carried: list[list[Sym]]
+) -> list[Sym]:
+    """The guard, its derivatives by y, its rate and its derivative by the slope; then
+    the state where it closes, to first order, and that state's derivatives by y.
+    """
+    guard, closing = x[1] - x[2], x[4] - x[5]
+    guard_by = [a - b for a, b in zip(carried[1], carried[2], strict=True)]
+    by_y = guard_by[:-1]
+    strike = [v - rate * guard / closing for v, rate in zip(x, rates, strict=True)]
+    for row, rate in zip(carried, rates, strict=True):
+        strike += [d - rate * g / closing for d, g in zip(row, by_y, strict=False)]
+    return [guard, *by_y, closing, guard_by[-1], *strike]
+
+
+def _joint_equations(
+    residual: list[Sym], section_by: list[list[Sym]], guards_by: list[list[Sym]]
+) -> list[Sym]:
+    """Residual of the joint equations, its derivative, the inverse of that, negative,
+    and the Newton step, row by row.
+    """
+    derivative = []
+    for i, row in enumerate(section_by):
+        derivative.append([v - float(i == d) for d, v in enumerate(row)])
+    derivative += guards_by
+    moves = inverse([[-v for v in row[:-1]] for row in derivative])
+    newton = [dot(row, residual) for row in moves]
+    return [*residual, *flat(derivative), *flat(moves), *newton]
+
+
+def _shifts(guards: list[Sym], guards_by: list[list[Sym]], m: int) -> list[list[Sym]]:
+    """Changes of the durations at which the guards close, to first order: for their
+    values, y and the slope; one duration after another.
+    """
+    shifts: list[list[Sym]] = []
+    for j, (guard, row) in enumerate(zip(guards, guards_by, strict=True)):
+        values = [guard, *row[:m], row[-1]]
+        for i, earlier in enumerate(shifts):
+            values = [v + row[m + i] * e for v, e in zip(values, earlier, strict=True)]
+        shifts.append([-v / row[m + j] for v in values])
+    return shifts
+
+
+def _at_strikes(
+    values: list[Sym], by: list[list[Sym]], shifts: list[list[Sym]], m: int
+) -> list[list[Sym]]:
+    """Each value where the guards close, to first order, with its derivatives by y and
+    the slope; given at the end of the flow, by y, durations and slope.
+    """
+    at_strikes = []
+    for value, row in zip(values, by, strict=True):
+        at_end = zip([value, *row[:m], row[-1]], zip(*shifts, strict=True), strict=True)
+        at_strikes.append([dot(row[m:-1], shift, start) for start, shift in at_end])
+    return at_strikes
+
+
+def _values_then_derivatives(at_strikes: list[list[Sym]]) -> list[Sym]:
+    """All values, then their derivatives by y row by row."""
+    return [row[0] for row in at_strikes] + flat([row[1:-1] for row in at_strikes])
 
 
 @functools.lru_cache(maxsize=64)

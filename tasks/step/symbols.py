@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 
 import heyoka as hy
 
-from gaitsweep.tasks.mechanics.equations import ZERO, Sym, Symbols
+from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from gaitsweep.tasks.mechanics.impacts import heelstrike, kneestrike
 from gaitsweep.tasks.mechanics.lumped import Structure
 
@@ -34,10 +35,26 @@ def end_of_step(structure: Structure, p: Symbols, x: list[Sym]) -> list[Sym]:
     return [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: structure.dimension - 1]]
 
 
+def field(p: Symbols, x: list[Sym], free_knee: bool) -> list[Sym]:
+    """Rates at which a state x changes, as symbols."""
+    n = len(x) // 2
+    M, f = rows(p, x[:n], x[n:], free_knee)
+    return [*x[n:], *Solver(M)(f)]
+
+
+def vector(name: str, n: int) -> list[Sym]:
+    """Variables of a vector."""
+    names = [f"{name}{i}" for i in range(n)]
+    return list(hy.make_vars(*names))
+
+
 def matrix(name: str, n: int, m: int) -> list[list[Sym]]:
     """Variables of an n x m matrix."""
-    entries = hy.make_vars(*(f"{name}{i}_{j}" for i in range(n) for j in range(m)))
-    return [list(entries[i * m : (i + 1) * m]) for i in range(n)]
+    rows = []
+    for i in range(n):
+        names = [f"{name}{i}_{j}" for j in range(m)]
+        rows.append(list(hy.make_vars(*names)))
+    return rows
 
 
 def flat(matrix: list[list[Sym]]) -> list[Sym]:
@@ -45,41 +62,47 @@ def flat(matrix: list[list[Sym]]) -> list[Sym]:
     return [x for row in matrix for x in row]
 
 
+def dot(a: Iterable[Sym], b: Iterable[Sym], start: Sym = ZERO) -> Sym:
+    """Sum of the products of two vectors' entries, added to a start."""
+    return sum((x * y for x, y in zip(a, b, strict=True)), start)
+
+
 def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
     """Inverse of a square matrix of symbols by its adjugate, whose minors are written
     once each.
     """
-    every = tuple(range(len(J)))
+    n = len(J)
 
     @functools.cache
     def minor(rows: tuple[int, ...], columns: tuple[int, ...]) -> Sym:
         if not rows:
             return hy.expression(1.0)
-        first, rest = rows[0], rows[1:]
-        terms = (
-            (-1.0) ** k
-            * J[first][column]
-            * minor(rest, (*columns[:k], *columns[k + 1 :]))
-            for k, column in enumerate(columns)
-        )
-        return sum(terms, ZERO)
+        value = ZERO
+        for k, column in enumerate(columns):
+            others = (*columns[:k], *columns[k + 1 :])
+            value = value + (-1.0) ** k * J[rows[0]][column] * minor(rows[1:], others)
+        return value
 
-    def without(k: int) -> tuple[int, ...]:
-        return (*every[:k], *every[k + 1 :])
-
-    det = minor(every, every)
-    return [
-        [(-1.0) ** (i + j) * minor(without(j), without(i)) / det for j in every]
-        for i in every
-    ]
+    every = tuple(range(n))
+    without = [(*every[:k], *every[k + 1 :]) for k in every]
+    determinant = minor(every, every)
+    rows = []
+    for i in range(n):
+        row = []
+        for j in range(n):
+            cofactor = (-1.0) ** (i + j) * minor(without[j], without[i])
+            row.append(cofactor / determinant)
+        rows.append(row)
+    return rows
 
 
 def derivatives_along(
     values: list[Sym], x: list[Sym], D: list[list[Sym]]
 ) -> list[list[Sym]]:
     """Derivative of each value by x along the directions D."""
-    gradients = [[hy.diff(v, coordinate) for coordinate in x] for v in values]
-    return [
-        [sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))]
-        for row in gradients
-    ]
+    columns = list(zip(*D, strict=True))
+    along = []
+    for value in values:
+        gradient = [hy.diff(value, coordinate) for coordinate in x]
+        along.append([dot(gradient, column) for column in columns])
+    return along

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import EllipsisType
+from typing import NamedTuple
 
 import numpy as np
+
+from gaitsweep.tasks.mechanics.arrays import Marks, Motion, PerLane, Times
 
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than
 #: rounding. At time 0, where the knee is straight, its guard has a root that is no
@@ -37,30 +40,69 @@ class StepCheck:
         The released knee first moves against its stop.
     """
 
-    step: np.ndarray
+    step: Marks
     leg_passes: np.ndarray
-    doubt: np.ndarray
-    hyperextends: np.ndarray
+    doubt: Marks
+    hyperextends: Marks
 
     def of_all(self, steps: int) -> StepCheck:
         """What the checks of single steps, those of several gaits' first steps before
         the second ones, say of gaits.
         """
-        each = {name: values.reshape(steps, -1) for name, values in vars(self).items()}
+        passes = self.leg_passes.reshape(steps, -1)
         return StepCheck(
-            each["step"].all(axis=0),
+            ~_any(~self.step.reshape(steps, -1)),
             # Of legs that pass once at every step but one, the number at that.
-            np.where(
-                (each["leg_passes"] == 1).all(axis=0), 1, each["leg_passes"].max(axis=0)
-            ),
-            each["doubt"].any(axis=0),
-            each["hyperextends"].any(axis=0),
+            np.where((passes == 1).all(axis=0), 1, passes.max(axis=0)),
+            _any(self.doubt.reshape(steps, -1)),
+            _any(self.hyperextends.reshape(steps, -1)),
         )
 
     @property
     def anthropomorphic(self) -> np.ndarray:
         """Lanes whose legs pass exactly once."""
         return self.step & (self.leg_passes == 1)
+
+
+#: Samples of a guard or an angle and its rates, both (samples + 1, n).
+_Samples = tuple[np.ndarray, np.ndarray]
+
+
+def _any(marks: np.ndarray) -> Marks:
+    """Whether something holds of any interval or step, the first axis."""
+    return np.asarray(marks.any(axis=0))
+
+
+def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values at the beginning and at the end of each interval."""
+    return values[:-1], values[1:]
+
+
+def _stance(phase: np.ndarray) -> _Samples:
+    """The stance leg's angle."""
+    return phase[:, 0], phase[:, phase.shape[1] // 2]
+
+
+def _height(phase: np.ndarray) -> _Samples:
+    """The guard of heelstrike: the sum of the legs' angles, the shank as the thigh."""
+    half = phase.shape[1] // 2
+    return phase[:, 0] + phase[:, 1], phase[:, half] + phase[:, half + 1]
+
+
+def _apart(phase: np.ndarray) -> _Samples:
+    """The angle between the legs."""
+    half = phase.shape[1] // 2
+    return phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
+
+
+def _flexion(three: np.ndarray) -> _Samples:
+    """The guard of kneestrike."""
+    return three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
+
+
+def _by_interval(samples: _Samples, interval: PerLane) -> _Samples:
+    """Samples with their rates per interval."""
+    return samples[0], interval * samples[1]
 
 
 def _chord_error_bound(g: np.ndarray) -> np.ndarray:
@@ -96,22 +138,21 @@ def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.
     lies on the side to which the guard bends: so they do at strikes that are nearly
     tangential.
     """
-    low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
-    least_rate, change = (
-        np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])),
-        np.diff(rate, axis=0),
-    )
-    bends = np.abs(change) > 4 * _chord_error_bound(rate) + 2 * margin
-    is_one_sign = np.signbit(rate[:-1]) == np.signbit(rate[1:])
-    steady = is_one_sign & (
-        least_rate > np.where(bends, 0.0, _chord_error_bound(rate)) + margin
-    )
-    above, below = (
-        np.maximum(g[:-1], g[1:]) >= margin,
-        np.minimum(g[:-1], g[1:]) <= -margin,
-    )
-    arches = bends & np.where(change < 0, above, below)
-    return (low < _chord_error_bound(g) + margin) & ~steady & ~arches
+    a, b = _ends(g)
+    low = np.minimum(np.abs(a), np.abs(b))
+    is_near = low < _chord_error_bound(g) + margin
+
+    change, error = np.diff(rate, axis=0), _chord_error_bound(rate)
+    bends = np.abs(change) > 4 * error + 2 * margin
+    da, db = _ends(rate)
+    is_one_sign = np.signbit(da) == np.signbit(db)
+    least_rate = np.minimum(np.abs(da), np.abs(db))
+    is_steady = is_one_sign & (least_rate > np.where(bends, 0.0, error) + margin)
+
+    is_above = np.maximum(a, b) >= margin
+    is_below = np.minimum(a, b) <= -margin
+    arches = bends & np.where(change < 0, is_above, is_below)
+    return is_near & ~is_steady & ~arches
 
 
 def _to_strike(g: np.ndarray) -> np.ndarray:
@@ -123,7 +164,7 @@ def _to_strike(g: np.ndarray) -> np.ndarray:
 
 # Where the integration failed the guards have no values.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
+def strike_distance(motion: Motion, times: Times) -> PerLane:
     """Distance of a step from an earlier strike: negative where a foot or a knee
     strikes earlier.
 
@@ -147,39 +188,29 @@ def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
     before. Of the foot that is the highest since the stance leg was upright.
     """
     intervals = _intervals(motion, times)
-    sums, behind, upright = [], [], []
+    guards = []
     for phase, interval in zip(motion, intervals, strict=True):
-        half = phase.shape[1] // 2
-        sums.append(
-            (
-                phase[:, 0] + phase[:, 1],
-                interval * (phase[:, half] + phase[:, half + 1]),
-            )
-        )
-        behind.append(phase[:, 0] < 0)
-        stance = phase[:, 0], interval * phase[:, half]
-        passes, at = (
-            ~behind[-1][:-1] & behind[-1][1:],
-            np.full(behind[-1][1:].shape, -np.inf),
-        )
-        at[passes] = _value(_cubics(*sums[-1], passes), _zero(_cubics(*stance, passes)))
-        upright.append(at)
-    least = _least_distance(sums, behind, upright)
+        guard = _by_interval(_height(phase), interval)
+        behind = phase[:, 0] < 0
+        passes = ~behind[:-1] & behind[1:]
+        upright = _zero(_cubics(*_by_interval(_stance(phase), interval), passes))
+        begin = np.full(passes.shape, -np.inf)
+        begin[passes] = _value(_cubics(*guard, passes), upright)
+        guards.append(_Guard(*guard, behind, begin))
+    least = _least_distance(guards)
+
     if len(motion) == 2:
-        three = motion[0]
-        rate = intervals[0] * (three[:, 4] - three[:, 5])
+        g, rate = _by_interval(_flexion(motion[0]), intervals[0])
         # The knee starts straight, and may first move against its stop: only maxima
         # show that it has flexed.
-        never, nowhere = np.zeros(rate.shape, bool), np.full(rate[1:].shape, -np.inf)
-        knee = _least_distance(
-            [(three[:, 1] - three[:, 2], rate)], [never], [nowhere], always=True
-        )
-        least = np.fmin(least, knee)
+        never = np.zeros(g.shape, bool)
+        knee = _Guard(g, rate, never, np.full(g[1:].shape, -np.inf), always=True)
+        least = np.fmin(least, _least_distance([knee]))
     return least
 
 
-def _intervals(motion: list[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
-    """Times between the samples of each phase, shape (n,)."""
+def _intervals(motion: Motion, times: Times) -> list[PerLane]:
+    """Times between the samples of each phase."""
     durations = np.diff(times, axis=0, prepend=0)
     return [
         duration / (len(phase) - 1)
@@ -187,40 +218,57 @@ def _intervals(motion: list[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def _least_distance(
-    phases: list[tuple[np.ndarray, np.ndarray]],
-    counts: list[np.ndarray],
-    begins: list[np.ndarray],
-    always: bool = False,
-) -> np.ndarray:
-    """Least distance (n,) of a guard from an earlier strike, by its values and rates
-    per interval of each phase.
+class _Guard(NamedTuple):
+    """A guard in one phase: its values and rates per interval at the samples.
 
-    `counts` says at which samples the guard's values count; with `always` its extrema
-    count everywhere. `begins` are its values where, inside an interval, they begin to
-    count, elsewhere minus infinity.
+    `counts` says at which samples the values count; `always`, that the extrema count
+    everywhere. `begin` are the values where, inside an interval, they begin to count,
+    elsewhere minus infinity.
     """
-    least = np.full(phases[0][0].shape[1], np.inf)
-    highest, rate_before = np.full(len(least), -np.inf), None
-    for (g, rate), counted, begin in zip(phases, counts, begins, strict=True):
-        low, high = _extrema(g, rate)
+
+    g: np.ndarray
+    rate: np.ndarray
+    counts: np.ndarray
+    begin: np.ndarray
+    always: bool = False
+
+
+def _least_distance(phases: list[_Guard]) -> PerLane:
+    """Least distance of a guard from an earlier strike, over phases."""
+    n = phases[0].g.shape[1]
+    least, highest = np.full(n, np.inf), np.full(n, -np.inf)
+    rate_before = None
+    for guard in phases:
+        g, rate, counts, *_ = guard
         if rate_before is not None:
             # Rates jump at kneestrike: a guard may have a minimum there.
-            turns = (rate_before < 0) & (rate[0] >= 0) & counted[0]
-            least = np.fmin(least, np.where(turns, np.maximum(g[0], -highest), np.inf))
-        # A maximum in the interval in which values begin to count may come before they
-        # do.
-        high_counts = counted[1:] & (begin == -np.inf) | always
-        # What counts of each interval before its minimum, and after it.
-        before = np.where(counted[:-1], g[:-1], -np.inf)
-        after = np.fmax(np.where(high_counts, high, -np.inf), begin)
-        before[0] = np.fmax(before[0], highest)
-        before[1:] = np.fmax(before[1:], after[:-1])
-        so_far = np.fmax.accumulate(before, axis=0)
-        distance = np.where(counted[1:] | always, np.maximum(low, -so_far), np.inf)
+            turns = (rate_before < 0) & (rate[0] >= 0) & counts[0]
+            at_turn = np.where(turns, np.maximum(g[0], -highest), np.inf)
+            least = np.fmin(least, at_turn)
+        distance, highest = _distances(guard, highest)
         least = np.fmin(least, np.fmin.reduce(distance, axis=0))
-        highest, rate_before = np.fmax(so_far[-1], after[-1]), rate[-1]
+        rate_before = rate[-1]
     return least
+
+
+def _distances(guard: _Guard, highest: PerLane) -> tuple[np.ndarray, PerLane]:
+    """Distances from earlier strikes at the minima in all intervals, (intervals, n),
+    and the highest value that counts up to the end, from that up to the start.
+    """
+    g, rate, counts, begin, always = guard
+    low, high = _extrema(g, rate)
+    # A maximum in the interval in which values begin to count may come before they do.
+    high_counts = counts[1:] & (begin == -np.inf) | always
+    # What counts of each interval before its minimum, and after it.
+    before = np.where(counts[:-1], g[:-1], -np.inf)
+    after = np.fmax(np.where(high_counts, high, -np.inf), begin)
+    before[0] = np.fmax(before[0], highest)
+    before[1:] = np.fmax(before[1:], after[:-1])
+    so_far = np.fmax.accumulate(before, axis=0)
+
+    low_counts = counts[1:] | always
+    distance = np.where(low_counts, np.maximum(low, -so_far), np.inf)
+    return distance, np.fmax(so_far[-1], after[-1])
 
 
 def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,7 +277,8 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Infinite, and minus infinite, where it has none.
     """
-    cubic, (da, db) = _cubics(g, rate), (rate[:-1], rate[1:])
+    cubic = _cubics(g, rate)
+    da, db = _ends(rate)
     _, _, second, third = cubic
     root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
 
@@ -250,8 +299,10 @@ def _cubics(
     """Coefficients of the cubics in some intervals through values and rates per
     interval at both ends.
     """
-    a, b, da, db = g[:-1][some], g[1:][some], rate[:-1][some], rate[1:][some]
-    return a, da, 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
+    a, b, da, db = (values[some] for values in (*_ends(g), *_ends(rate)))
+    second = 3 * (b - a) - 2 * da - db
+    third = da + db - 2 * (b - a)
+    return a, da, second, third
 
 
 def _value(cubic: _Cubics, share: np.ndarray) -> np.ndarray:
@@ -275,40 +326,36 @@ def _zero(cubic: _Cubics) -> np.ndarray:
 
 # Where a guard does not change between samples there is no crossing to ask for.
 @np.errstate(invalid="ignore", divide="ignore")
-def _behind(
-    falls: np.ndarray,
-    guard: tuple[np.ndarray, np.ndarray],
-    stance: tuple[np.ndarray, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Whether a guard that falls in some intervals does so with a negative stance
-    angle, shape (intervals, n).
+def _falls_behind(
+    falls: np.ndarray, guard: _Samples, stance: _Samples
+) -> tuple[Marks, Marks]:
+    """Whether a guard that falls in some intervals, (intervals, n), does so with a
+    negative stance angle.
 
     Both are given with their rates per interval. Also returned is whether in one of
-    them that angle is so near zero as the guard falls that finer samples tell better,
-    shape (n,).
+    them that angle is so near zero as the guard falls that finer samples tell better.
     """
-    ahead = stance[0] >= 0
-    passes, behind = falls & (ahead[:-1] != ahead[1:]), falls & (stance[0][1:] < 0)
+    angle, before = stance[0], stance[0][:-1] >= 0
+    passes = falls & (before != (angle[1:] >= 0))
+    behind = falls & (angle[1:] < 0)
     at_zero = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes)))
     behind[passes] = at_zero < 0
+
     # Both cubics err, that of the guard by a time.
-    share = (
-        _cubic_error_bound(guard[1])[passes]
-        / np.abs(guard[0][1:] - guard[0][:-1])[passes]
-    )
-    angle = np.abs(stance[0][1:] - stance[0][:-1])[passes]
-    late = passes & ahead[:-1]
-    late[passes] &= ~(
-        np.abs(at_zero) > _cubic_error_bound(stance[1])[passes] + share * angle
-    )
-    return behind, np.asarray(late.any(axis=0))
+    fall = np.abs(np.diff(guard[0], axis=0))[passes]
+    turn = np.abs(np.diff(angle, axis=0))[passes]
+    late_by = _cubic_error_bound(guard[1])[passes] / fall
+    error = _cubic_error_bound(stance[1])[passes] + late_by * turn
+    late = passes & before
+    late[passes] &= ~(np.abs(at_zero) > error)
+    return _any(behind), _any(late)
 
 
 # Where a strike is tangential to the last digit its rate has no value.
 @np.errstate(invalid="ignore")
 def strikes_fall_in_order(
-    closing: np.ndarray, times: np.ndarray, touch: float | np.ndarray = _TOUCH
-) -> np.ndarray:
+    closing: np.ndarray, times: Times, touch: float | PerLane = _TOUCH
+) -> Marks:
     """Whether solved strikes follow each other, and the guard of each falls.
 
     Parameters
@@ -329,16 +376,17 @@ def strikes_fall_in_order(
     rounding: a foot that strikes almost tangentially is late by rounding alone.
     """
     height = np.diff(times, axis=0, prepend=0) * -closing
-    return np.asarray(((closing < 0) & (height > -touch)).all(axis=0) & (times[0] > 0))
+    falls = (closing < 0) & (height > -touch)
+    return np.asarray(falls.all(axis=0) & (times[0] > 0))
 
 
 # A strike that is tangential to the last digit has no rate.
 @np.errstate(divide="ignore", invalid="ignore")
 def verify(
-    motion: list[np.ndarray],
+    motion: Motion,
     closing: np.ndarray,
-    times: np.ndarray,
-    margin: float | np.ndarray = 0.0,
+    times: Times,
+    margin: float | PerLane = 0.0,
 ) -> StepCheck:
     """Verify that solved steps happen, by samples of their motion.
 
@@ -364,68 +412,105 @@ def verify(
     A step ends when stance + swing angle, once positive, falls to zero with the stance angle negative. So this guard,
     once positive, must stay so wherever the stance angle is negative.
     """
-    two = motion[-1]
-    a, b = two[:, 0], two[:, 1]
-    n = a.shape[1]
-    da, db = two[:, len(two[0]) // 2], two[:, len(two[0]) // 2 + 1]
-    guard = a + b
-    # Between samples i and i + 1: a strike needs the guard at or below zero with the
-    # stance angle negative.
-    behind = np.minimum(a[:-1], a[1:]) - margin < 0
-    # At the strike itself a guard is as far from zero as rounding, which a long step
-    # amplifies, has moved it.
-    touch = height = np.maximum(_TOUCH, 8 * np.abs(guard[-1]))
-    if len(motion) == 2:
-        knee = 8 * np.abs(motion[0][-1, 1] - motion[0][-1, 2])
-        touch = np.maximum(touch, knee)
-        # Until a knee that is late has struck, the foot falls on.
-        height = np.fmax(touch, knee * np.abs(closing[1] / closing[0]))
-    falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
     intervals = _intervals(motion, times)
-    falls, late = _behind(
-        falls, (guard, intervals[-1] * (da + db)), (a, intervals[-1] * da)
-    )
-    # A guard that falls to zero was positive just before.
-    step = (
-        strikes_fall_in_order(closing, times, height) & ~falls.any(axis=0) & (a[-1] < 0)
-    )
-    doubt = (
-        (behind & _unclear(_to_strike(guard), da + db, margin)).any(axis=0)
-        | late
-        | np.isnan(a[0])
-    )
-    leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
+    touch, height = _rounding_at_strikes(motion, closing)
+    step, doubt = _verify_locked(motion[-1], intervals[-1], touch, margin)
+    step &= strikes_fall_in_order(closing, times, height)
+
+    leg_passes = np.zeros(len(step), int)
     for phase in motion:
-        half = phase.shape[1] // 2
-        apart, rate = phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
-        leg_passes += (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
-        doubt |= _unclear(apart, rate, margin).any(axis=0)
+        apart, rate = _apart(phase)
+        before, after = _ends(np.signbit(apart))
+        leg_passes += (before != after).sum(axis=0)
+        doubt |= _any(_unclear(apart, rate, margin))
+
+    hyperextends = np.zeros(len(step), bool)
     if len(motion) == 2:
-        three = motion[0]
-        flexion, rate = three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
-        hyperextends = rate[0] < 0
-        inner = flexion[1:-1]
-        bent = np.maximum.accumulate(np.vstack([rate[:1] > 0, inner > 0]), axis=0)
-        straight_again = (bent[:-1] & (inner < -_STRAIGHT)).any(axis=0)
-        # A strike that falls comes from above, if only since the last sample: almost
-        # tangential ones do.
-        step = step & ~straight_again & (times[0] > _MIN_KNEESTRIKE)
-        # The foot could strike before the knee; where both strike together its height
-        # at kneestrike is rounding.
-        sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
-        down = sum_[1:] <= 0
-        down[-1] = sum_[-1] < -height
-        stance = three[:, 0], intervals[0] * three[:, 3]
-        falls, late = _behind(
-            down & (sum_[:-1] > 0), (sum_, intervals[0] * closing_in), stance
-        )
-        step &= ~falls.any(axis=0)
-        doubt |= late
-        behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
-        doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
-        # The knee starts straight: the guard's first zero is no strike.
-        unclear = _unclear(_to_strike(flexion), rate, margin)
-        doubt |= unclear[1:].any(axis=0) | ((rate[0] > 0) & unclear[0])
-    return StepCheck(
-        step, leg_passes, doubt & np.isfinite(closing).all(axis=0), hyperextends
-    )
+        is_free, unclear = _verify_free(motion[0], intervals[0], height, margin)
+        step &= is_free & (times[0] > _MIN_KNEESTRIKE)
+        doubt |= unclear
+        hyperextends = _flexion(motion[0])[1][0] < 0
+    doubt &= np.isfinite(closing).all(axis=0)
+    return StepCheck(step, leg_passes, doubt, hyperextends)
+
+
+def _rounding_at_strikes(
+    motion: Motion, closing: np.ndarray
+) -> tuple[PerLane, PerLane]:
+    """How far guards may be from zero by rounding at the strikes, and the foot from the
+    ground.
+
+    At the strike itself a guard is as far from zero as rounding, which a long step
+    amplifies, has moved it.
+    """
+    height = np.maximum(_TOUCH, 8 * np.abs(_height(motion[-1])[0][-1]))
+    if len(motion) == 1:
+        return height, height
+    knee = 8 * np.abs(_flexion(motion[0])[0][-1])
+    touch = np.maximum(height, knee)
+    # Until a knee that is late has struck, the foot falls on.
+    return touch, np.fmax(touch, knee * np.abs(closing[1] / closing[0]))
+
+
+def _verify_locked(
+    two: np.ndarray, interval: PerLane, touch: PerLane, margin: float | PerLane
+) -> tuple[Marks, Marks]:
+    """Whether the foot of the locked leg strikes at the end only, and whether that is
+    in doubt.
+    """
+    guard, rate = _height(two)
+    before, after = _ends(guard)
+    falls = (before >= -touch) & (after < -touch)
+    struck, late = _foot_strikes(two, interval, falls)
+    unclear = _unclear(_to_strike(guard), rate, margin)
+    doubt = _behind(two, unclear, margin) | late | np.isnan(two[0, 0])
+    return ~struck & (two[-1, 0] < 0), doubt
+
+
+def _verify_free(
+    three: np.ndarray, interval: PerLane, height: PerLane, margin: float | PerLane
+) -> tuple[Marks, Marks]:
+    """Whether the knee strikes at the end only, and no foot before it, and whether that
+    is in doubt.
+    """
+    guard, rate = _height(three)
+    is_down = guard[1:] <= 0
+    # Where both strike together the foot's height at kneestrike is rounding.
+    is_down[-1] = guard[-1] < -height
+    struck, late = _foot_strikes(three, interval, is_down & (guard[:-1] > 0))
+    doubt = _behind(three, _unclear(guard, rate, margin), margin) | late
+
+    # The knee starts straight: the guard's first zero is no strike.
+    flexion, rate = _flexion(three)
+    unclear = _unclear(_to_strike(flexion), rate, margin)
+    doubt |= _any(unclear[1:]) | ((rate[0] > 0) & unclear[0])
+    return ~struck & _flexes_once(flexion, rate), doubt
+
+
+def _foot_strikes(
+    phase: np.ndarray, interval: PerLane, falls: np.ndarray
+) -> tuple[Marks, Marks]:
+    """Whether the foot's guard, which falls in some intervals, does so at a strike, and
+    whether finer samples tell better.
+    """
+    guard = _by_interval(_height(phase), interval)
+    return _falls_behind(falls, guard, _by_interval(_stance(phase), interval))
+
+
+def _behind(phase: np.ndarray, intervals: np.ndarray, margin: float | PerLane) -> Marks:
+    """Whether the stance angle may be negative in one of some intervals: a foot strikes
+    only then.
+    """
+    lowest = np.minimum(*_ends(phase[:, 0])) - margin
+    return _any((lowest < 0) & intervals)
+
+
+def _flexes_once(flexion: np.ndarray, rate: np.ndarray) -> Marks:
+    """Whether a knee, once bent, is bent up to its strike.
+
+    A strike that falls comes from above, if only since the last sample: almost
+    tangential ones do.
+    """
+    inner = flexion[1:-1]
+    bent = np.maximum.accumulate(np.vstack([rate[:1] > 0, inner > 0]), axis=0)
+    return ~_any(bent[:-1] & (inner < -_STRAIGHT))
