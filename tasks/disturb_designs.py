@@ -20,7 +20,11 @@ STEP_RESOLUTION, _AT_ONCE = 1e-3, 8
 _RECOVERY, _BACK = 200, 1e-3
 
 
-def attractors_beside(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray:
+def attractors_beside(
+    problem: Lanes,
+    y: np.ndarray,
+    slope: float,
+) -> np.ndarray:
     """Find the attractors of walkers that start beside a gait.
 
     Parameters
@@ -46,7 +50,10 @@ def attractors_beside(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray
 
 
 def largest_steps(
-    problem: Lanes, y: np.ndarray, slope: float, limit: float
+    problem: Lanes,
+    y: np.ndarray,
+    slope: float,
+    limit: float,
 ) -> np.ndarray:
     """Find the largest steps of the ground, down and up, that walkers survive at their
     stable gaits.
@@ -99,7 +106,10 @@ def largest_steps(
 
 
 def _survive(
-    problem: Lanes, home: Neighbourhoods, slope: float, height: np.ndarray
+    problem: Lanes,
+    home: Neighbourhoods,
+    slope: float,
+    height: np.ndarray,
 ) -> np.ndarray:
     """Whether walkers survive steps of the ground (k,), over the leg, at their gaits."""
     walkers, slopes = problem.every_walker, np.full(len(height), slope)

@@ -7,12 +7,13 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks import registry
-from gaitsweep.tasks.continuation.atlas import survey_lines, to_arrays
+from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.extremes import (
     ANY_SLOPE,
     COSTS,
@@ -31,9 +32,9 @@ from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points
 from gaitsweep.tasks.families.manifold_maker import Maker
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_planes import charts
-from gaitsweep.tasks.solve_planes import lines as lines_of_plane
-from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.request import Request
+from gaitsweep.tasks.solve_planes import Plane, make_charts, solve_plane
+from gaitsweep.tasks.solve_points import solve_line
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.tables import Arrays
@@ -87,69 +88,92 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -----
     The row of a design depends on the design and its cell alone.
     """
-    line = params["line"]
-    keys = {
-        key: np.atleast_1d(np.asarray(value, float))
-        for key, value in line.get("set", {}).items()
-    }
-    n = max((len(value) for value in keys.values()), default=1)
-    keys = {key: np.broadcast_to(value, n) for key, value in keys.items()}
-
-    def line_of(i: int) -> dict[str, Any]:
-        return {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
-
-    slope = np.asarray(params["slope"], float)
-    window = float(np.log(slope.min())), float(np.log(slope.max()))
-    walkers = _walkers(line["walker"], keys, n)
+    designs = _Designs.of(params["line"])
+    slope = np.log(np.asarray(params["slope"], float))
+    window = float(slope.min()), float(slope.max())
     options = registry.options("design", params)
-    at_slope, at_speed, ground = (
-        options["at_slope"],
-        options["at_speed"],
-        float(options["ground"]),
-    )
-    sought = Sought(window, None if at_speed is None else float(np.log(at_speed)))
-    rows, accepted, gaits = _Rows(n, sought), np.zeros(n, bool), np.full((4, n), np.nan)
-    if "plane" in params:
-        accepted = _over_plane(line, keys, params["plane"], rows)
-        # Invalid designs are not solved.
-        possible = sorted(
-            i for own in _alike(walkers, np.arange(n)).values() for i in own
-        )
-        if at_slope is not None and possible:
-            each, slopes = (
-                [line_of(i) for i in possible],
-                {"slope_from": at_slope, "slope_to": at_slope, "slopes": 1},
-            )
-            request = {
-                "line": each[0],
-                "lines": each,
-                "slope": np.array([at_slope]),
-                "want": _GAIT,
-                **slopes,
-            }
-            request |= {"plane": params["plane"], "whole": True}
-            gaits[:, possible] = _long(
-                lines_of_plane(request, [charts(request, [])])[0][1]
-            )
-    others = np.flatnonzero(~accepted)
-    for structure, numbers in _alike(walkers, others).items():
-        for k in range(0, len(numbers), _LINES):
-            part = numbers[k : k + _LINES]
-            problem = Lanes(walkers.some(part), structure)
-            branches = survey_lines(problem, COARSE)
-            rows.store(problem, part, find(problem, branches, sought), surveyed=1)
-            if at_slope is not None and "plane" not in params:
-                for i, of_line in zip(part.tolist(), branches, strict=True):
-                    request = {
-                        "line": line_of(i),
-                        "slope": np.array([at_slope]),
-                        "want": _GAIT,
-                    }
-                    gaits[:, [i]] = _long(points(request, [to_arrays(of_line)]))
+    speed, at_slope = options["at_speed"], options["at_slope"]
+    sought = Sought(window, None if speed is None else float(np.log(speed)))
+    plane = Plane.of(params["plane"]) if "plane" in params else None
+    request = None
     if at_slope is not None:
-        _disturb(walkers, gaits, at_slope, ground, rows)
-    columns = rows.columns(walkers) | rows.further(options)
+        request = Request.of({"slope": [at_slope], "want": _GAIT})
+
+    rows = _Rows(designs.n, sought)
+    if plane:
+        accepted = _over_plane(designs, plane, rows)
+        _survey(designs, np.flatnonzero(~accepted), rows)
+        gaits = _gaits_over_plane(designs, plane, request)
+    else:
+        gaits = _survey(designs, np.arange(designs.n), rows, request)
+    if request:
+        _disturb(designs.walkers, gaits, at_slope, options["ground"], rows)
+
+    columns = rows.columns(designs.walkers) | rows.further(options)
     return {f"design/{name}": values for name, values in columns.items()}
+
+
+@dataclass(frozen=True)
+class _Designs:
+    """The designs of a line: n walkers, and its keys with a value for each, (n,)."""
+
+    line: Mapping[str, Any]
+    keys: Mapping[str, np.ndarray]
+    walkers: WalkerArray
+    n: int
+
+    @classmethod
+    def of(cls, line: Mapping[str, Any]) -> _Designs:
+        """Return the designs of a line, of which a key may hold an array of values."""
+        values = {
+            key: np.atleast_1d(np.asarray(value, float))
+            for key, value in line.get("set", {}).items()
+        }
+        n = max((len(value) for value in values.values()), default=1)
+        keys = {key: np.broadcast_to(value, n) for key, value in values.items()}
+        return cls(line, keys, _walkers(line["walker"], keys, n), n)
+
+    def line_of(self, design: int) -> dict[str, Any]:
+        """Return the line of one design."""
+        values = {key: float(value[design]) for key, value in self.keys.items()}
+        return {**self.line, "set": values}
+
+
+def _survey(
+    designs: _Designs,
+    numbers: np.ndarray,
+    rows: _Rows,
+    request: Request | None = None,
+) -> np.ndarray:
+    """Store the designs with some numbers by the branches of their lines, and return their long
+    gaits at a slope, if one is asked for, as `_long` has them.
+    """
+    gaits = np.full((len(_GAIT), designs.n), np.nan)
+    for structure, some in _alike(designs.walkers, numbers).items():
+        for k in range(0, len(some), _LINES):
+            part = some[k : k + _LINES]
+            problem = Lanes(designs.walkers.some(part), structure)
+            branches = survey_lines(problem, COARSE)
+            points = find(problem, branches, rows.sought)
+            rows.store(problem, part, points, surveyed=1)
+            for i, of_line in zip(part.tolist(), branches, strict=True):
+                if request:
+                    solved = solve_line(designs.line_of(i), of_line, request)
+                    gaits[:, [i]] = _long(solved)
+    return gaits
+
+
+def _gaits_over_plane(
+    designs: _Designs, plane: Plane, request: Request | None
+) -> np.ndarray:
+    """The long gaits of designs at a slope, if one is asked for, by charts."""
+    gaits = np.full((len(_GAIT), designs.n), np.nan)
+    possible = [*_possible(designs.walkers, np.arange(designs.n))]
+    if request and possible:  # invalid designs are not solved
+        lines, (slope,) = [designs.line_of(i) for i in possible], request.slope
+        charts = make_charts(lines[0], plane, request.wanted, (slope, slope), 1)
+        gaits[:, possible] = _long(solve_plane(lines, plane, request, [charts]))
+    return gaits
 
 
 def _long(solved: Arrays) -> np.ndarray:
@@ -160,16 +184,19 @@ def _long(solved: Arrays) -> np.ndarray:
 
 
 def _disturb(
-    walkers: WalkerArray, gaits: np.ndarray, slope: float, ground: float, rows: _Rows
+    walkers: WalkerArray,
+    gaits: np.ndarray,
+    slope: float,
+    ground: float,
+    rows: _Rows,
 ) -> None:
     """Store the attractors beside walkers' long gaits at a slope, and the steps of the
     ground that they survive.
     """
-    for structure, numbers in _alike(
-        walkers, np.flatnonzero(np.isfinite(gaits[0]))
-    ).items():
-        own = walkers.some(numbers)
-        problem, time_unit = Lanes(own, structure), own.time_unit
+    walking = np.flatnonzero(np.isfinite(gaits[0]))
+    for structure, numbers in _alike(walkers, walking).items():
+        some = walkers.some(numbers)
+        problem, time_unit = Lanes(some, structure), some.time_unit
         angle, stance_rate, thigh_rate, radius = gaits[:, numbers]
         state = np.array([angle, stance_rate * time_unit, thigh_rate * time_unit])
         y = problem.section_of(state, np.full(len(numbers), slope))
@@ -181,7 +208,11 @@ def _disturb(
             )
 
 
-def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray:
+def _walkers(
+    walker: Any,
+    keys: Mapping[str, np.ndarray],
+    n: int,
+) -> WalkerArray:
     """Walkers of designs; every number is an array."""
     few = resolve_many(walker, {key: np.array(value) for key, value in keys.items()})
     table: dict[str, Any] = {
@@ -191,49 +222,51 @@ def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray
     return WalkerArray(**table)
 
 
-def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
-    """Numbers of the walkers of each structure, without invalid ones."""
-    possible: dict[int, Walker] = {}
+def _possible(walkers: WalkerArray, numbers: np.ndarray) -> dict[int, Walker]:
+    """Those of the walkers with some numbers that are valid, by their numbers."""
+    possible = {}
     for i in numbers.tolist():
         with contextlib.suppress(WalkerError):
             possible[i] = walkers[i]
-    numbers = np.array([*possible], int)
-    return {
-        structure: numbers[own]
-        for structure, own in alike([*possible.values()]).items()
-    }
+    return possible
+
+
+def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
+    """Numbers of the walkers of each structure, without invalid ones."""
+    possible = _possible(walkers, numbers)
+    valid = np.array([*possible], int)
+    by_structure = alike([*possible.values()])
+    return {structure: valid[some] for structure, some in by_structure.items()}
 
 
 def _over_plane(
-    line: Mapping[str, Any],
-    keys: Mapping[str, np.ndarray],
-    cell: Mapping[str, Any],
+    designs: _Designs,
+    plane: Plane,
     rows: _Rows,
 ) -> np.ndarray:
-    """Store the designs of a cell whose points its manifolds predict, and return which
+    """Store the designs of a plane whose points its manifolds predict, and return which
     those are, shape (n,).
     """
-    family = Family.of(
-        {**line, "set": {k: float(v[0]) for k, v in keys.items()}}, cell["keys"]
-    )
-    box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]), log=True)
-    at = np.column_stack([keys[key] for key in family.keys])
-    accepted, left = np.zeros(len(at), bool), np.ones(len(at), bool)
-    for part in _landscapes(family, box, rows.sought, cell["lines"]):
-        inside = np.flatnonzero(
-            left & (at >= part.box.low).all(axis=1) & (at <= part.box.high).all(axis=1)
-        )
+    family = Family.of(designs.line_of(0), plane.keys)
+    values = np.column_stack([designs.keys[key] for key in family.keys])
+    accepted, left = np.zeros(designs.n, bool), np.ones(designs.n, bool)
+    for part in _landscapes(family, plane.box, rows.sought, plane.lines):
+        is_above = (values >= part.box.low).all(axis=1)
+        is_below = (values <= part.box.high).all(axis=1)
+        inside = np.flatnonzero(left & is_above & is_below)
         left[inside] = False
-        if not part.why:
-            for k in range(0, len(inside), _DESIGNS):
-                some = inside[k : k + _DESIGNS]
-                accepted[some] = _solve(family, part, at[some], some, rows)
+        for k in range(0, 0 if part.why else len(inside), _DESIGNS):
+            some = inside[k : k + _DESIGNS]
+            accepted[some] = _solve(family, part, values[some], some, rows)
     return accepted
 
 
 @functools.lru_cache(64)
 def _landscapes(
-    family: Family, box: Box, sought: Sought, count: int
+    family: Family,
+    box: Box,
+    sought: Sought,
+    count: float,
 ) -> list[Landscape]:
     """Landscapes of a box, for about so many designs."""
     return make(family, box, sought, count)

@@ -13,14 +13,21 @@ from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.dynamics.initial_states import labelled
 from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.fixed_points.polish import are_same, settle, unmeasured
+from gaitsweep.tasks.fixed_points.polish import (
+    Polished,
+    are_same,
+    settle,
+    unmeasured,
+)
 from gaitsweep.tasks.fixed_points.search import search, starts
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.map_step import map_step
-from gaitsweep.tasks.measures.gaits import Wanted, describe, to_accuracy
+from gaitsweep.tasks.measures.gaits import Arrays, to_accuracy
 from gaitsweep.tasks.measures.losses import contact_mass
 from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from gaitsweep.tasks.solve_points import atlas, points, spans
+from gaitsweep.tasks.request import Request
+from gaitsweep.tasks.solve_guesses import solve_guesses
+from gaitsweep.tasks.solve_points import atlas, solve_line, spans
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
@@ -30,44 +37,39 @@ from gaitsweep.tasks.walkers.walker import Walker
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
 #: First columns of a gait, and all columns.
 _FIRST = (
-    *(
-        "gait",
-        "slope",
-        "stance_angle",
-        "stance_rate",
-        "thigh_rate",
-        "shank_rate",
-        "period",
-        "kneestrike_time",
-    ),
-    *(
-        "multipliers",
-        "stable",
-        "speed",
-        "froude_speed",
-        "cost_of_transport",
-        "power",
-        "step_length",
-    ),
-    *(
-        "loss_normal",
-        "loss_tangential",
-        "loss_kneestrike",
-        "violations",
-        "status",
-        "residual",
-        "error_bound",
-    ),
-    *("branch", "piece", "velocity_ratio", "contact_mass_matrix"),
+    "gait",
+    "slope",
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "period",
+    "kneestrike_time",
+    "multipliers",
+    "stable",
+    "speed",
+    "froude_speed",
+    "cost_of_transport",
+    "power",
+    "step_length",
+    "loss_normal",
+    "loss_tangential",
+    "loss_kneestrike",
+    "violations",
+    "status",
+    "residual",
+    "error_bound",
+    "branch",
+    "piece",
+    "velocity_ratio",
+    "contact_mass_matrix",
 )
-_COLUMNS = (
-    *_FIRST,
-    *(
-        v
-        for v in WANT
-        if v not in (*_FIRST, "reason", "multiplier_real", "multiplier_imag")
-    ),
-)
+_NOT_SHOWN = ("reason", "multiplier_real", "multiplier_imag")
+_COLUMNS = (*_FIRST, *(v for v in WANT if v not in (*_FIRST, *_NOT_SHOWN)))
+
+#: Variables of a gait by name; a gait with its angle and rate ratio, which label it.
+_Gait = dict[str, Any]
+_Labelled = tuple[float, float, _Gait]
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,72 +96,71 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker is invalid.
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
-    slope, walker = float(params["slope"]), walker_of_line(line)
-    asked = {
-        name: params[name]
-        for name in ("steps", "accuracy", "violation_limits")
-        if name in params
-    }
-    request = {"line": line, "slope": np.array([slope]), "want": WANT, **asked}
-    if int(params.get("steps", 1)) > 1:
-        return _solve_cycles(request, walker)
-    problem = Problem(walker)
+    request = Request.of({**params, "slope": [params["slope"]], "want": WANT})
+    if request.steps > 1:
+        return _solve_cycles(line, request, walker_of_line(line))
+    return _solve_steps(line, request, bool(params.get("all")))
+
+
+def _solve_steps(
+    line: Mapping[str, Any], request: Request, is_all: bool
+) -> dict[str, Any]:
+    """Gaits that repeat after one step; those whose legs pass more than once if all are
+    wanted.
+    """
+    problem, slope = Problem(walker_of_line(line)), float(request.slope[0])
     branches = atlases.survey(problem, COARSE)
-    point = points(request, [atlases.to_arrays(branches)])
-    found = _converged(point)
-    log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
-    nodes = sum(len(branch.q) for branch in branches)
-    log.append(
-        f"{len(branches)} branch{'es' * (len(branches) != 1)} continued over {nodes} points"
-    )
-    if params.get("all") or not found:
+    point = solve_line(line, branches, request)
+    found, others = _converged(point), list[_Gait]()
+    log = [*filter(None, [untuned(line)]), *_surveyed(problem, branches)]
+    if is_all or not found:
         found, others, nearest = _search_slope(problem, request, branches, found)
-        log.append(
-            f"{starts(walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}"
-        )
+        guesses = starts(problem.walker, [slope])[0].shape[1]
+        log.append(f"{guesses} initial guesses at slope {slope:g}")
         if not found:
-            log += [
-                *point["reasons"][[status.NO_LONG, status.NO_SHORT]].tolist(),
-                nearest,
-            ]
+            log += [*_said(point, status.NO_LONG, status.NO_SHORT), nearest]
     else:
-        others = []
         log += _left_out(point)
-    records = [
-        record(_name(place), slope, found[place], walker) for place in sorted(found)
+
+    gaits = [(_name(place), found[place]) for place in sorted(found)]
+    absent = _absent(branches, point, slope, [label for label, _ in gaits])
+    if is_all:
+        gaits += [(f"passes_{gait['passes']}_times", gait) for gait in others]
+    walker = problem.walker
+    records = [record(label, slope, gait, walker) for label, gait in gaits]
+    return answer(records, walker, log, absent)
+
+
+def _surveyed(problem: Problem, branches: list[Branch]) -> list[str]:
+    """What is said of the survey that found branches."""
+    nodes = sum(len(branch.q) for branch in branches)
+    plural = "" if len(branches) == 1 else "es"
+    return [
+        atlases.searched(problem.walker),
+        f"{len(branches)} branch{plural} continued over {nodes} points",
     ]
-    if params.get("all"):
-        records += [
-            record(f"passes_{gait['passes']}_times", slope, gait, walker)
-            for gait in others
-        ]
-    return answer(
-        records,
-        walker.si,
-        log,
-        _absent(branches, point, slope, [record["gait"] for record in records]),
-    )
 
 
 def _absent(
-    branches: list[Branch], point: Mapping[str, Any], slope: float, labels: list[str]
+    branches: list[Branch],
+    point: Mapping[str, Any],
+    slope: float,
+    labels: list[str],
 ) -> list[str]:
     """Why there is no gait of a label; where branches were lost, what they span does
     not say it.
     """
     are_whole = not any(branch.lost() for branch in branches)
-    pieces = {
-        label: list(spans(branches, label)) if are_whole else [] for label in GAITS[:2]
-    }
-    return [
-        status.beyond(label, pieces[label], slope)
-        or str(point["reasons"][point["reason"][0, g]])
-        for g, label in enumerate(GAITS[:2])
-        if label not in labels
-    ]
+    absent = []
+    for place, label in enumerate(GAITS[:2]):
+        if label not in labels:
+            pieces = list(spans(branches, label)) if are_whole else []
+            reason = point["reasons"][point["reason"][0, place]]
+            absent.append(status.beyond(label, pieces, slope) or str(reason))
+    return absent
 
 
-def _converged(point: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+def _converged(point: Mapping[str, Any]) -> dict[int, _Gait]:
     """Variables of each gait that converged at the only slope, by the place of its
     label.
     """
@@ -167,15 +168,20 @@ def _converged(point: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
     return {g: {k: point[k][0, g] for k in WANT} for g in solved}
 
 
+def _said(point: Mapping[str, Any], *places: int) -> list[str]:
+    """Those of a point's sentences at some places."""
+    return [str(point["reasons"][place]) for place in places]
+
+
 def _left_out(point: Mapping[str, Any]) -> list[str]:
     """What is said where branches have more gaits than there are labels."""
     has_more = (point["reason"] == status.UNLABELLED).any()
-    return [str(point["reasons"][status.UNLABELLED])] if has_more else []
+    return _said(point, status.UNLABELLED) if has_more else []
 
 
 def answer(
     records: list[dict[str, Any]],
-    is_si: bool,
+    walker: Walker,
     log: list[str],
     absent: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -185,34 +191,39 @@ def answer(
     ----------
     records : list of dict
         Of the gaits, as `record` describes them.
-    is_si : bool
-        Whether the walker is in SI units.
+    walker : Walker
     log : list of str
         How gaits were searched for, in sentences.
     absent : sequence of str
         Why there are none.
     """
-    units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in WANT}}
+    units = {name: VARIABLES[name].units(walker.si) for name in WANT}
     return {
         "gaits": records,
         "columns": list(_COLUMNS),
-        "units": units,
+        "units": {"slope": "rad", **units},
         "search": log,
         "absent": absent,
     }
 
 
-def _solve_cycles(request: Mapping[str, Any], walker: Walker) -> dict[str, Any]:
+def _solve_cycles(
+    line: Mapping[str, Any], request: Request, walker: Walker
+) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
-    point, slope = points(request, [atlas(request, [])]), float(request["slope"][0])
-    records = []
+    slope = float(request.slope[0])
+    arrays = atlas({"line": line, "steps": request.steps}, [])
+    point = solve_line(line, atlases.from_arrays(arrays), request)
+    gaits = []
     for place, gait in _converged(point).items():
         state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         # The heelstrike is at another angle than the one before.
-        end = map_step({**request["line"], "slope": slope, "state": state})["state"][0]
-        records.append(record(GAITS[place], slope, gait, walker, float(end)))
-    log = _left_out(point) if records else [str(point["reasons"][status.NO_LONG])]
-    return answer(records, walker.si, log)
+        after = map_step({**line, "slope": slope, "state": state})["state"]
+        gait["end"] = float(after[0])
+        gaits.append((GAITS[place], gait))
+    log = _left_out(point) if gaits else _said(point, status.NO_LONG)
+    records = [record(label, slope, gait, walker) for label, gait in gaits]
+    return answer(records, walker, log)
 
 
 def _name(place: int) -> str:
@@ -224,10 +235,10 @@ def _name(place: int) -> str:
 
 def _search_slope(
     problem: Problem,
-    request: Mapping[str, Any],
+    request: Request,
     branches: list[Branch],
-    found: dict[int, dict[str, Any]],
-) -> tuple[dict[int, dict[str, Any]], list[dict[str, Any]], str]:
+    found: dict[int, _Gait],
+) -> tuple[dict[int, _Gait], list[_Gait], str]:
     """What a search at the only slope adds to the gaits that branches have there.
 
     Returns
@@ -240,110 +251,114 @@ def _search_slope(
     nearest : str
         The nearest miss in words.
     """
-    (slope,), wanted = request["slope"].tolist(), Wanted.of(request)
-    w, _, verdict = search(problem, slope)
+    slope, wanted = request.slope[0], request.wanted
+    w, _, verdict = search(problem, float(slope))
     if verdict is None:
-        return (
-            found,
-            [],
-            "Nearest miss: no initial guess led to a solution of the step's equations.",
-        )
-    slopes = np.full(w.shape[1], slope)
+        none = "no initial guess led to a solution of the step's equations"
+        return found, [], f"Nearest miss: {none}."
+
     # What is one gait, and its label, are decided by all digits, whatever the accuracy
     # wanted.
-    at = settle(problem, unmeasured(problem, w, slopes))
-    is_new, gaits = at.step & at.converged, []
-    for _, place, known in labelled(problem, branches, np.array([slope])):
+    guesses = unmeasured(problem, w, np.full(w.shape[1], slope))
+    solved = solve_guesses(problem, [guesses], settle, wanted)
+    at, gaits = solved.at, _to_accuracy(solved.gaits, wanted.accuracy)
+
+    labels, is_new = _known(problem, branches, request.slope, found, at)
+    others, ratio = [], gait_ratio(at.stride)
+    for lane in np.flatnonzero(is_new).tolist():
+        gait = {name: values[lane] for name, values in gaits.items()}
+        gait["passes"] = verdict.leg_passes[lane]
+        if gait["passes"] == 1:
+            labels.append((at.w[0, lane], ratio[lane], gait))
+        else:
+            others.append(gait)
+    return _by_label(labels), others, _nearest_miss(at, w)
+
+
+def _to_accuracy(gaits: Arrays, accuracy: float) -> Arrays:
+    """The variables of gaits that are shown, to an accuracy."""
+    shown = {name: gaits[name] for name in WANT if name in gaits}
+    to_accuracy({name: values[:, None] for name, values in shown.items()}, accuracy)
+    return shown
+
+
+def _known(
+    problem: Problem,
+    branches: list[Branch],
+    slope: np.ndarray,
+    found: Mapping[int, _Gait],
+    at: Polished,
+) -> tuple[list[_Labelled], np.ndarray]:
+    """What labels the gaits found on branches, and which of the gaits of a search are
+    others, bool (n,).
+    """
+    is_new, labels = at.step & at.converged, []
+    for _, place, known in labelled(problem, branches, slope):
         has_label = np.isin(place, list(found))
         is_new &= ~are_same(at, known)[:, has_label].any(axis=1)
         angle, ratio = known.w[0], gait_ratio(known.stride)
-        gaits += [
-            (angle[lane], ratio[lane], found[int(place[lane])])
-            for lane in np.flatnonzero(has_label)
-        ]
+        for lane in np.flatnonzero(has_label).tolist():
+            labels.append((angle[lane], ratio[lane], found[int(place[lane])]))
+    return labels, is_new
 
-    measured = describe(problem, at, slopes, WANT, wanted.limits)
-    measured = {name: measured[name] for name in WANT if name in measured}
-    to_accuracy(
-        {name: values[:, None] for name, values in measured.items()}, wanted.accuracy
-    )
-    others, ratio = [], gait_ratio(at.stride)
-    for lane in np.flatnonzero(is_new).tolist():
-        gait = {name: values[lane] for name, values in measured.items()} | {
-            "passes": verdict.leg_passes[lane]
-        }
-        if gait["passes"] == 1:
-            gaits.append((at.w[0, lane], ratio[lane], gait))
-        else:
-            others.append(gait)
 
-    angle, ratio = (
-        np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in (0, 1)
-    )
+def _by_label(gaits: list[_Labelled]) -> dict[int, _Gait]:
+    """Gaits by the places of their labels."""
+    angle = np.array([angle for angle, _, _ in gaits]).reshape(-1, 1)
+    ratio = np.array([ratio for _, ratio, _ in gaits]).reshape(-1, 1)
     labels = places(angle, ratio)[:, 0].tolist()
+    return {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)}
+
+
+def _nearest_miss(at: Polished, w: np.ndarray) -> str:
+    """What is said of the first solution of a search that is no step; `w` (m + k, n)
+    are all.
+    """
     misses = np.flatnonzero(~at.step)
-    nearest = "Nearest miss: none."
-    if len(misses):
-        where = f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} that"
-        is_known = not at.doubt[misses[0]]
-        nearest = (
-            f"{where} is not a step: an event occurs too early."
-            if is_known
-            else f"{where} may be no step."
-        )
-    return (
-        {label: gait for label, (*_, gait) in zip(labels, gaits, strict=True)},
-        others,
-        nearest,
-    )
+    if not len(misses):
+        return "Nearest miss: none."
+    angle = np.exp(w[0, misses[0]])
+    where = f"Nearest miss: a solution at stance angle {angle:.6g} that"
+    if at.doubt[misses[0]]:
+        return f"{where} may be no step."
+    return f"{where} is not a step: an event occurs too early."
 
 
-def record(
-    label: str,
-    slope: float,
-    value: dict[str, Any],
-    walker: Walker,
-    end: float | None = None,
-) -> dict[str, Any]:
+def record(label: str, slope: float, gait: _Gait, walker: Walker) -> dict[str, Any]:
     """Return one gait as a plain dict; an absent quantity is None.
 
     Parameters
     ----------
     label : str
     slope : float [rad]
-    value : dict
-        Its variables, as `describe` measures them.
+    gait : dict
+        Its variables, as `describe` measures them; the angle at its heelstrike as `end`
+        where that is not the one at its start.
     walker : Walker
-    end : float, optional [rad]
-        The angle at its heelstrike, by default that of its start.
     """
-    plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
-    pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
-    angle = np.atleast_1d(value["stance_angle"] if end is None else end)
+    plain = {k: _plain(v) for k, v in gait.items() if isinstance(v, np.generic)}
+    pairs = np.stack([gait["multiplier_real"], gait["multiplier_imag"]], axis=-1)
+    is_coarse = gait["status"] == status.LESS_ACCURATE
+    angle = np.array([gait.get("end", gait["stance_angle"])])
+    mass = walker.total_mass * contact_mass(walker, angle)[0]
     record = {
         **plain,
         "gait": label,
         "slope": slope,
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "violations": _flags(value.get("violations")),
-        "status": "less_accurate"
-        if value["status"] == status.LESS_ACCURATE
-        else "converged",
-        "contact_mass_matrix": (
-            walker.total_mass * contact_mass(walker, angle)[0]
-        ).tolist(),
+        "violations": _flags(gait.get("violations")),
+        "status": "less_accurate" if is_coarse else "converged",
+        "contact_mass_matrix": mass.tolist(),
     }
     return {name: record.get(name) for name in _COLUMNS}
 
 
 def _flags(bits: Any) -> list[str] | None:
     """Names of the violations whose bits are set."""
-    return (
-        None
-        if bits is None
-        else [name for i, name in enumerate(VIOLATIONS) if int(bits) >> i & 1]
-    )
+    if bits is None:
+        return None
+    return [name for i, name in enumerate(VIOLATIONS) if int(bits) >> i & 1]
 
 
 def _plain(x: Any) -> Any:

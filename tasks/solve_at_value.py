@@ -109,7 +109,7 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
 
     kept = [each for each in records if each["status"] != "no gait"]
     absent = [] if kept else [target.missed(reached)]
-    result = answer(kept, walker.si, log, absent)
+    result = answer(kept, walker, log, absent)
     if target.vary != SLOPE:
         result["columns"] = [target.vary, *result["columns"]]
     return result

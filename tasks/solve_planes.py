@@ -5,8 +5,9 @@ solved by their own steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -17,24 +18,30 @@ from gaitsweep.tasks.accuracy import is_interpolated
 from gaitsweep.tasks.families.arrays import arrays_of, parts, under, value_of
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, to_arrays
-from gaitsweep.tasks.families.division import make_cells
+from gaitsweep.tasks.families.division import Cells, make_cells
 from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import PREDICTED_WITHIN
-from gaitsweep.tasks.fixed_points.polish import Polished, settle
+from gaitsweep.tasks.families.patch import (
+    BEYOND,
+    LOCATED,
+    PREDICTED_WITHIN,
+    Patch,
+)
+from gaitsweep.tasks.families.sheet import Sheet
+from gaitsweep.tasks.fixed_points.polish import Guesses, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
-from gaitsweep.tasks.interpolate import Sheet, interpolate, sheets
+from gaitsweep.tasks.interpolate import interpolate, sheets
 from gaitsweep.tasks.measures.gaits import (
     Arrays,
-    Part,
     Wanted,
-    describe,
     nothing_solved,
     store,
     to_accuracy,
 )
 from gaitsweep.tasks.registry import GAITS, VARIABLES
-from gaitsweep.tasks.solve_points import lines as lines_side_by_side
-from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
+from gaitsweep.tasks.request import Request
+from gaitsweep.tasks.solve_guesses import Solved, block_size, solve_guesses
+from gaitsweep.tasks.solve_points import solve_lines
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
 
 #: Smallest error assumed for the ends of pieces, in ln slope.
@@ -44,8 +51,63 @@ _APART = 1e-7
 #: Lines of a plane from which on its halves are jobs of their own: some seconds of work
 #: where charts are hard to make.
 _MANY_LINES = 256
-#: Points solved at a time, and where most are given by polynomials.
-_BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Lines over one or two keys, or some of them.
+
+    Attributes
+    ----------
+    keys : tuple of str
+    low, high : tuple of float
+        Range of each key, in the walker's units.
+    lines : float
+        About how many there are.
+    log : tuple of bool
+        For each key, whether they are spread by its logarithm.
+    origin, halved : tuple
+        As `Box` has them.
+    surveyed : float
+        How many lines were surveyed for it in vain.
+    """
+
+    keys: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    lines: float
+    log: tuple[bool, ...] = ()
+    origin: tuple[float, ...] = ()
+    halved: tuple[int, ...] = ()
+    surveyed: float = 0.0
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> Plane:
+        """Return the plane that a table of its attributes describes."""
+        values: dict[str, Any] = {}
+        for field in fields(cls):
+            if field.name in table:
+                value = table[field.name]
+                is_number = field.name in ("lines", "surveyed")
+                values[field.name] = value if is_number else tuple(value)
+        return cls(**values)
+
+    @property
+    def box(self) -> Box:
+        """Its box, in whose coordinates gaits are smooth."""
+        return Box(
+            self.keys,
+            self.low,
+            self.high,
+            log=True,
+            origin=self.origin,
+            halved=self.halved,
+        )
+
+    def lines_in(self, part: Box) -> float:
+        """Return about how many of its lines lie in a part of its box."""
+        spread = replace(self.box, log=self.log, origin=())
+        return spread.share(part) * self.lines
 
 
 def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -72,50 +134,83 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         charts do not describe whole has two `halves` instead, by name what differs from
         `plane` in each.
     """
-    plane, slopes = params["plane"], params["slopes"]
-    family, box = _family(params["line"], plane)
-    window = float(np.log(params["slope_from"])), float(np.log(params["slope_to"]))
-    box = replace(
-        box,
-        **{name: tuple(plane[name]) for name in ("origin", "halved") if name in plane},
-    )
-    spread = replace(box, log=tuple(plane["log"]), origin=())
-
-    def lines_in(part: Box) -> float:
-        return spread.share(part) * plane["lines"]
-
+    plane, wanted = Plane.of(params["plane"]), Wanted.of(params)
+    window = params["slope_from"], params["slope_to"]
     many = math.inf if params.get("whole") else _MANY_LINES
+    return make_charts(params["line"], plane, wanted, window, params["slopes"], many)
+
+
+def make_charts(
+    line: Mapping[str, Any],
+    plane: Plane,
+    wanted: Wanted,
+    window: tuple[float, float],
+    slopes: int,
+    many: float = math.inf,
+) -> Arrays:
+    """Make the charts of gaits over a plane and a window of slopes, or halve it.
+
+    Parameters
+    ----------
+    line : mapping
+        One of the plane.
+    plane : Plane
+    wanted : Wanted
+        Variables and accuracy.
+    window : (float, float)
+        Least and largest slope [rad].
+    slopes : int
+        About how many there are.
+    many : float
+        Lines from which on a plane that charts do not describe whole is halved.
+
+    Returns
+    -------
+    dict
+        As `charts` has it.
+    """
+    family = Family.of(line, plane.keys)
+    low, high = np.log(window).tolist()
     cells = make_cells(
-        family, box, window, lines_in, slopes, plane.get("surveyed", 0.0), many
+        family,
+        plane.box,
+        (low, high),
+        plane.lines_in,
+        slopes,
+        plane.surveyed,
+        many,
     )
-    wanted, arrays = Wanted.of(params), to_arrays(cells.made)
     alone = [cell.box for cell in cells.made if cell.why]
-    arrays |= {
-        f"alone/{name}": np.array([getattr(part, name) for part in alone])
-        for name in ("low", "high")
-    }
+    arrays = to_arrays(cells.made) | _boxes("alone", alone, ("low", "high"))
     if is_interpolated(wanted.names, wanted.accuracy):
         for i, cell in enumerate(cells.made):
-            arrays |= arrays_of(
-                sheets(family, cell, wanted, lines_in(cell.box) * slopes), f"{i}/sheets"
-            )
+            points = plane.lines_in(cell.box) * slopes
+            made = sheets(family, cell, wanted, points)
+            arrays |= arrays_of(made, f"{i}/sheets")
     if cells.halves:
-        for name in ("low", "high", "origin", "halved"):
-            arrays[f"halves/{name}"] = np.array(
-                [getattr(half, name) for half in cells.halves]
-            )
-        lines = np.array([lines_in(half) for half in cells.halves])
-        arrays |= {
-            "halves/lines": lines,
-            "halves/surveyed": cells.surveyed * lines / plane["lines"],
-        }
+        arrays |= _halves(plane, cells)
     return arrays
 
 
-def _family(line: Mapping[str, Any], plane: Mapping[str, Any]) -> tuple[Family, Box]:
-    """The family and the box of a plane."""
-    family = Family.of(line, plane["keys"])
-    return family, Box(family.keys, tuple(plane["low"]), tuple(plane["high"]), log=True)
+def _boxes(
+    name: str,
+    boxes: Sequence[Box],
+    attributes: Sequence[str],
+) -> dict[str, np.ndarray]:
+    """Attributes of boxes as arrays."""
+    return {
+        f"{name}/{attribute}": np.array([getattr(box, attribute) for box in boxes])
+        for attribute in attributes
+    }
+
+
+def _halves(plane: Plane, cells: Cells) -> Arrays:
+    """What differs from a plane in each of its halves."""
+    arrays = _boxes("halves", cells.halves, ("low", "high", "origin", "halved"))
+    lines = np.array([plane.lines_in(half) for half in cells.halves])
+    arrays["halves/lines"] = lines
+    arrays["halves/surveyed"] = cells.surveyed * lines / plane.lines
+    return arrays
 
 
 def lines(
@@ -139,78 +234,131 @@ def lines(
         result of a point depends on its line, the charts and its slope alone: where its
         prediction is not accepted, that line is followed by itself.
     """
-    all_lines, slope = params["lines"], np.asarray(params["slope"], float)
-    family, box = _family(all_lines[0], params["plane"])
-    wanted = Wanted.of(params)
-    keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
-    walkers, corners = (
-        family.walkers(keys),
-        family.walkers(np.array([box.low, box.high])),
-    )
-    n, s = len(keys), len(slope)
+    plane, request = Plane.of(params["plane"]), Request.of(params)
+    return [({}, solve_plane(params["lines"], plane, request, inputs))]
+
+
+def solve_plane(
+    lines: Sequence[Mapping[str, Any]],
+    plane: Plane,
+    request: Request,
+    charts: Sequence[Arrays],
+) -> Arrays:
+    """Solve the gaits of lines in a plane by charts, and those by themselves that
+    charts do not describe.
+
+    Parameters
+    ----------
+    lines : sequence of mapping
+    plane : Plane
+    request : Request
+    charts : sequence of dict
+        Of boxes of the plane, as `charts` returns them.
+
+    Returns
+    -------
+    dict
+        What `tasks.solve_points:points` returns, line by line.
+    """
+    family, box = Family.of(lines[0], plane.keys), plane.box
+    out, accepted = _by_charts(family, lines, box, request, charts)
+    to_accuracy(_joined(out), request.wanted.accuracy)
+
+    reasons, sentences = _reasons(family, box), dict[str, int]()
+    for numbers, at in _not_accepted(accepted):
+        out["reason"] = out["reason"].astype(np.int32)
+        asked = replace(request, slope=request.slope[at])
+        solved = solve_lines([lines[i] for i in numbers], asked)
+        for i, (_, points) in zip(numbers, solved, strict=True):
+            _number_anew(points, sentences, len(reasons))
+            lacking = ~accepted[i, at]
+            for name, values in out.items():
+                values[i, at[lacking]] = points[name][lacking]
+    return _joined(out) | {"reasons": np.array([*reasons, *sentences])}
+
+
+def _not_accepted(accepted: np.ndarray) -> Iterator[tuple[list[int], np.ndarray]]:
+    """Numbers of lines and indices of slopes of which all points are accepted, (n, s),
+    but for these: those of lines without any that is, then those of others.
+    """
+    none = ~accepted.any(axis=1)
+    for some in (none, ~none & ~accepted.all(axis=1)):
+        if some.any():
+            at = np.flatnonzero(~accepted[some].all(axis=0))
+            yield np.flatnonzero(some).tolist(), at
+
+
+def _number_anew(
+    points: Arrays,
+    sentences: dict[str, int],
+    first: int,
+) -> None:
+    """Let a line's `reason` be numbers of `sentences`, from a `first` one on, to which
+    its own are added.
+    """
+    numbers = []
+    for sentence in points["reasons"].tolist():
+        numbers.append(sentences.setdefault(sentence, first + len(sentences)))
+    points["reason"] = np.array(numbers)[points["reason"]]
+
+
+def _joined(out: Arrays) -> Arrays:
+    """The points of lines one after another."""
+    return {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}
+
+
+def _by_line(out: Arrays, n: int) -> Arrays:
+    """The points of n lines, line by line."""
+    return {name: v.reshape(n, -1, *v.shape[1:]) for name, v in out.items()}
+
+
+def _by_charts(
+    family: Family,
+    lines: Sequence[Mapping[str, Any]],
+    box: Box,
+    request: Request,
+    charts: Sequence[Arrays],
+) -> tuple[Arrays, np.ndarray]:
+    """The gaits of lines that charts give, shape (n, s, ...), and which points of lines
+    are accepted, (n, s).
+    """
+    keys = np.array([[line["set"][key] for key in family.keys] for line in lines])
+    walkers = family.walkers(keys)
+    corners = family.walkers(np.array([box.low, box.high]))
+    n, s = len(keys), len(request.slope)
     # A massless leg's steps are the limit of those of light ones; its losses have
     # formulas of their own.
     is_alike = walkers.massless_legs == corners.massless_leg
+
     accepted = np.zeros((n, s), bool)
-    void = nothing_solved(wanted.names, n * s, walkers.knees)
-    out = {name: value.reshape(n, s, *value.shape[1:]) for name, value in void.items()}
-    cells = (
-        pair
-        for each in inputs
-        for pair in zip(from_arrays(family, each), parts(each), strict=True)
-    )
-    for cell, own in cells:
+    out = _by_line(nothing_solved(request.wanted.names, n * s, walkers.knees), n)
+    for cell, made in _cells(family, charts):
         inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
-        if cell.why or not len(inside):
-            continue
-        made = [value_of(Sheet, each) for each in parts(under("sheets", own))]
-        solved, accepted[inside] = solve(
-            family, cell, keys[inside], slope, wanted, made
-        )
-        for name, value in solved.items():
-            out[name][inside] = value
-    to_accuracy(
-        {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()},
-        wanted.accuracy,
-    )
-    reasons = _reasons(family, box)
-    sentences: dict[str, int] = {}
-    # Lines that are not accepted at all, then others at the slopes that some of them
-    # lack.
-    none = ~accepted.any(axis=1)
-    for some in (none, ~none & ~accepted.all(axis=1)):
-        numbers, at = (
-            np.flatnonzero(some).tolist(),
-            np.flatnonzero(~accepted[some].all(axis=0)),
-        )
-        if not numbers:
-            continue
-        request = {
-            **params,
-            "lines": [all_lines[i] for i in numbers],
-            "slope": slope[at],
-        }
-        out["reason"] = out["reason"].astype(np.int32)
-        for i, (_, points) in zip(
-            numbers, lines_side_by_side(request, []), strict=True
-        ):
-            lacking = ~accepted[i, at]
-            of_line = points["reasons"].tolist()
-            number = np.array(
-                [
-                    len(reasons) + sentences.setdefault(sentence, len(sentences))
-                    for sentence in of_line
-                ]
+        if not cell.why and len(inside):
+            solved, accepted[inside] = solve(
+                family, cell, keys[inside], request.slope, request.wanted, made
             )
-            for name, every in out.items():
-                every[i, at[lacking]] = (
-                    number[points[name]] if name == "reason" else points[name]
-                )[lacking]
-    joined = {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}
-    return [({}, joined | {"reasons": np.array([*reasons, *sentences])})]
+            for name, value in solved.items():
+                out[name][inside] = value
+    return out, accepted
 
 
-def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:
+def _cells(
+    family: Family, charts: Sequence[Arrays]
+) -> Iterator[tuple[Cell, list[Sheet]]]:
+    """Cells that charts hold, and the sheets of each."""
+    for arrays in charts:
+        cells = from_arrays(family, arrays)
+        for cell, of_cell in zip(cells, parts(arrays), strict=True):
+            of_sheets = parts(under("sheets", of_cell))
+            yield cell, [value_of(Sheet, of_sheet) for of_sheet in of_sheets]
+
+
+def _inside(
+    part: Box,
+    keys: np.ndarray,
+    whole: Box,
+) -> np.ndarray:
     """Whether lines, shape (n, d), lie in a part of a box; what two parts share belongs
     to the upper one.
     """
@@ -262,7 +410,7 @@ def solve(
     n, s = len(keys), len(slope)
     out = nothing_solved(wanted.names, n * s, cell.structure.kneed)
     accepted = np.ones((n, s), bool)
-    lines = max(1, (_INTERPOLATED_BLOCK if made else _BLOCK) // s)
+    lines = max(1, block_size(bool(made)) // s)
     for k in range(0, n, lines):
         some = slice(k, k + lines)
         block = Block(family, cell, keys[some], slope)
@@ -270,15 +418,12 @@ def solve(
         fine = _known_to_end(block) & _away_from_ends(block)
         integrated = fine.copy()
         if made:
-            parts, sure = interpolate(block, made, wanted)
-            store(part, parts, wanted.labels)
+            given, sure = interpolate(block, made, wanted)
+            store(part, given, wanted.labels)
             integrated &= ~sure
-        accepted[some] = (fine & _solve_block(block, wanted, part, integrated)).reshape(
-            -1, s
-        )
-    return {
-        name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()
-    }, accepted
+        fine &= _solve_block(block, wanted, part, integrated)
+        accepted[some] = fine.reshape(-1, s)
+    return _by_line(out, n), accepted
 
 
 def _away_from_ends(block: Block) -> np.ndarray:
@@ -287,13 +432,11 @@ def _away_from_ends(block: Block) -> np.ndarray:
     """
     away = np.ones((len(block.unit), len(block.slope)), bool)
     for patch in block.cell.patches:
-        for end, error, kind in zip(
-            patch.span.ends(block.unit), patch.end_errors, patch.kinds, strict=True
-        ):
-            if kind in ("fold", "end"):
-                away &= np.abs(block.q - end[:, None]) > PREDICTED_WITHIN * max(
-                    error, _MIN_END_ERROR
-                )
+        ends = patch.span.ends(block.unit)
+        for end, error, kind in zip(ends, patch.end_errors, patch.kinds, strict=True):
+            if kind in LOCATED:
+                within = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
+                away &= np.abs(block.q - end[:, None]) > within
     return away.ravel()
 
 
@@ -303,81 +446,113 @@ def _known_to_end(block: Block) -> np.ndarray:
     """
     known = np.ones((len(block.unit), len(block.slope)), bool)
     for patch in block.cell.patches:
-        for k, (end, kind) in enumerate(
-            zip(patch.span.ends(block.unit), patch.kinds, strict=True)
-        ):
-            beyond = (block.q < end[:, None]) if k == 0 else (block.q > end[:, None])
+        ends = patch.span.ends(block.unit)
+        for side, end, kind in zip((-1, 1), ends, patch.kinds, strict=True):
+            beyond = side * (block.q - end[:, None]) > 0
             lines = np.flatnonzero(beyond.any(axis=1))
-            if kind == "beyond" and len(lines):
-                points = np.column_stack(
-                    [np.full(len(lines), (-1.0, 1.0)[k]), block.unit[lines]]
-                )
-                problem = Lanes(block.walkers.some(lines), block.cell.structure)
-                _, check = verify_steps(problem, patch.gaits(points), end[lines])
-                known[lines] &= ~(beyond[lines] & (check.step | check.doubt)[:, None])
+            if kind == BEYOND and len(lines):
+                may_walk = _may_walk(block, patch, side, lines, end[lines])
+                known[lines] &= ~(beyond[lines] & may_walk[:, None])
     return known.ravel()
 
 
+def _may_walk(
+    block: Block,
+    patch: Patch,
+    side: int,
+    lines: np.ndarray,
+    q: np.ndarray,
+) -> np.ndarray:
+    """Whether gaits of some lines, (k,), at an end of a patch may be steps, bool (k,)."""
+    unit = block.unit[lines]
+    points = np.column_stack([np.full(len(lines), float(side)), unit])
+    problem = Lanes(block.walkers.some(lines), block.cell.structure)
+    _, check = verify_steps(problem, patch.gaits(points), q)
+    return np.asarray(check.step | check.doubt)
+
+
+@dataclass(frozen=True)
+class _Predicted:
+    """Points on a patch that are to be solved: their `index`, coordinates of keys (n,
+    d), ln slopes, and predictions.
+    """
+
+    patch: Patch
+    index: np.ndarray
+    unit: np.ndarray
+    q: np.ndarray
+    guesses: Guesses
+
+    @classmethod
+    def of(
+        cls,
+        block: Block,
+        patch: Patch,
+        index: np.ndarray,
+    ) -> _Predicted:
+        """Predict points of a block."""
+        line, slope = np.divmod(index, len(block.slope))
+        unit = block.unit[line]
+        guesses = patch.guesses(unit, block.slope[slope])
+        return cls(patch, index, unit, block.q[slope], guesses)
+
+
 def _solve_block(
-    block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarray
+    block: Block,
+    wanted: Wanted,
+    out: Arrays,
+    integrated: np.ndarray,
 ) -> np.ndarray:
     """Store the gaits of points that are to be `integrated` in `out`, and return which
     of all are accepted, (n s,).
     """
-    patches, s = block.cell.patches, len(block.slope)
+    predicted = []
+    for patch in block.cell.patches:
+        index = block.on(patch)
+        predicted.append(_Predicted.of(block, patch, index[integrated[index]]))
     accepted = np.ones(len(integrated), bool)
-    indices = [index[integrated[index]] for index in map(block.on, patches)]
-    if not sum(map(len, indices)):
+    if not any(len(own.index) for own in predicted):
         return accepted
-    guesses = join_lanes(
-        [
-            patch.guesses(block.unit[index // s], block.slope[index % s])
-            for patch, index in zip(patches, indices, strict=True)
-        ]
-    )
-    problem = Lanes(
-        block.walkers.some(np.concatenate(indices) // s), block.cell.structure
-    )
-    at = settle(problem, guesses, sampled=True, accuracy=wanted.accuracy)
-    gaits = _describe(problem, at, guesses.slope, wanted)
-    parts, of_part, w = [], slices([len(each) for each in indices]), at.w
-    for patch, own, part in zip(patches, indices, of_part, strict=True):
-        unit = block.unit[own // s]
-        fine, is_step = patch.judge(
-            lanes_of(at, part), guesses.w[:, part], block.q[own % s], unit
-        )
-        accepted[own[~fine]] = False
-        solved = {name: value[part] for name, value in gaits.items()}
-        solved["branch"], solved["piece"] = patch.numbers_at(unit).T
-        angle = np.where(solved["anthropomorphic"], guesses.w[0, part], np.nan)
-        parts.append(
-            Part(own, angle, solved["heelstrike_rate_ratio"], solved).some(is_step)
-        )
-    store(out, parts, wanted.labels)
-    for i, j in combinations(range(len(parts)), 2):
-        both, a, b = np.intersect1d(
-            indices[i], indices[j], assume_unique=True, return_indices=True
-        )
-        alike = (
-            np.abs(w[:, of_part[i]][:, a] - w[:, of_part[j]][:, b]).max(
-                axis=0, initial=0.0
-            )
-            < _APART
-        )
-        accepted[both[alike]] = False
+
+    solved = _solve_predicted(block, predicted, wanted)
+    given, found = [], []
+    for k, own in enumerate(predicted):
+        at = lanes_of(solved.at, solved.lanes[k])
+        fine, is_step = own.patch.judge(at, own.guesses.w, own.q, own.unit)
+        accepted[own.index[~fine]] = False
+        part = solved.part(k, own.index, own.patch.numbers_at(own.unit).T)
+        given.append(part.some(is_step))
+        found.append((own.index, at.w))
+    store(out, given, wanted.labels)
+
+    for one, other in combinations(found, 2):
+        accepted[_met(one, other)] = False
     return accepted
 
 
-def _describe(
-    problem: Lanes, at: Polished, slope: np.ndarray, wanted: Wanted
-) -> Arrays:
-    """Measure the gaits: all at once, or walker by walker where violations are wanted."""
-    want, limits = wanted.names, wanted.limits
-    if not any(VARIABLES[name].group == "violations" for name in want):
-        return describe(problem, at, slope, want, limits)
-    ones = enumerate(slices([1] * len(slope)))
-    each = [
-        describe(problem.alone(i), lanes_of(at, one), slope[one], want, limits)
-        for i, one in ones
-    ]
-    return {name: np.concatenate([gait[name] for gait in each]) for name in each[0]}
+def _solve_predicted(
+    block: Block, predicted: Sequence[_Predicted], wanted: Wanted
+) -> Solved:
+    """The gaits of points that are predicted."""
+    lines = np.concatenate([own.index for own in predicted]) // len(block.slope)
+    problem = Lanes(block.walkers.some(lines), block.cell.structure)
+    # Violations are measured walker by walker.
+    alone = []
+    if any(VARIABLES[name].group == "violations" for name in wanted.names):
+        alone = [(problem.alone(lane), 1) for lane in range(len(lines))]
+    to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
+    guesses = [own.guesses for own in predicted]
+    return solve_guesses(problem, guesses, to_accuracy, wanted, alone)
+
+
+def _met(
+    one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Indices of the points at which gaits of two patches may be identical, of indices
+    (n,) and gaits (c, n).
+    """
+    both, a, b = np.intersect1d(
+        one[0], other[0], assume_unique=True, return_indices=True
+    )
+    apart = np.abs(one[1][:, a] - other[1][:, b]).max(axis=0, initial=0.0)
+    return np.asarray(both[apart < _APART])

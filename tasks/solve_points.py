@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,22 +27,18 @@ from gaitsweep.tasks.measures.gaits import (
     Arrays,
     Part,
     Wanted,
-    describe,
     nothing_solved,
     store,
     to_accuracy,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS, PROVED, VARIABLES
-from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
+from gaitsweep.tasks.request import Request
+from gaitsweep.tasks.solve_guesses import blocks, solve_guesses
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
-_BLOCK = 4096
-#: The same where most lanes are those of polynomials.
-_INTERPOLATED_BLOCK = 1 << 14
 #: Variables that a gait's proof is compared with, and the largest relative radius of
 #: its box.
 PROVED_FROM = (
@@ -109,15 +106,33 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Each wanted variable in the walker's units, shape (n, len(GAITS)[,
         multipliers]), and `reasons`, the sentences that `reason` indexes.
     """
-    problem = Problem(walker_of_line(params["line"]), int(params.get("steps", 1)))
-    branches, slope, polynomials = (
-        atlases.from_arrays(inputs[0]),
-        np.asarray(params["slope"], float),
-        None,
-    )
-    if params.get("interpolated", False):
-        polynomials = Interpolation(problem, branches, Wanted.of(params), slope)
-    (solved,) = _solve_lines(problem, [params["line"]], [branches], params, polynomials)
+    branches = atlases.from_arrays(inputs[0])
+    return solve_line(params["line"], branches, Request.of(params))
+
+
+def solve_line(
+    line: Mapping[str, Any],
+    branches: list[Branch],
+    request: Request,
+) -> Arrays:
+    """Solve the gaits of one line, whose branches are known.
+
+    Parameters
+    ----------
+    line : mapping
+    branches : list of Branch
+        Its atlas.
+    request : Request
+
+    Returns
+    -------
+    dict
+        As `points` has it.
+    """
+    problem, polynomials = Problem(walker_of_line(line), request.steps), None
+    if request.interpolated:
+        polynomials = Interpolation(problem, branches, request.wanted, request.slope)
+    (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
     return solved
 
 
@@ -140,21 +155,42 @@ def lines(
         For each line what `atlas`, coarse, and `points` return; it does not depend on
         the other lines.
     """
-    walkers = [walker_of_line(line) for line in params["lines"]]
-    results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
+    solved = solve_lines(params["lines"], Request.of(params))
+    return [(atlases.to_arrays(branches), one) for branches, one in solved]
+
+
+def solve_lines(
+    lines: Sequence[Mapping[str, Any]], request: Request
+) -> list[tuple[list[Branch], Arrays]]:
+    """Survey lines side by side, for few points, and solve their gaits.
+
+    Parameters
+    ----------
+    lines : sequence of mapping
+    request : Request
+
+    Returns
+    -------
+    list of (list of Branch, dict)
+        For each line its branches, and what `points` returns.
+    """
+    walkers = [walker_of_line(line) for line in lines]
+    results: list[tuple[list[Branch], Arrays]] = [([], {})] * len(walkers)
     for structure, numbers in alike(walkers).items():
-        problem = Lanes([walkers[i] for i in numbers], structure)
-        surveyed = _survey([walkers[i] for i in numbers], structure, COARSE)
-        solved = _solve_lines(
-            problem, [params["lines"][i] for i in numbers], surveyed, params
+        some = [walkers[i] for i in numbers]
+        surveyed = _survey(some, structure, COARSE)
+        solved = _solve_branches(
+            Lanes(some, structure), [lines[i] for i in numbers], surveyed, request
         )
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
-            results[i] = atlases.to_arrays(branches), one
+            results[i] = branches, one
     return results
 
 
 def _survey(
-    walkers: Sequence[Walker], structure: Structure, tolerance: float
+    walkers: Sequence[Walker],
+    structure: Structure,
+    tolerance: float,
 ) -> list[list[Branch]]:
     """Branches of lines of one structure, reused for lines surveyed before."""
     keys = [(repr(walker), tolerance) for walker in walkers]
@@ -171,78 +207,102 @@ def _survey(
     return results
 
 
-def _solve_lines(
+def _solve_branches(
     problem: Problem,
     lines: Sequence[Mapping[str, Any]],
     atlas: Sequence[list[Branch]],
-    params: Mapping[str, Any],
+    request: Request,
     polynomials: Interpolation | None = None,
 ) -> list[Arrays]:
-    """Solve the gaits at the slopes of several lines of one structure; `problem` has a
-    lane for each.
+    """Solve the gaits of several lines of one structure; `problem` has a lane for each.
 
     With `polynomials`, of a single line, only gaits that these do not give are
     integrated.
     """
-    slope, wanted = np.asarray(params["slope"], float), Wanted.of(params)
-    n, names = len(slope), wanted.names
-    proofs = [name for name in names if VARIABLES[name].group == "proofs"]
-    solved = [
-        name
-        for name in VARIABLES
-        if name in names or (proofs and name in PROVED_FROM)
-        if name not in proofs
-    ]
-    problems = [problem.alone(i) for i in range(len(lines))]
-    results = [
-        nothing_solved((*solved, *proofs), n, problem.walker.knees) for _ in lines
-    ]
-    block = _INTERPOLATED_BLOCK if polynomials else _BLOCK
-    for k in range(0, n, block):
-        part = slice(k, k + block)
-        interpolated, integrated = (
-            polynomials.parts(slope[part]) if polynomials else ([], None)
-        )
-        pieces = [
-            _pieces(branches, slope[part], wanted.labels, integrated)
-            for branches in atlas
-        ]
-        parts = [interpolated for _ in lines]
-        with_pieces = [i for i, each in enumerate(pieces) if each]
-        guesses = [
-            join_lanes([piece.guesses for piece in pieces[i]]) for i in with_pieces
-        ]
-        counts = [len(each.slope) for each in guesses]
-        if with_pieces:
-            places = [
-                (problems[i], each.piece.branch, each.segment)
-                for i in with_pieces
-                for each in pieces[i]
-            ]
-            each = problem.some(np.repeat(with_pieces, counts))
-            at = settle_on_branches(each, join_lanes(guesses), places, wanted.accuracy)
-        for i, own, lanes in zip(with_pieces, guesses, slices(counts), strict=True):
-            gaits = describe(
-                problems[i], lanes_of(at, lanes), own.slope, solved, wanted.limits
-            )
-            parts[i] = [*interpolated, *_parts(pieces[i], gaits)]
-        for out, gaits_of_line in zip(results, parts, strict=True):
-            store(
-                {name: out[name][part] for name in solved}, gaits_of_line, wanted.labels
-            )
-    if proofs:
+    n, wanted = len(request.slope), request.wanted
+    names = _without_proofs(wanted.names)
+    void = dict.fromkeys((*names, *wanted.names))
+    results = [nothing_solved([*void], n, problem.walker.knees) for _ in lines]
+
+    asked = replace(request, wanted=replace(wanted, names=names))
+    for some in blocks(n, polynomials is not None):
+        block = replace(asked, slope=request.slope[some])
+        parts = _solve_block(problem, atlas, block, polynomials)
+        for out, of_line in zip(results, parts, strict=True):
+            store({name: out[name][some] for name in names}, of_line, wanted.labels)
+
+    if len(names) < len(void):
         for line, out in zip(lines, results, strict=True):
-            _prove(out, line, slope)
-    for out in results:
-        for k in range(0, n, block):
-            to_accuracy(
-                {name: out[name][k : k + block] for name in names}, wanted.accuracy
-            )
-    reasons = map(_reasons, problems, atlas)
+            _prove(out, line, request.slope)
     return [
-        {name: out[name] for name in names} | {"reasons": np.array(why)}
-        for out, why in zip(results, reasons, strict=True)
+        _answer(problem.alone(i), branches, wanted, out)
+        for i, (branches, out) in enumerate(zip(atlas, results, strict=True))
     ]
+
+
+def _answer(
+    problem: Problem,
+    branches: list[Branch],
+    wanted: Wanted,
+    out: Arrays,
+) -> Arrays:
+    """What is wanted of a line's gaits, to the accuracy wanted, and the sentences that
+    `reason` indexes.
+    """
+    answer = {name: out[name] for name in wanted.names}
+    for some in blocks(len(out["status"]), is_interpolated=False):
+        block = {name: values[some] for name, values in answer.items()}
+        to_accuracy(block, wanted.accuracy)
+    return answer | {"reasons": np.array(_reasons(problem, branches))}
+
+
+def _without_proofs(names: Sequence[str]) -> Sequence[str]:
+    """Those of some variables that are solved, and those that proofs need, in the
+    archive's order.
+    """
+    solved = {name for name in names if VARIABLES[name].group != "proofs"}
+    if len(solved) < len(names):
+        solved.update(PROVED_FROM)
+    return [name for name in VARIABLES if name in solved]
+
+
+def _solve_block(
+    problem: Problem,
+    atlas: Sequence[list[Branch]],
+    request: Request,
+    polynomials: Interpolation | None,
+) -> list[list[Part]]:
+    """Gaits of several lines, of each its parts: those of the polynomials, and those
+    that are integrated.
+    """
+    given: list[Part] = []
+    integrated = None
+    if polynomials:
+        given, integrated = polynomials.parts(request.slope)
+    parts = [[*given] for _ in atlas]
+
+    guessed: list[_Guessed] = []
+    for i, branches in enumerate(atlas):
+        guessed += _guessed(i, branches, request, integrated)
+    if not guessed:
+        return parts
+
+    lines = np.concatenate([np.full(len(own.index), own.line) for own in guessed])
+    alone = {own.line: problem.alone(own.line) for own in guessed}
+    places = [(alone[own.line], own.piece.branch, own.segment) for own in guessed]
+    settle = partial(
+        settle_on_branches, places=places, accuracy=request.wanted.accuracy
+    )
+    solved = solve_guesses(
+        problem.some(lines),
+        [own.guesses for own in guessed],
+        settle,
+        request.wanted,
+        [(walker, int((lines == i).sum())) for i, walker in alone.items()],
+    )
+    for k, own in enumerate(guessed):
+        parts[own.line].append(solved.part(k, own.index, own.numbers, own.ratio))
+    return parts
 
 
 def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
@@ -270,7 +330,11 @@ def _outside(branches: list[Branch], n: int) -> str:
     return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
 
 
-def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
+def _prove(
+    out: Arrays,
+    line: Mapping[str, Any],
+    slope: np.ndarray,
+) -> None:
     """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or
     so.
     """
@@ -293,64 +357,50 @@ def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class _Guessed:
-    """Guesses on one piece of a branch: indices of their slopes, and their segments."""
+    """Guesses on one piece of a branch of a line: indices of their slopes, and their
+    segments.
+    """
 
+    line: int
     piece: Piece
     index: np.ndarray
     segment: np.ndarray
     guesses: Guesses
 
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """Those of the branch and of the piece."""
+        return self.piece.number, self.piece.place
 
-def _pieces(
+    @property
+    def ratio(self) -> np.ndarray:
+        """Rate ratios that the branch has there."""
+        return self.piece.branch.ratio_on(self.segment)
+
+
+def _guessed(
+    line: int,
     branches: list[Branch],
-    slope: np.ndarray,
-    wanted: set[str],
-    integrated: Mapping[tuple[int, int], np.ndarray] | None = None,
-) -> list[_Guessed]:
-    """Guesses of the gaits at some slopes that may have a wanted label, or of those
-    that are to be integrated.
+    request: Request,
+    integrated: Mapping[tuple[int, int], np.ndarray] | None,
+) -> Iterator[_Guessed]:
+    """Guesses of a line's gaits that may have a wanted label, or of those that are to
+    be integrated.
     """
-    guessed, q = [], np.log(slope)
+    q = np.log(request.slope)
     for piece in pieces_of(branches):
-        index = (
-            piece.covered(q)
-            if integrated is None
-            else integrated[piece.number, piece.first]
-        )
-        if len(index):
-            Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
-            may_hold = _may_hold(piece.branch, segment, wanted)
-            if may_hold.any():
-                index, Z, segment = index[may_hold], Z[:, may_hold], segment[may_hold]
-                guesses = piece.branch.known_guesses(Z, segment, slope[index])
-                guessed.append(_Guessed(piece, index, segment, guesses))
-    return guessed
-
-
-def _parts(guessed: list[_Guessed], gaits: Arrays) -> list[Part]:
-    """Parts of pieces, whose `gaits` follow one another."""
-    parts = []
-    for each, lanes in zip(
-        guessed, slices([len(each.index) for each in guessed]), strict=True
-    ):
-        piece, solved = (
-            each.piece,
-            {name: value[lanes] for name, value in gaits.items()},
-        )
-        numbers = {"branch": piece.number, "piece": piece.place}
-        solved |= {
-            name: np.full(len(each.index), number) for name, number in numbers.items()
-        }
-        converged = np.isin(solved["status"], status.SOLVED)
-        # A lane that has not converged still counts as its branch's gait.
-        angle = np.where(solved["anthropomorphic"], each.guesses.w[0], np.nan)
-        ratio = np.where(
-            converged,
-            solved["heelstrike_rate_ratio"],
-            piece.branch.ratio_on(each.segment),
-        )
-        parts.append(Part(each.index, angle, ratio, solved))
-    return parts
+        index = piece.covered(q)
+        if integrated is not None:
+            index = integrated[piece.number, piece.first]
+        if not len(index):
+            continue
+        Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
+        keep = _may_hold(piece.branch, segment, request.wanted.labels)
+        if keep.any():
+            index, segment = index[keep], segment[keep]
+            slope = request.slope[index]
+            guesses = piece.branch.known_guesses(Z[:, keep], segment, slope)
+            yield _Guessed(line, piece, index, segment, guesses)
 
 
 def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
@@ -368,7 +418,11 @@ def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
                 yield float(slopes.min()), float(slopes.max())
 
 
-def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
+def _may_hold(
+    branch: Branch,
+    segment: np.ndarray,
+    wanted: set[str],
+) -> np.ndarray:
     """Whether segments may hold a wanted gait, shape (n,).
 
     The label `long` does not depend on short gaits, nor `short` on long ones; all other

@@ -5,6 +5,7 @@ and solved at each point.
 node lines' branches and matches them. `chart` holds polynomials with an error that was
 measured, and adds nodes to them; `span` the position along a piece that they run in.
 `cell` makes and checks the patches of a box, charts of gaits over position and keys;
+`sheet` fits those that give gaits to an accuracy;
 `manifold_maker` makes charts of special points over the keys; `carry` takes points from
 one place to others; `tuning` finds where walkers are tuned, beside which both are
 divided. A patch predicts; every value and verdict comes from the point's own steps.

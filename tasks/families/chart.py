@@ -203,21 +203,43 @@ def fit(
         If the error is not fair where no nodes are added any more.
     """
     while not chart.error <= good and math.prod(chart.sizes) < total:
-        tails = chart.tails().max(axis=1)
-        goal = _UNRESOLVED * min(good, tails.max())
-        sizes = tuple(
-            max(n, min(_grown(n, tail, goal), limit)) if tail > goal else n
-            for n, limit, tail in zip(chart.sizes, most, tails, strict=True)
-        )
-        if sizes == chart.sizes:
+        sizes = more_nodes(chart, most, good)
+        if not sizes:
             break
         chart = attempt(sizes, chart)
+
     if not chart.error <= fair:
-        raise Refused(
-            f"predictions err by {chart.error:.1g}",
-            int(np.argmax(chart.tails().max(axis=1)[-keys:])),
-        )
+        tails = chart.tails().max(axis=1)
+        why = f"predictions err by {chart.error:.1g}"
+        raise Refused(why, int(np.argmax(tails[-keys:])))
     return chart
+
+
+def more_nodes(
+    chart: Chart, most: Sequence[int], good: float
+) -> tuple[int, ...] | None:
+    """Return how many nodes a chart should have along each dimension, as far as it may
+    have more.
+
+    Parameters
+    ----------
+    chart : Chart
+    most : sequence of int
+        Most nodes along each dimension.
+    good : float
+        The error wanted.
+    """
+    if all(n >= limit for n, limit in zip(chart.sizes, most, strict=True)):
+        return None
+
+    tails = chart.tails().max(axis=1)
+    goal = _UNRESOLVED * min(good, tails.max())
+    sizes = list(chart.sizes)
+    for axis, tail in enumerate(tails):
+        if tail > goal:
+            grown = min(_grown(sizes[axis], tail, goal), most[axis])
+            sizes[axis] = max(sizes[axis], grown)
+    return tuple(sizes) if tuple(sizes) != chart.sizes else None
 
 
 def _grown(n: int, tail: float, goal: float) -> int:

@@ -449,7 +449,7 @@ def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
 
 
 def make(
-    family: Family, box: Box, sought: Sought, count: int, splits: int = _MAX_SPLITS
+    family: Family, box: Box, sought: Sought, count: float, splits: int = _MAX_SPLITS
 ) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
 
@@ -458,7 +458,7 @@ def make(
     family : Family
     box : Box
     sought : Sought
-    count : int
+    count : float
         About how many designs it is for.
     splits : int
         How often it may be halved.

@@ -19,6 +19,11 @@ from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 
+#: Kinds of the ends of patches: `CUT` where the piece goes on, `FOLD`, `END`, where
+#: walking ends, and `BEYOND`, where the equations go on and walking ended before.
+CUT, FOLD, END, BEYOND = "cut", "fold", "end", "beyond"
+#: Those at which the end of the piece itself was located.
+LOCATED = (FOLD, END)
 #: How far Newton's method may move a prediction, in units of the largest error that was
 #: measured.
 PREDICTED_WITHIN = 8.0
@@ -60,8 +65,7 @@ class Patch:
     span : Span
         The piece, or the part of it at which it is cut.
     kinds : (str, str)
-        Of which kind its ends are: `cut`, where the piece goes on, `fold`, `end`, where
-        walking ends, or `beyond`, where the equations go on and walking ended before.
+        Of which kind its ends are: CUT, FOLD, END or BEYOND.
     end_errors, reach : ndarray, shape (2,)
         Errors of folds and located ends, and how far before an end beyond walking that
         may be, in ln slope.

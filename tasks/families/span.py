@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gaitsweep.tasks.families.box import roots
 from gaitsweep.tasks.families.chart import Chart
 
 #: Least distance from a fold that counts, as a share of the piece.
@@ -108,7 +107,10 @@ class Span:
 
     @classmethod
     def between(
-        cls, ends: np.ndarray, keys: int, folds: tuple[bool, bool] = (False, False)
+        cls,
+        ends: np.ndarray,
+        keys: int,
+        folds: tuple[bool, bool] = (False, False),
     ) -> Span:
         """Return the span between two ln slopes (2,), whatever the keys."""
         return cls(Chart((1,) * keys, ends[None]), folds)
@@ -155,27 +157,24 @@ class Span:
         low, high = self.log_slope(np.array([[-1.0], [1.0]]))
         return float(low), float(high)
 
-    def samples(self, nodes: int) -> np.ndarray:
-        """Return Chebyshev nodes of a span over no keys and, between and beyond them,
-        points drawn by its hash.
+    def drawn(self, nodes: int) -> np.ndarray:
+        """Return points between and beyond Chebyshev nodes of a span over no keys,
+        drawn by its hash.
 
         Returns
         -------
-        ndarray, shape (2 nodes + 1, 1)
-            The nodes first.
+        ndarray, shape (nodes + 1, 1)
         """
         numbers = np.array([*self.ends.coefficients[0], *self.folds, *self.part])
         seed = int.from_bytes(hashlib.sha256(numbers.tobytes()).digest()[:8], "little")
-        angle = (
-            np.arange(nodes + 1) + np.random.default_rng(seed).random(nodes + 1) - 0.5
-        )
+        share = np.random.default_rng(seed).random(nodes + 1)
+        angle = np.arange(nodes + 1) + share - 0.5
+
         # Beyond the outermost nodes there is only half a gap, and very near its end a
         # gait beside a fold is rounding.
-        angle[0], angle[-1] = (
-            0.4 * angle[0] + 0.3,
-            nodes - 0.3 + 0.4 * (angle[-1] - nodes),
-        )
-        return np.concatenate([roots(nodes), -np.cos(np.pi * angle / nodes)])[:, None]
+        angle[0] = 0.4 * angle[0] + 0.3
+        angle[-1] = nodes - 0.3 + 0.4 * (angle[-1] - nodes)
+        return -np.cos(np.pi * angle / nodes)[:, None]
 
     def halves(self) -> Iterator[Span]:
         """Yield both halves, unless they are too narrow."""

@@ -184,7 +184,7 @@ def rounding(stride: AnyStride) -> np.ndarray:
     With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
     the step, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. Rounding on
     the way lies between the two. The estimate tells Newton when to stop; bounds measure
-    it (`rounding_std`, `defining.slope_error`).
+    it (`rounding_std`, `equations.slope_error`).
     """
     size = sizes(stride.y)
     # Off balance, a short step has rates that far exceed its section's; their rounding

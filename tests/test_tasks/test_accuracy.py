@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gaitsweep
-from gaitsweep.tasks import interpolate, solve_at_slope, status
+from gaitsweep.tasks import solve_at_slope, solve_guesses, status
 from gaitsweep.tasks.accuracy import (
     OF_INTEGRATION,
     is_interpolated,
@@ -17,6 +17,7 @@ from gaitsweep.tasks.accuracy import (
     significant_bits,
 )
 from gaitsweep.tasks.families.box import roots
+from gaitsweep.tasks.families.sheet import Asked, Sampled, fit_sheets
 from gaitsweep.tasks.families.span import Span
 from gaitsweep.tasks.fixed_points.multipliers import (
     characteristic_errors,
@@ -27,10 +28,8 @@ from gaitsweep.tasks.fixed_points.newton import curvature
 from gaitsweep.tasks.fixed_points.rounding import rounding_std
 from gaitsweep.tasks.interpolate import (
     Interpolation,
-    Sampled,
-    _gaits,
+    _Places,
     _tied,
-    fit_panels,
     panels_over,
 )
 from gaitsweep.tasks.measures.gaits import Part, Wanted, round_bits, to_accuracy
@@ -90,7 +89,13 @@ def slopes(walker, **overrides):
 def test_gaits_are_as_accurate_as_asked_and_the_same_ones(walker, overrides):
     slope = slopes(walker, **overrides)
     best = solved(walker, slope, **overrides)
-    for accuracy in (1e-2, 1e-4, 1e-6, 1e-9, 1e-11):
+    for accuracy in (
+        1e-2,
+        1e-4,
+        1e-6,
+        1e-9,
+        1e-11,
+    ):
         out = coarse(walker, slope, accuracy, **overrides)
         np.testing.assert_array_equal(
             np.isin(out["status"], status.SOLVED), best["status"] == status.CONVERGED
@@ -179,14 +184,14 @@ def test_a_polynomial_that_is_wrong_somewhere_is_not_used(monkeypatch):
     right, original = coarse("A", slope, 1e-6, SMOOTH), Interpolation._solve
     spoiled = []
 
-    def wrong(self, panels, ranges):
-        results = list(original(self, panels, ranges))
-        for k, (_, span) in enumerate(panels):
-            if span.part == (0.0, 1.0):
+    def wrong(self, panels, points):
+        results = list(original(self, panels, points))
+        for k, panel in enumerate(panels):
+            if panel.span.part == (0.0, 1.0):
                 values = results[k].values.copy()
                 values[0, 3] += 1e-4  # ln of an angle at a node
                 results[k] = replace(results[k], values=values)
-                spoiled.append(span)
+                spoiled.append(panel.span)
         return results
 
     monkeypatch.setattr(Interpolation, "_solve", wrong)
@@ -210,29 +215,39 @@ def test_panels_of_a_known_function(folds):
             [np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)]
         )
 
-    def solve(panels, ranges):
-        return [Sampled(value(q), np.ones((2, len(q))), 1e-14, 1) for q in ranges]
+    def solve(panels, points):
+        for panel, x in zip(panels, points, strict=True):
+            of_panel = value(panel.span.log_slope(x))
+            yield Sampled(of_panel, np.ones(of_panel.shape), 1e-14, 1)
 
-    both = folds == (True, True)
     asked = np.linspace(-3.7, -1.2, 4001)[1:-1]
-    asked_panels = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
-    sheets = [
-        sheet
-        for _, sheet in fit_panels(asked_panels, 10, 1e-9, solve, lambda span: True)
-    ]
+    at_folds = folds[0], folds[1] and not folds[0]
+    panels = panels_over(
+        0,
+        -3.7,
+        -1.2,
+        at_folds,
+        asked,
+        10,
+    )
+    fitted = fit_sheets(panels, solve, 1e-9, lambda half: True)
+    sheets = sorted((sheet for _, sheet in fitted), key=lambda one: one.span.bounds)
     assert all(sheet.chart for sheet in sheets)
     edges = [sheet.span.bounds for sheet in sheets]
-    assert edges[0][0] == pytest.approx(-3.7)
-    assert edges[-1][1] == pytest.approx(-1.2)
+    assert (edges[0][0], edges[-1][1]) == pytest.approx((-3.7, -1.2))
     for (_, high), (low, _) in itertools.pairwise(edges):
         assert high == pytest.approx(low, abs=1e-12)
-    for sheet, (low, high) in zip(sheets, edges, strict=True):
+    assert_known_within_errors(sheets, asked, value)
+
+
+def assert_known_within_errors(sheets, asked, value):
+    """At the ln slopes asked for, and the error is as small as it was to be."""
+    for sheet in sheets:
+        low, high = sheet.span.bounds
         q = asked[(asked >= low) & (asked <= high)]
         points = sheet.span.points(q)
-        inside = sheet.is_measured(points)
-        assert (
-            np.abs(sheet.chart(points) - value(q))[:, inside] <= sheet.chart.error
-        ).all()
+        off = np.abs(sheet.chart(points) - value(q))
+        assert (off[:, sheet.is_measured(points)] <= sheet.chart.error).all()
         assert sheet.chart.error <= 1e-9
 
 
@@ -240,20 +255,22 @@ def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
     """Each alone: a bound of the gaits, a wave that the nodes do not see, one that ends
     in the last coefficients.
     """
-    nodes, root = 8, panels_over(0, -3.0, -2.5, (False, False), np.array([-2.7]))
+    nodes = 8
+    asked = panels_over(
+        0,
+        -3.0,
+        -2.5,
+        (False, False),
+        np.array([-2.7]),
+        nodes,
+    )
 
     def error(value, bound=0.0):
-        def solve(panels, ranges):
-            x = [
-                span.points(q)[:, 0]
-                for (_, span), q in zip(panels, ranges, strict=True)
-            ]
-            return [
-                Sampled(value(each)[None], np.full((1, len(each)), 0.5), bound, 1)
-                for each in x
-            ]
+        def solve(panels, points):
+            (x,) = (of_panel[:, 0] for of_panel in points)
+            return [Sampled(value(x)[None], np.full((1, len(x)), 0.5), bound, 1)]
 
-        ((_, sheet),) = fit_panels(root, nodes, 1e3, solve, lambda span: True)
+        ((_, sheet),) = fit_sheets(asked, solve, 1e3, lambda half: True)
         return sheet.chart.error
 
     flat = error(lambda x: 1 + 0 * x)
@@ -268,15 +285,20 @@ def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
 
 
 def test_a_panel_whose_gaits_are_not_all_found_is_not_used():
-    (root,) = panels_over(0, -2.9, -2.5, (False, False), np.array([-2.7]))
+    asked = panels_over(
+        0,
+        -2.9,
+        -2.5,
+        (False, False),
+        np.array([-2.7]),
+        8,
+    )
 
-    def solve(panels, ranges):
-        return [
-            Sampled(np.ones((1, len(q))), np.ones((1, len(q))), np.inf, 1)
-            for q in ranges
-        ]
+    def solve(panels, points):
+        one = np.ones((1, 17))
+        return [Sampled(one, one, np.inf, 1) for _ in panels]
 
-    made = fit_panels([root], 8, 1e-3, solve, lambda span: span.part[0] == 0)
+    made = fit_sheets(asked, solve, 1e-3, lambda half: half.part[0] == 0)
     assert made and not any(sheet.chart for _, sheet in made)
 
 
@@ -344,12 +366,14 @@ def test_a_label_that_errors_could_change_is_near():
     coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
     x, slope = np.array([[-0.9], [-0.03], [0.03], [0.9]]), np.full(4, 0.01)
     changed = replace(chart, coefficients=coefficients, error=1e-3)
-    _, uncertain = _gaits(changed, x, np.arange(4), slope, made.smooth, (0, 0))
+    places = _Places(np.arange(4), x, slope, (0, 0))
+    uncertain = np.zeros(4, bool)
+    places.gaits(changed, made.smooth, uncertain)
     assert uncertain.tolist() == [False, True, True, False]
 
 
 def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
-    original = interpolate.describe
+    original = solve_guesses.describe
 
     def changed(*args):
         solved = original(*args)
@@ -358,33 +382,27 @@ def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
 
     problem, found = branches("A")
     made = Interpolation(problem, found, ANGLE, np.array([0.01]))
-    span = made.sheets[0][0].span
-    q = span.log_slope(span.samples(7))
-    (right,) = made._solve([(0, span)], [q])
+    panel = Asked(0, made.sheets[0][0].span, (7,), (7,))
+    (right,) = made._solve([panel], [panel.points])
     assert right.bound < 1e-3
-    monkeypatch.setattr(interpolate, "describe", changed)
-    (wrong,) = made._solve([(0, span)], [q])
+    monkeypatch.setattr(solve_guesses, "describe", changed)
+    (wrong,) = made._solve([panel], [panel.points])
     assert wrong.bound == np.inf
 
 
 def test_gaits_that_are_not_found_share_no_panel(monkeypatch):
-    original = interpolate.describe
+    original = solve_guesses.describe
 
     def lost(*args):
         solved = original(*args)
-        return {
-            **solved,
-            "status": np.where(
-                np.arange(len(q)) == 2, status.NOT_CONVERGED, solved["status"]
-            ),
-        }
+        solved["status"][2] = status.NOT_CONVERGED
+        return solved
 
     problem, found = branches("A")
     made = Interpolation(problem, found, ANGLE, np.array([0.01]))
-    span = made.sheets[0][0].span
-    q = span.log_slope(span.samples(7))
-    monkeypatch.setattr(interpolate, "describe", lost)
-    (sampled,) = made._solve([(0, span)], [q])
+    panel = Asked(0, made.sheets[0][0].span, (7,), (7,))
+    monkeypatch.setattr(solve_guesses, "describe", lost)
+    (sampled,) = made._solve([panel], [panel.points])
     assert sampled.bound == np.inf
 
 
@@ -493,7 +511,17 @@ def test_the_number_of_nodes_rises_with_the_digits():
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("walker", ["D", "E", "B", "A", "C", "physical"])
+@pytest.mark.parametrize(
+    "walker",
+    [
+        "D",
+        "E",
+        "B",
+        "A",
+        "C",
+        "physical",
+    ],
+)
 def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
     """10,000 gaits, a third of them beside folds and ends, against long double and 113
     bits.
@@ -542,13 +570,11 @@ def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
 def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_ends():
     nodes, places = 12, []
     for k in range(200):
-        samples = Span.between(np.array([-3.0 - 0.01 * k, -2.0]), 0).samples(nodes)[
-            :, 0
-        ]
+        span = Span.between(np.array([-3.0 - 0.01 * k, -2.0]), 0)
+        samples = Asked(0, span, (nodes,), (nodes,)).points[:, 0]
         np.testing.assert_allclose(samples[:nodes], roots(nodes))
-        places.append(
-            nodes / np.pi * np.arccos(-samples[nodes:]) - np.arange(nodes + 1)
-        )
+        drawn = nodes / np.pi * np.arccos(-samples[nodes:])
+        places.append(drawn - np.arange(nodes + 1))
     places = np.array(places)
     low, high = np.full((2, nodes + 1), [[-0.5], [0.5]])
     low[0], high[-1] = 0.1, -0.1

@@ -10,14 +10,9 @@ import pytest
 
 from gaitsweep.tasks.families.box import Refused, roots
 from gaitsweep.tasks.families.chart import Chart, fit
+from gaitsweep.tasks.families.sheet import Asked, Sampled, Sheet, fit_sheets
 from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.interpolate import (
-    Sampled,
-    Sheet,
-    _margins,
-    fit_panels,
-    panels_over,
-)
+from gaitsweep.tasks.interpolate import _away_from_ends, panels_over
 
 
 def growing(
@@ -36,7 +31,15 @@ def growing(
             coefficients[tuple(-1 if i == k else 0 for i in range(len(sizes)))] = tail
         return Chart(sizes, coefficients.reshape(-1, 1), error(sizes))
 
-    return fit(attempt(first, None), attempt, most, total, good, fair, keys), tried
+    return fit(
+        attempt(first, None),
+        attempt,
+        most,
+        total,
+        good,
+        fair,
+        keys,
+    ), tried
 
 
 def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():
@@ -95,7 +98,16 @@ def test_last_coefficients_count_over_the_sizes_of_their_values():
     ]
     assert chart.tails(2)[1].tolist() == [2 + 4 + 8 + 10, (3 + 5 + 9 + 11) / 2]
     signs = replace(
-        chart, coefficients=chart.coefficients * [[1], [-1], [1], [1], [-1], [1]]
+        chart,
+        coefficients=chart.coefficients
+        * [
+            [1],
+            [-1],
+            [1],
+            [1],
+            [-1],
+            [1],
+        ],
     )
     assert signs.tails().tolist() == chart.tails().tolist()
     assert signs.range_of(1) == (1 - 3 - 5 - 7 - 9 - 11, 1 + 3 + 5 + 7 + 9 + 11)
@@ -115,27 +127,69 @@ def test_a_value_at_a_point_has_the_same_bits_in_any_company():
 def test_a_bound_counts_errors_over_the_sizes_at_their_points_and_coefficients_over_the_least():
     x, drawn = roots(4), np.array([0.2, -0.6])
     values = np.concatenate([1e-3 * x**3, 1e-3 * drawn**3 + [0.0, 1e-4]])[None]
-    sampled = Sampled(values, np.array([[2.0, 1.0, 2.0, 2.0, 2.0, 4.0]]), 1e-9, 1)
+    sampled = Sampled(
+        values,
+        np.array(
+            [
+                [
+                    2.0,
+                    1.0,
+                    2.0,
+                    2.0,
+                    2.0,
+                    4.0,
+                ]
+            ]
+        ),
+        1e-9,
+        1,
+    )
     error = sampled.chart((4,), np.concatenate([x, drawn])[:, None]).error
     assert error == pytest.approx(8 * 1e-4 / 4 + 1e-3 / 4 / 1.0 + 1e-9)
-    with pytest.raises(Refused, match="some gait is not found"):
-        replace(sampled, bound=np.inf).chart((4,), np.concatenate([x, drawn])[:, None])
+    lost = replace(sampled, bound=np.inf)
+    assert lost.chart((4,), np.concatenate([x, drawn])[:, None]) is None
 
 
 def test_nothing_is_known_nearer_to_a_fold_than_a_quarter_of_the_way_to_the_nearest_point_drawn():
     ends, drawn, x = (
         np.array([-3.0, -2.0]),
         np.array([-0.9, 0.0, 0.8]),
-        np.array([[-0.98], [-0.97], [0.94], [0.96], [1.0]]),
+        np.array(
+            [
+                [-0.98],
+                [-0.97],
+                [0.94],
+                [0.96],
+                [1.0],
+            ]
+        ),
     )
 
     def known(span):
         return Sheet.of(span, None, 1, drawn).is_measured(x).tolist()
 
     both = Span.between(ends, 0, (True, True))
-    assert known(both) == [False, True, True, False, False]
-    assert known(replace(both, part=(0.0, 0.5))) == [False, True, True, True, True]
-    assert known(replace(both, part=(0.5, 1.0))) == [True, True, True, False, False]
+    assert known(both) == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert known(replace(both, part=(0.0, 0.5))) == [
+        False,
+        True,
+        True,
+        True,
+        True,
+    ]
+    assert known(replace(both, part=(0.5, 1.0))) == [
+        True,
+        True,
+        True,
+        False,
+        False,
+    ]
     assert known(Span.between(ends, 0)) == [True] * 5
     # Steps that vanish are described up to the end of the span.
     assert known(Span(Chart((), ends[None]), vanishing=(0.0, 5.0))) == [
@@ -148,17 +202,23 @@ def test_nothing_is_known_nearer_to_a_fold_than_a_quarter_of_the_way_to_the_near
 
 
 def test_panels_begin_and_end_at_folds_where_their_pieces_do():
+    asked = np.array([-4.2, -3.5, -2.5, -1.3])
     panels = panels_over(
-        3, -4.3, -1.2, (True, True), np.array([-4.2, -3.5, -2.5, -1.3])
+        3,
+        -4.3,
+        -1.2,
+        (True, True),
+        asked,
+        6,
     )
-    assert [piece for piece, _ in panels] == [3] * 4
-    assert [span.folds for _, span in panels] == [
+    assert [panel.number for panel in panels] == [3] * 4
+    assert [panel.span.folds for panel in panels] == [
         (True, False),
         (False, False),
         (False, False),
         (False, True),
     ]
-    assert [span.bounds for _, span in panels] == [
+    assert [panel.span.bounds for panel in panels] == [
         (-4.3, -4.0),
         (-4.0, -3.0),
         (-3.0, -2.0),
@@ -172,22 +232,55 @@ def test_gaits_whose_own_bound_is_too_large_are_sought_in_halves_beside_folds_al
 ):
     tried = []
 
-    def solve(panels, slopes):
-        tried.extend(span.part for _, span in panels)
-        bounds = [1.0 if span.part[1] > 0.25 else 1e-9 for _, span in panels]
-        return [
-            Sampled(np.ones((1, len(q))), np.ones((1, len(q))), bound, 1)
-            for q, bound in zip(slopes, bounds, strict=True)
-        ]
+    def solve(panels, points):
+        for panel in panels:
+            part = panel.span.part
+            tried.append(part)
+            bound = 1.0 if part[1] > 0.25 else 1e-9
+            yield Sampled(np.ones((1, 13)), np.ones((1, 13)), bound, 1)
 
-    (root,) = panels_over(0, -2.9, -2.5, (at_fold, False), np.array([-2.899]))
-    done = fit_panels([root], 6, 1e-6, solve, lambda span: span.part[0] == 0)
+    asked = panels_over(
+        0,
+        -2.9,
+        -2.5,
+        (at_fold, False),
+        np.array([-2.899]),
+        6,
+    )
+    done = fit_sheets(asked, solve, 1e-6, lambda half: half.part[0] == 0)
     assert tried == ([(0.0, 1.0), (0.0, 0.5), (0.0, 0.25)] if at_fold else [(0.0, 1.0)])
     assert [sheet.chart is not None for _, sheet in done] == [at_fold]
 
 
-def test_polynomials_give_no_gait_that_an_end_or_its_error_reaches():
-    assert _margins(SimpleNamespace(folds=(True, False), end_errors=(1e-3, 1e-5))) == (
-        0.0,
-        1e-9 + 8e-5,
+def test_a_sheet_has_more_nodes_where_it_may_before_its_halves_are_tried():
+    tried = []
+
+    def solve(asked, points):
+        tried.append((asked[0].sizes, asked[0].span.part))
+        x = points[0][:, 0]
+        return [Sampled((x**9)[None], np.ones((1, len(x))), 0.0, 1)]
+
+    span = Span.between(np.array([-3.0, -2.0]), 0)
+    asked = Asked(
+        2,
+        span,
+        (6,),
+        (9,),
+        np.linspace(-0.9, 0.9, 8)[:, None],
     )
+    assert not fit_sheets([asked], solve, 1e-9, lambda half: False)
+    assert tried == [((6,), (0.0, 1.0)), ((9,), (0.0, 1.0))]
+    ((number, sheet),) = fit_sheets(
+        [replace(asked, most=(12,))], solve, 1e-9, lambda half: False
+    )
+    assert number == 2 and sheet.chart.error <= 1e-9 and tried[-1][0] > (9,)
+
+
+def test_polynomials_give_no_gait_that_an_end_or_its_error_reaches():
+    ends = {"q": (-4.0, -2.0), "folds": (True, False), "end_errors": (1e-3, 1e-5)}
+    margin = 1e-9 + 8e-5
+    q = np.array([-4.0, -4.0 + 1e-12, -2.0 - 1.01 * margin, -2.0 - 0.99 * margin])
+
+    away = _away_from_ends(SimpleNamespace(**ends), q)
+
+    assert away.tolist() == [False, True, True, False]

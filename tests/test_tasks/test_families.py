@@ -14,7 +14,7 @@ from gaitsweep.tasks import interpolate, solve_planes
 from gaitsweep.tasks.continuation.atlas import survey_lines
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families import cell as cells
-from gaitsweep.tasks.families import division, pieces
+from gaitsweep.tasks.families import division, pieces, sheet
 from gaitsweep.tasks.families.box import Box, Refused, roots
 from gaitsweep.tasks.families.cell import Cell, Lines, _Maker
 from gaitsweep.tasks.families.chart import Chart
@@ -221,14 +221,19 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
     """
     n = 12_000
 
-    def surveyed(params, _):
-        own = nothing_solved(params["want"], 1, kneed=False)
+    def surveyed(lines, request):
         return [
-            ({}, {**own, "reasons": np.array([f"{i} {k}" for k in range(7)])})
+            (
+                [],
+                {
+                    **nothing_solved(request.wanted.names, 1, kneed=False),
+                    "reasons": np.array([f"{i} {k}" for k in range(7)]),
+                },
+            )
             for i in range(n)
         ]
 
-    monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
+    monkeypatch.setattr(solve_planes, "solve_lines", surveyed)
     R = np.linspace(0.1, 0.2, n)
     plane = {"keys": ["R"], "low": [0.1], "high": [0.2], "log": [False], "lines": n}
     lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
@@ -974,7 +979,7 @@ def test_lines_without_charts_are_followed_by_themselves():
 
 def test_a_point_whose_prediction_is_not_accepted_is_solved_alone(monkeypatch):
     params, asked = block("B", 6), []
-    made, usual, judge = charted(params), lines_side_by_side, cells.Patch.judge
+    made, usual, judge = charted(params), solve_planes.solve_lines, cells.Patch.judge
     right = by_line(params, made)
 
     def one_is_off(self, at, w, q, unit):
@@ -982,15 +987,16 @@ def test_a_point_whose_prediction_is_not_accepted_is_solved_alone(monkeypatch):
         return fine & (q != q[3]) | (np.abs(unit - unit[3]).max(axis=1) > 1e-9), is_step
 
     monkeypatch.setattr(cells.Patch, "judge", one_is_off)
-    monkeypatch.setattr(
-        solve_planes, "lines_side_by_side", lambda p, _: asked.append(p) or usual(p, [])
-    )
+
+    def counted(lines, request):
+        asked.append((lines, request.slope.tolist()))
+        return usual(lines, request)
+
+    monkeypatch.setattr(solve_planes, "solve_lines", counted)
     found = by_line(params, made)
-    (request,) = asked
-    assert len(request["lines"]) == 1 and request["slope"].tolist() == [
-        params["slope"][1]
-    ]
-    changed = params["lines"].index(request["lines"][0])
+    (((line,), slopes),) = asked
+    assert slopes == [params["slope"][1]]
+    changed = params["lines"].index(line)
     for i, (one, other) in enumerate(zip(found, right, strict=True)):
         same = [
             np.array_equal(one[k][j], other[k][j], equal_nan=True)
@@ -1003,8 +1009,8 @@ def test_a_point_whose_prediction_is_not_accepted_is_solved_alone(monkeypatch):
 
 def test_polynomials_of_more_gaits_than_points_are_not_fitted():
     family, cell = cell_of("B")
-    sheet = interpolate.sheets(family, cell, ANGLE, 10**6)[0]
-    needed = int(np.prod(sheet.chart.sizes)) + 64
+    made = interpolate.sheets(family, cell, ANGLE, 10**6)[0]
+    needed = int(np.prod(made.chart.sizes)) + 64
     cell = replace(cell, patches=cell.patches[:1])
     assert not interpolate.sheets(family, cell, ANGLE, needed)
     assert interpolate.sheets(family, cell, ANGLE, needed + 1)
@@ -1165,7 +1171,7 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         integrated.append(args[-1].sum())
         return usual(*args)
 
-    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
+    monkeypatch.setattr(sheet, "Chart", SimpleNamespace(through=spoiled))
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
     for one, other in zip(right, by_line(params), strict=True):
         np.testing.assert_allclose(

@@ -12,7 +12,8 @@ from gaitsweep.tasks.continuation.refine import FINE
 from gaitsweep.tasks.continuation.special_points import flips, special_points
 from gaitsweep.tasks.follow_cycles import cycle_branches
 from gaitsweep.tasks.registry import GAITS, STATUSES
-from gaitsweep.tasks.solve_points import _solve_lines
+from gaitsweep.tasks.request import Request
+from gaitsweep.tasks.solve_points import _solve_branches
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import WalkerError, resolve
 
@@ -32,9 +33,8 @@ def followed(walker, steps, **keys):
 
 def points(problem, branches, slopes, **params):
     """Gaits of several steps at slopes."""
-    (found,) = _solve_lines(
-        problem, [{}], [branches], {"slope": slopes, "want": WANT, **params}
-    )
+    request = Request.of({"slope": slopes, "want": WANT, **params})
+    (found,) = _solve_branches(problem, [{}], [branches], request)
     return found
 
 

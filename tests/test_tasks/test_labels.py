@@ -20,7 +20,7 @@ from gaitsweep.tasks.fixed_points.labels import places
 from gaitsweep.tasks.follow_branches import branch as follow
 from gaitsweep.tasks.measures.gaits import Part, nothing_solved, store
 from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.solve_points import atlas, points, solve_line
 from gaitsweep.tasks.trace_motion import trace
 from lines import WANT, _atlas, branches, gait, solved
 
@@ -346,11 +346,11 @@ def test_a_point_with_more_gaits_than_labels_says_so(count, has_more):
 def test_solve_says_that_gaits_have_no_label(monkeypatch):
     def crowded(*asked):
         """More gaits than labels, as the points of a line tell it."""
-        found = points(*asked)
+        found = solve_line(*asked)
         found["reason"][0, -1] = status.UNLABELLED
         return found
 
-    monkeypatch.setattr(solve_at_slope, "points", crowded)
+    monkeypatch.setattr(solve_at_slope, "solve_line", crowded)
 
     for steps, slope in ((1, 0.009), (2, 0.016)):
         said = solve_at_slope.solve_one(

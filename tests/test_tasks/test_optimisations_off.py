@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import solve_planes, solve_points
+from gaitsweep.tasks import solve_guesses, solve_planes, solve_points
 from gaitsweep.tasks.accuracy import OF_INTEGRATION, is_interpolated
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
@@ -173,7 +173,7 @@ def one_procedure_at_a_time(monkeypatch):
 
 
 def few_points_at_a_time(monkeypatch):
-    monkeypatch.setattr(solve_points, "_BLOCK", 3)
+    monkeypatch.setattr(solve_guesses, "_BLOCK", 3)
 
 
 def own_samples(monkeypatch):
