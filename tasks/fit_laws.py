@@ -61,16 +61,14 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for line, data in zip(params["lines"], inputs, strict=True):
         for g, gait in enumerate(GAITS[:2]):
             for quantity, abscissa, ordinate in _QUANTITIES:
+                head = {**_coordinates(line), "gait": gait, "quantity": quantity}
                 x = data["slope"] if abscissa == "slope" else data[abscissa][:, g]
                 y = data[ordinate][:, g]
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-                curves = {
-                    key: _sort(x[points], y[points])
-                    for key, points in _curves(data, g, good).items()
-                }
-                rows += _laws(
-                    {**_coordinates(line), "gait": gait, "quantity": quantity}, curves
-                )
+                curves = {}
+                for key, points in _curves(data, g, good).items():
+                    curves[key] = _sort(x[points], y[points])
+                rows += _laws(head, curves)
     return table("fits/scaling", rows)
 
 
@@ -81,8 +79,11 @@ def _curves(
     and piece.
     """
     branch, piece = data["branch"][:, g], data["piece"][:, g]
-    keys = sorted(set(zip(branch[good].tolist(), piece[good].tolist(), strict=True)))
-    return {key: good & (branch == key[0]) & (piece == key[1]) for key in keys}
+    pairs = np.unique(np.stack([branch, piece], axis=1)[good], axis=0)
+    masks = {}
+    for b, p in pairs.tolist():
+        masks[b, p] = good & (branch == b) & (piece == p)
+    return masks
 
 
 def _sort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,38 +98,44 @@ def _laws(
     """The law at the smallest abscissae, and that at the largest if it differs, each of
     one curve.
     """
-    small = min(_plateaus(curves, power_law.FLATNESS), key=_start, default=None)
+    flatness = power_law.FLATNESS
+    small = min(_plateaus(curves, flatness), key=_start, default=None)
     # Above the transition the law only approximates a power, so the tolerance is larger
     # there.
-    large = max(_plateaus(curves, 5 * power_law.FLATNESS), key=_start, default=None)
-    if (
-        small
-        and large
-        and small[0] == large[0]
-        and (
-            _start(large) < small[1][-1]
-            or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1
-        )
-    ):
+    large = max(_plateaus(curves, 5 * flatness), key=_start, default=None)
+    if small and large and _is_one_law(small, large):
         large = None
-    if (
-        large
-        and not small
-        and _start(large) < _NEAR * min(x[0] for x, _ in curves.values())
-    ):
+    first = min((x[0] for x, _ in curves.values()), default=np.nan)
+    if large and not small and _start(large) < _NEAR * first:
         # A law that is flat to the larger tolerance only, but holds from the smallest
         # abscissae on.
         small, large = large, None
-    rows = []
-    for regime, run in (("small", small), ("large", large)):
-        fitted = power_law.fit(*run[1:]) if run else None
-        law = fitted or _NO_LAW
-        branch, piece = run[0] if run and fitted else (-1, -1)
-        numbers = {_COLUMNS.get(name, name): value for name, value in vars(law).items()}
-        rows.append(
-            {**head, "regime": regime, "branch": branch, "piece": piece, **numbers}
-        )
-    return rows
+    regimes = {"small": small, "large": large}
+    return [_row(head, regime, run) for regime, run in regimes.items()]
+
+
+def _is_one_law(small: _Run, large: _Run) -> bool:
+    """Whether two plateaus of one curve overlap, or have one exponent."""
+    curve, x, y = small
+    if curve != large[0]:
+        return False
+    change = _exponent(*large[1:]) - _exponent(x, y)
+    overlap = _start(large) < x[-1]
+    return bool(overlap or abs(change) < 0.1)
+
+
+def _row(head: dict[str, Any], regime: str, run: _Run | None) -> dict[str, Any]:
+    """A row of the table: the law fitted over a plateau, if there is one."""
+    law = None
+    branch, piece = -1, -1
+    if run:
+        law = power_law.fit(*run[1:])
+    if run and law:
+        branch, piece = run[0]
+    row = {**head, "regime": regime, "branch": branch, "piece": piece}
+    for name, value in vars(law or _NO_LAW).items():
+        row[_COLUMNS.get(name, name)] = value
+    return row
 
 
 def _plateaus(
@@ -175,78 +182,86 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -----
     Paper, sections 4.1 and 6.3.
     """
-    g = GAITS.index("short")
     rows = []
     for line, data in zip(params["lines"], inputs, strict=True):
         walker = walker_of_line(line)
         ratio = line["set"].get("foot_mass_ratio", walker.m_s / walker.total_mass)
-        if not (walker.point_foot and ratio > 0):
-            continue
-        curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
-        (branch, piece), points = min(
-            curves.items(),
-            key=lambda c: data["slope"][c[1]].min(),
-            default=((-1, -1), []),
-        )
-        slope, angle = _sort(data["slope"][points], data["stance_angle"][points, g])
-        if len(slope) < 4:
-            continue
-        linear, error, to, n = laws.linear_amplitude(slope, angle)
-        exact = laws.crossing(linear, laws.CUBE_ROOT)
-        fitted = laws.fitted_lines(slope, angle, exact)
-        rows.append(
-            {
-                "foot_mass_ratio": ratio,
-                "branch": branch,
-                "piece": piece,
-                "amplitude_linear": linear,
-                "amplitude_linear_error": error,
-                "linear_to": to,
-                "n": n,
-                "amplitude_cube_root": laws.CUBE_ROOT,
-                "slope_transition": exact,
-                "slope_transition_fitted": fitted.slope,
-                **{
-                    f"fitted_{name}": value
-                    for name, value in vars(fitted).items()
-                    if name != "slope"
-                },
-                "asymptotic": float(laws.asymptotic(np.array(ratio))),
-            }
-        )
-    rows.sort(key=lambda r: -r["foot_mass_ratio"])
-    for name, key in (
-        ("local_exponent", "slope_transition"),
-        ("local_exponent_fitted", "slope_transition_fitted"),
-    ):
-        for row in rows:
-            lighter = [
-                r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]
-            ][:1]
-            x, y = (
-                [r[column] for r in (*lighter, row)]
-                for column in ("foot_mass_ratio", key)
-            )
-            row[name] = _exponent(x, y) if lighter else np.nan
-    fitted_laws = table("fits/transition", rows)
-    by_ratio = {round(r["foot_mass_ratio"], 12): r for r in rows}
+        if walker.point_foot and ratio > 0:
+            rows += _transition_of(ratio, data)
+    rows.sort(key=lambda row: -row["foot_mass_ratio"])
+    _add_exponents(rows, "local_exponent", "slope_transition")
+    _add_exponents(rows, "local_exponent_fitted", "slope_transition_fitted")
+
+    found = table("fits/transition", rows)
+    by_ratio = {round(row["foot_mass_ratio"], 12): row for row in rows}
     if 0.1 in by_ratio and 0.05 in by_ratio:
-        heavy, light = by_ratio[0.1], by_ratio[0.05]
-        fitted_laws |= table(
-            "fits/transition_ratio",
-            [
-                {
-                    "pair": "E / F",
-                    "foot_mass_ratios": "0.1 / 0.05",
-                    "predicted": 2**1.5,
-                    "exact_asymptotes": heavy["slope_transition"]
-                    / light["slope_transition"],
-                    "fitted_lines": heavy["slope_transition_fitted"]
-                    / light["slope_transition_fitted"],
-                }
-            ],
-        )
-    return fitted_laws
+        compared = _compared(by_ratio[0.1], by_ratio[0.05])
+        found |= table("fits/transition_ratio", [compared])
+    return found
+
+
+def _transition_of(ratio: float, data: Arrays) -> list[dict[str, Any]]:
+    """The row of a line, none where it has too few short gaits on the piece of a branch
+    that reaches the smallest slope.
+    """
+    short = GAITS.index("short")
+    angles = data["stance_angle"][:, short]
+    curves = _curves(data, short, np.isfinite(angles))
+    if not curves:
+        return []
+    (branch, piece), points = min(
+        curves.items(), key=lambda curve: data["slope"][curve[1]].min()
+    )
+    slope, angle = _sort(data["slope"][points], angles[points])
+    if len(slope) < 4:
+        return []
+
+    linear, error, to, n = laws.linear_amplitude(slope, angle)
+    exact = laws.crossing(linear, laws.CUBE_ROOT)
+    fitted = vars(laws.fitted_lines(slope, angle, exact))
+    row = {
+        "foot_mass_ratio": ratio,
+        "branch": branch,
+        "piece": piece,
+        "amplitude_linear": linear,
+        "amplitude_linear_error": error,
+        "linear_to": to,
+        "n": n,
+        "amplitude_cube_root": laws.CUBE_ROOT,
+        "slope_transition": exact,
+        "slope_transition_fitted": fitted["slope"],
+    }
+    for name, value in fitted.items():
+        if name != "slope":
+            row[f"fitted_{name}"] = value
+    row["asymptotic"] = float(laws.asymptotic(np.array(ratio)))
+    return [row]
+
+
+def _add_exponents(rows: list[dict[str, Any]], name: str, quantity: str) -> None:
+    """Add to rows, heaviest foot first, the exponent of a quantity's law in the ratio
+    towards the next lighter foot.
+    """
+    for row in rows:
+        ratio = row["foot_mass_ratio"]
+        lighter = (other for other in rows if other["foot_mass_ratio"] < ratio)
+        other = next(lighter, None)
+        row[name] = np.nan
+        if other:
+            x = [other["foot_mass_ratio"], ratio]
+            row[name] = _exponent(x, [other[quantity], row[quantity]])
+
+
+def _compared(heavy: dict[str, Any], light: dict[str, Any]) -> dict[str, Any]:
+    """Transitions of feet of 0.1 and 0.05 of the mass, compared."""
+    exact, fitted = "slope_transition", "slope_transition_fitted"
+    return {
+        "pair": "E / F",
+        "foot_mass_ratios": "0.1 / 0.05",
+        "predicted": 2**1.5,
+        "exact_asymptotes": heavy[exact] / light[exact],
+        "fitted_lines": heavy[fitted] / light[fitted],
+    }
 
 
 def _coordinates(line: Mapping[str, Any]) -> dict[str, Any]:

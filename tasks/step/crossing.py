@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Intervals of a time step at whose ends its cubic is taken.
+_SAMPLES = 16
+
 
 def guard(
     free: bool, x: np.ndarray, ground: np.ndarray | None = None
@@ -30,15 +33,16 @@ def guard(
     if ground is None:
         return x[0] + x[1], x[2] + x[3]
     scale, height = ground
-    mean, apart = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[1] - x[0])
-    mean_rate, apart_rate = 0.5 * scale * (x[2] + x[3]), 0.5 * scale * (x[3] - x[2])
-    rate = (
-        np.cos(mean) * np.sin(apart) * mean_rate
-        + np.sin(mean) * np.cos(apart) * apart_rate
-    )
-    return 2 * np.sin(mean) * np.sin(apart) - height, 2 * rate
+    mean, mean_rate = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[2] + x[3])
+    apart, apart_rate = 0.5 * scale * (x[1] - x[0]), 0.5 * scale * (x[3] - x[2])
+    by_mean = np.cos(mean) * np.sin(apart) * mean_rate
+    by_apart = np.sin(mean) * np.cos(apart) * apart_rate
+    height_of_foot = 2 * np.sin(mean) * np.sin(apart)
+    return height_of_foot - height, 2 * (by_mean + by_apart)
 
 
+# Motions that are lost cross nothing.
+@np.errstate(divide="ignore", invalid="ignore")
 def crossing(
     free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = None
 ) -> np.ndarray:
@@ -66,19 +70,43 @@ def crossing(
     time step the guard is its cubic Hermite polynomial, so that a dip below zero and
     back is detected too. Heelstrikes count only with the stance leg behind.
     """
-    g, dg = guard(free, X.swapaxes(0, 1), ground)
-    dg = h * dg
-    a, b, da, db = g[:-1], g[1:], dg[:-1], dg[1:]
-    with np.errstate(invalid="ignore"):
-        crosses = ((a > 0) | ((a == 0) & (da > 0))) & ((b <= 0) | ((da < 0) & (db > 0)))
-        if not free:
-            crosses &= (X[1:, 0] < 0) & ((ground is None) | (X[1:, 1] > X[1:, 0]))
-    fraction = np.full(a.shape, -1.0)
+    g, rate = guard(free, X.swapaxes(0, 1), ground)
+    before, after = X[:-1, 0], X[1:, 0]
+    rate = h * rate
+    crosses = _may_fall(g, rate)
+    if not free:
+        crosses &= after < 0
+    if ground is not None:
+        crosses &= X[1:, 1] > after
+
+    fraction = np.full(crosses.shape, -1.0)
     lanes = np.nonzero(crosses)
-    if not len(lanes[0]):
-        return fraction
-    a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
-    s = np.linspace(0.0, 1.0, 17)[:, None]
+    if len(lanes[0]):
+        steps = [values[lanes] for values in (g[:-1], g[1:], rate[:-1], rate[1:])]
+        at = _first_zero(*steps)
+        falls = at >= 0
+        if not free:
+            falls &= before[lanes] + at * (after[lanes] - before[lanes]) < 0
+        fraction[lanes] = np.where(falls, at, -1.0)
+    return fraction
+
+
+def _may_fall(g: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Whether a guard, given with its rates per time step, may fall through zero in
+    each time step.
+    """
+    a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
+    was_up = (a > 0) | ((a == 0) & (da > 0))
+    return np.asarray(was_up & ((b <= 0) | ((da < 0) & (db > 0))))
+
+
+def _first_zero(
+    a: np.ndarray, b: np.ndarray, da: np.ndarray, db: np.ndarray
+) -> np.ndarray:
+    """Fraction at which cubics of given values and rates at both ends first fall to
+    zero, between samples; -1 where they do not.
+    """
+    s = np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None]
     value = (
         a * (1 + 2 * s) * (1 - s) ** 2
         + da * s * (1 - s) ** 2
@@ -86,14 +114,7 @@ def crossing(
         + db * s * s * (s - 1)
     )
     below = (value <= 0) & (s > 0)
-    first = np.argmax(below, axis=0)
-    column = np.arange(len(a))
-    high, low = value[np.maximum(first - 1, 0), column], value[first, column]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = (first - 1 + high / (high - low)) / 16
-    falls = below.any(axis=0)
-    if not free:
-        stance, after = X[:-1, 0][lanes], X[1:, 0][lanes]
-        falls &= stance + at * (after - stance) < 0
-    fraction[lanes] = np.where(falls, at, -1.0)
-    return fraction
+    first, lanes = np.argmax(below, axis=0), np.arange(len(a))
+    high, low = value[np.maximum(first - 1, 0), lanes], value[first, lanes]
+    at = (first - 1 + high / (high - low)) / _SAMPLES
+    return np.where(below.any(axis=0), at, -1.0)

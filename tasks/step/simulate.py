@@ -19,7 +19,16 @@ from dataclasses import dataclass
 import heyoka as hy
 import numpy as np
 
-from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.arrays import (
+    Numbers,
+    Parameters,
+    PerLane,
+    Sections,
+    Slopes,
+    States,
+    Times,
+)
+from gaitsweep.tasks.mechanics.equations import Sym, Symbols
 from gaitsweep.tasks.mechanics.impacts import heelstrike
 from gaitsweep.tasks.mechanics.kernel import (
     LANES,
@@ -31,7 +40,7 @@ from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.crossing import crossing, guard
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Problem, scale_of
-from gaitsweep.tasks.step.symbols import end_of_step, lock_knee
+from gaitsweep.tasks.step.symbols import dot, end_of_step, field, lock_knee, vector
 
 #: Outcomes of a step. All but STRUCK are falls.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
@@ -86,8 +95,8 @@ class SimulatedSteps:
         NaN of falls; empty where the steps are not exact.
     """
 
-    image: np.ndarray
-    times: np.ndarray
+    image: Sections
+    times: Times
     outcome: np.ndarray
     jacobian: np.ndarray
 
@@ -99,40 +108,31 @@ class Scanner:
 
     def __init__(self, structure: Structure):
         self.structure = structure
-        self._step = {
-            free: self._compile_step(free)
-            for free in ((False, True) if structure.kneed else (False,))
-        }
-        self._lock = self._compile(6, lock_knee) if structure.kneed else None
-        self._strike = (
-            None
-            if structure.kneed
-            else self._compile(4, functools.partial(end_of_step, structure))
-        )
+        self._step = {free: self._compile_step(free) for free in structure.phases[::-1]}
+        self._lock = self._strike = None
+        if structure.kneed:
+            self._lock = self._compile(6, lock_knee)
+        else:
+            self._strike = self._compile(4, functools.partial(end_of_step, structure))
 
     def _compile_step(self, free: bool) -> CompiledFunction:
         p = Symbols(self.structure)
-        n = 3 if free else 2
-        x = list(hy.make_vars(*(f"x{i}" for i in range(2 * n))))
-        h = hy.make_vars("h")
+        x, h = vector("x", 6 if free else 4), hy.make_vars("h")
         stage, derivatives = x, []
         for weights in _STAGES:
-            M, f = rows(p, stage[:n], stage[n:], free)
-            derivatives.append([*stage[n:], *Solver(M)(f)])
-            terms = [(a, d) for a, d in zip(weights, derivatives, strict=True) if a]
-            stage = [
-                x[i] + h * sum((a * d[i] for a, d in terms), ZERO) for i in range(2 * n)
-            ]
+            derivatives.append(field(p, stage, free))
+            used = [i for i, weight in enumerate(weights) if weight]
+            mean = []
+            for rates in zip(*derivatives, strict=True):
+                mean.append(dot([weights[i] for i in used], [rates[i] for i in used]))
+            stage = [start + h * rate for start, rate in zip(x, mean, strict=True)]
         return CompiledFunction(stage, [*x, h, *p.variables])
 
     def _compile(
         self, size: int, outputs: Callable[[Symbols, list[Sym]], list[Sym]]
     ) -> CompiledFunction:
         """Compile a function of a state and the parameters."""
-        p, x = (
-            Symbols(self.structure),
-            list(hy.make_vars(*(f"x{i}" for i in range(size)))),
-        )
+        p, x = Symbols(self.structure), vector("x", size)
         return CompiledFunction(outputs(p, x), [*x, *p.variables])
 
     @functools.cached_property
@@ -149,74 +149,37 @@ class Scanner:
     @staticmethod
     def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes (k, n) padded to whole SIMD groups."""
-        return function(whole_groups(np.concatenate(inputs), LANES))[
-            :, : inputs[0].shape[1]
-        ]
+        values = function(whole_groups(np.concatenate(inputs), LANES))
+        return values[:, : inputs[0].shape[1]]
 
     def _advance(
-        self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray
+        self, free: bool, x: States, h: PerLane, parameters: Parameters
     ) -> np.ndarray:
         """States after a time step h (n,) of the formula, of three links or two."""
         return self._call(self._step[free], x, h[None], parameters)
 
-    def lock(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State of two links after kneestrike.
-
-        Parameters
-        ----------
-        x : ndarray, shape (6, n)
-            Scaled state of three links before it.
-        parameters : ndarray, shape (n_parameters, n)
-            Slope, scale and the structure's constants.
-
-        Returns
-        -------
-        ndarray, shape (4, n)
-        """
+    def lock(self, x: States, parameters: Parameters) -> np.ndarray:
+        """State of two links after kneestrike from that of three before it."""
         assert self._lock
         return self._call(self._lock, x, parameters)
 
-    def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Section coordinates at heelstrike: just after it for straight legs, just
-        before it for knees.
-
-        Parameters
-        ----------
-        x : ndarray, shape (4, n)
-            Scaled state of two links just before it.
-        parameters : ndarray, shape (n_parameters, n)
-            Slope, scale and the structure's constants.
-
-        Returns
-        -------
-        ndarray, shape (m, n)
+    def strike(self, x: States, parameters: Parameters) -> np.ndarray:
+        """Section coordinates at heelstrike from the state of two links just before it:
+        just after it for straight legs, just before it for knees.
         """
-        return (
-            x[1:4].copy()
-            if self._strike is None
-            else self._call(self._strike, x, parameters)
-        )
+        if self._strike is None:
+            return x[1:4].copy()
+        return self._call(self._strike, x, parameters)
 
-    def land(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    def land(self, x: States, parameters: Parameters) -> np.ndarray:
         """State just after a heelstrike on ground of any height, on which the legs
-        stand at two different angles.
-
-        Parameters
-        ----------
-        x : ndarray, shape (4, n)
-            Scaled state of two links just before it.
-        parameters : ndarray, shape (n_parameters, n)
-            Slope, scale and the structure's constants.
-
-        Returns
-        -------
-        ndarray, shape (4 or 6, n)
+        stand at two different angles, from that of two links just before it.
         """
         rates = self._call(self._rates_on_uneven_ground, x, parameters)
         return np.vstack([x[1], np.repeat(x[:1], len(rates) - 1, axis=0), rates])
 
     def to_heelstrike(
-        self, x: np.ndarray, parameters: np.ndarray, height: np.ndarray | None = None
+        self, x: States, parameters: Parameters, height: PerLane | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Integrate every lane from just after a heelstrike to just before the next.
 
@@ -240,18 +203,17 @@ class Scanner:
         outcome : ndarray of int, shape (n,)
             Index of CAUSES.
         """
-        n, kneed = x.shape[1], self.structure.kneed
-        times, outcome = np.full((1 + kneed, n), np.nan), np.full(n, LOST)
+        n, phases = x.shape[1], self.structure.phases
+        times, outcome = np.full((len(phases), n), np.nan), np.full(n, LOST)
         lanes, begin = np.arange(n), np.zeros(n)
-        for strike, free in zip(
-            times, (True, False) if kneed else (False,), strict=True
-        ):
-            over = None if free or height is None else height[lanes]
+        for strike, free in zip(times, phases, strict=True):
+            rise = None if free or height is None else height[lanes]
             x, time, outcome[lanes] = self._integrate_to_event(
-                free, x, begin, parameters[:, lanes], over
+                free, x, begin, parameters[:, lanes], rise
             )
             struck = outcome[lanes] == STRUCK
-            lanes, begin, x = lanes[struck], (begin + time)[struck], x[:, struck]
+            lanes, x = lanes[struck], x[:, struck]
+            begin = (begin + time)[struck]
             strike[lanes] = begin
             if free and len(lanes):
                 x = self.lock(x, parameters[:, lanes])
@@ -260,10 +222,10 @@ class Scanner:
     def _integrate_to_event(
         self,
         free: bool,
-        x: np.ndarray,
-        begin: np.ndarray,
-        parameters: np.ndarray,
-        height: np.ndarray | None = None,
+        x: States,
+        begin: PerLane,
+        parameters: Parameters,
+        height: PerLane | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Integrate every lane to its strike.
 
@@ -276,7 +238,6 @@ class Scanner:
         begin : ndarray, shape (n,)
             Time since the step began [sqrt(leg/g)].
         parameters : ndarray, shape (n_parameters, n)
-            Slope, scale and the structure's constants.
         height : ndarray, shape (n,), optional
             By which the ground rises until heelstrike, over l.
 
@@ -290,59 +251,31 @@ class Scanner:
             Index of CAUSES.
         """
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
-        state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
-        lanes, i, last = np.arange(n), 0, int(MAX_TIME / h)
-        ground = None if height is None else np.array([parameters[1], height])
-        while len(lanes) and i < last:
-            count = min(last - i, max(1, min(_MAX_BLOCK, _BLOCK // len(lanes))))
-            X = self._advance_block(free, x, h, parameters, count)
-            count = len(X) - 1
-            fraction = crossing(free, X, h, ground)
-            strikes = fraction >= 0
-            angle = X[1:, 0] * parameters[1]
-            # In the order in which they count; what follows the first of them in a lane
-            # does not.
-            ends = {STRUCK: strikes}
-            if not np.isfinite(X[-1]).all():  # what is lost remains so
-                ends[LOST] = ~np.isfinite(X[1:]).all(axis=1)
-            with np.errstate(invalid="ignore"):
-                ends |= {FORWARD: angle < -MAX_ANGLE, BACKWARD: angle > MAX_ANGLE}
-            if begin[lanes].max() + (i + count) * h > MAX_TIME:
-                late = (
-                    begin[lanes] + np.arange(i + 1, i + count + 1)[:, None] * h
-                    > MAX_TIME
-                )
-                ends[NO_KNEESTRIKE if free else NO_HEELSTRIKE] = late
-            any_end = np.logical_or.reduce([*ends.values()])
-            done, first = any_end.any(axis=0), any_end.argmax(axis=0)
-            if done.any():
-                k = np.flatnonzero(done)
-                j = first[k]
-                cause = np.full(len(k), LOST)
-                for end, when in reversed(ends.items()):
-                    cause[when[j, k]] = end
-                outcome[lanes[k]] = cause
-                k, j = k[cause == STRUCK], j[cause == STRUCK]
-                if len(k):
-                    on = None if ground is None else ground[:, k]
-                    at, final = self._refine(
-                        free, X[j, :, k].T, fraction[j, k], h, parameters[:, k], on
-                    )
-                    state[:, lanes[k]], time[lanes[k]] = final, (i + j) * h + at
-                lanes, x, parameters = (
-                    lanes[~done],
-                    X[-1][:, ~done],
-                    parameters[:, ~done],
-                )
-                ground = None if ground is None else ground[:, ~done]
-            else:
-                x = X[-1]
-            i += count
-        outcome[lanes] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
-        return state, time, outcome
+        way = _Way(
+            self,
+            free,
+            h,
+            begin,
+            parameters,
+            height,
+            np.full_like(x, np.nan),
+            np.zeros(n),
+        )
+        outcome = np.full(n, NO_KNEESTRIKE if free else NO_HEELSTRIKE)
+        lanes, taken, most = np.arange(n), 0, int(MAX_TIME / h)
+        while len(lanes) and taken < most:
+            count = min(most - taken, max(1, min(_MAX_BLOCK, _BLOCK // len(lanes))))
+            X = self._advance_block(free, x, h, parameters[:, lanes], count)
+            ended, cause = way.end(lanes, X, taken)
+            outcome[lanes[ended]] = cause
+            x = X[-1]
+            if len(ended):
+                lanes, x = np.delete(lanes, ended), np.delete(x, ended, axis=1)
+            taken += len(X) - 1
+        return way.state, way.time, outcome
 
     def _advance_block(
-        self, free: bool, x: np.ndarray, h: float, parameters: np.ndarray, count: int
+        self, free: bool, x: States, h: float, parameters: Parameters, count: int
     ) -> np.ndarray:
         """States (steps + 1, size, n) before and after each of up to `count` time
         steps.
@@ -352,7 +285,7 @@ class Scanner:
         sine might reduce those of its neighbours in another way.
         """
         size, n = x.shape
-        width = n + -n % (LANES)
+        width = n + -n % LANES
         inputs = np.empty((size + 1 + len(parameters), width))
         inputs[:size, :n], inputs[size], inputs[size + 1 :, :n] = x, h, parameters
         inputs[:, n:] = inputs[:, n - 1 : n]
@@ -362,28 +295,16 @@ class Scanner:
             if k:
                 inputs[:size] = X[k]
             self._step[free](inputs, outputs=X[k + 1])
-        scale, half = inputs[size + 2], size // 2
-        with np.errstate(invalid="ignore"):
-            top = np.abs(X[1:-1]).max(axis=(0, 2), initial=0.0) * scale.max()
-            if max(top[:half].max(), h * top[half:].max()) < _WILD:
-                return X[:, :, :n]
-            moved = (
-                np.maximum(
-                    np.abs(X[1:-1, :half]).max(axis=1),
-                    h * np.abs(X[1:-1, half:]).max(axis=1),
-                )
-                * scale
-            )
-            wild = ~(moved < _WILD).all(axis=1)
-        return X[: 2 + int(wild.argmax()) if wild.any() else None, :, :n]
+        scale = inputs[size + 2]
+        return X[: 2 + _steps_before_wild(X[1:-1], h, scale), :, :n]
 
-    def _refine(
+    def refine(
         self,
         free: bool,
-        x: np.ndarray,
+        x: States,
         fraction: np.ndarray,
         h: float,
-        parameters: np.ndarray,
+        parameters: Parameters,
         ground: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Time within the time step at which the guard vanishes, by Newton on the
@@ -397,6 +318,94 @@ class Scanner:
         return at, self._advance(free, x, at, parameters)
 
 
+@dataclass
+class _Way:
+    """Lanes on their way to a strike, with the states and times of those that struck."""
+
+    scan: Scanner
+    free: bool
+    h: float
+    begin: PerLane
+    parameters: Parameters
+    height: PerLane | None
+    state: States
+    time: PerLane
+
+    def end(
+        self, lanes: Numbers, X: np.ndarray, taken: int
+    ) -> tuple[Numbers, np.ndarray]:
+        """Places of lanes that end within time steps, after so many taken, and why."""
+        fraction = crossing(self.free, X, self.h, self._ground(lanes))
+        ends = _ends(X, fraction, self.parameters[1, lanes])
+        elapsed = np.arange(taken + 1, taken + len(X))[:, None] * self.h
+        if self.begin[lanes].max() + elapsed[-1] > MAX_TIME:
+            is_late = self.begin[lanes] + elapsed > MAX_TIME
+            ends[NO_KNEESTRIKE if self.free else NO_HEELSTRIKE] = is_late
+
+        ended, place, cause = _first_ends(ends)
+        struck, place = ended[cause == STRUCK], place[cause == STRUCK]
+        if len(struck):
+            before, share = X[place, :, struck].T, fraction[place, struck]
+            self._strike(lanes[struck], before, share, (taken + place) * self.h)
+        return ended, cause
+
+    def _strike(
+        self, lanes: Numbers, x: States, share: np.ndarray, begin: np.ndarray
+    ) -> None:
+        """Locate the strikes of some lanes within the time steps that begin at x."""
+        within, self.state[:, lanes] = self.scan.refine(
+            self.free, x, share, self.h, self.parameters[:, lanes], self._ground(lanes)
+        )
+        self.time[lanes] = begin + within
+
+    def _ground(self, lanes: Numbers) -> np.ndarray | None:
+        """What `crossing` takes of the ground."""
+        if self.height is None:
+            return None
+        return np.array([self.parameters[1, lanes], self.height[lanes]])
+
+
+@np.errstate(invalid="ignore")
+def _steps_before_wild(X: np.ndarray, h: float, scale: PerLane) -> int:
+    """Number of states (steps, size, n) before the angles of one are, or change, so much
+    that the next step is not to be trusted; all if none are.
+    """
+    half = X.shape[1] // 2
+    top = np.abs(X).max(axis=(0, 2), initial=0.0) * scale.max()
+    if max(top[:half].max(), h * top[half:].max()) < _WILD:
+        return len(X)
+    angles = np.abs(X[:, :half]).max(axis=1)
+    changes = h * np.abs(X[:, half:]).max(axis=1)
+    is_tame = (np.maximum(angles, changes) * scale < _WILD).all(axis=1)
+    return len(X) if is_tame.all() else int(is_tame.argmin())
+
+
+def _ends(X: np.ndarray, fraction: np.ndarray, scale: PerLane) -> dict[int, np.ndarray]:
+    """After which time steps (steps, n) lanes end, by why, in the order in which that
+    counts; what follows the first end of a lane does not.
+    """
+    ends = {STRUCK: fraction >= 0}
+    if not np.isfinite(X[-1]).all():  # what is lost remains so
+        ends[LOST] = ~np.isfinite(X[1:]).all(axis=1)
+    angle = X[1:, 0] * scale
+    with np.errstate(invalid="ignore"):
+        ends[FORWARD], ends[BACKWARD] = angle < -MAX_ANGLE, angle > MAX_ANGLE
+    return ends
+
+
+def _first_ends(
+    ends: dict[int, np.ndarray],
+) -> tuple[Numbers, np.ndarray, np.ndarray]:
+    """Lanes that end, after which time step, and why."""
+    any_end = np.logical_or.reduce([*ends.values()])
+    ended = np.flatnonzero(any_end.any(axis=0))
+    place = any_end.argmax(axis=0)[ended]
+    cause = np.full(len(ended), LOST)
+    for end, when in reversed(ends.items()):
+        cause[when[place, ended]] = end
+    return ended, place, cause
+
+
 @functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
     """Return the compiled scanner of a structure, one a process."""
@@ -405,7 +414,7 @@ def scanner(structure: Structure) -> Scanner:
 
 
 def stride(
-    problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = True
+    problem: Problem, y: Sections, slope: Slopes, exact: bool = True
 ) -> SimulatedSteps:
     """Simulate one step from any state on the section.
 
@@ -427,27 +436,39 @@ def stride(
     n = y.shape[1]
     if n > _SIDE_BY_SIDE:
         parts = np.split(np.arange(n), range(_SIDE_BY_SIDE, n, _SIDE_BY_SIDE))
-        blocks = [
-            stride(problem.some(part), y[:, part], slope[part], exact) for part in parts
-        ]
+        blocks = []
+        for part in parts:
+            some = problem.some(part)
+            blocks.append(stride(some, y[:, part], slope[part], exact))
         joined: SimulatedSteps = join_lanes(blocks)
         return joined
+
     steps, scale, parameters = _scan(problem, y, slope)
-    lanes = np.flatnonzero(steps.outcome == STRUCK)
     if exact:
-        steps.jacobian = np.full((len(y), *y.shape), np.nan)
-    if exact and len(lanes):
-        at = problem.step(
-            y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes]
-        )
-        steps.image[:, lanes], steps.times[:, lanes] = at.image * scale[lanes], at.times
-        steps.jacobian[:, :, lanes] = at.jacobian
-        steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
+        _correct(problem, steps, y / scale, scale, parameters)
     return steps
 
 
+def _correct(
+    problem: Problem,
+    steps: SimulatedSteps,
+    y: Sections,
+    scale: PerLane,
+    parameters: Parameters,
+) -> None:
+    """Correct simulated steps from scaled sections by the exact step map, in place."""
+    steps.jacobian = np.full((len(y), *y.shape), np.nan)
+    lanes = np.flatnonzero(steps.outcome == STRUCK)
+    if len(lanes):
+        at = problem.step(y[:, lanes], steps.times[:, lanes], parameters[:, lanes])
+        steps.image[:, lanes] = at.image * scale[lanes]
+        steps.times[:, lanes] = at.times
+        steps.jacobian[:, :, lanes] = at.jacobian
+        steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
+
+
 def step_onto(
-    problem: Problem, y: np.ndarray, slope: np.ndarray, height: np.ndarray
+    problem: Problem, y: Sections, slope: Slopes, height: PerLane
 ) -> SimulatedSteps:
     """Simulate two steps: one that ends on ground of another height, and one on ground
     parallel to the slope.
@@ -471,36 +492,44 @@ def step_onto(
 
 
 def _scan(
-    problem: Problem, y: np.ndarray, slope: np.ndarray, height: np.ndarray | None = None
+    problem: Problem, y: Sections, slope: Slopes, height: PerLane | None = None
 ) -> tuple[SimulatedSteps, np.ndarray, np.ndarray]:
     """Steps by the scan alone (those after one onto a `height`), with the scales and
     parameters of every lane.
     """
-    scan = scanner(problem.structure)
-    m, n = y.shape
-    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < MAX_ANGLE)
-    scale = scale_of(np.where(valid, y[0], 0.5))
+    n = y.shape[1]
+    image, times = np.full(y.shape, np.nan), np.full((problem.phases, n), np.nan)
+    lanes, outcome = _standing(y)
+    scale = np.ones(n)
+    scale[lanes] = scale_of(y[0, lanes])
     parameters = problem.parameters(slope, scale)
-    image, times, outcome = (
-        np.full((m, n), np.nan),
-        np.full((problem.phases, n), np.nan),
-        np.full(n, LOST),
-    )
-    # With the new stance leg behind or upright the walker falls back.
-    outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
-    outcome[y[0] >= MAX_ANGLE] = FORWARD
-    lanes = np.flatnonzero(valid)
-    x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[
-        : problem.map.start_size
-    ]
-    for ground in (height, None) if height is not None else (None,):
-        over = None if ground is None else ground[lanes]
-        struck, x, times[:, lanes], outcome[lanes] = scan.to_heelstrike(
-            x, parameters[:, lanes], over
+    start = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])
+    x = start[: problem.map.start_size]
+
+    def walk(height: PerLane | None) -> States:
+        """The state before the next heelstrike, of those that come to it."""
+        nonlocal lanes
+        struck, state, times[:, lanes], outcome[lanes] = scan.to_heelstrike(
+            x, parameters[:, lanes], height
         )
         lanes = lanes[struck]
-        if ground is not None and len(lanes):
-            x = scan.land(x, parameters[:, lanes])
+        return state
+
+    scan = scanner(problem.structure)
+    if height is not None:
+        x = walk(height[lanes])
+        x = scan.land(x, parameters[:, lanes]) if len(lanes) else x
+    x = walk(None)
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]
     return SimulatedSteps(image, times, outcome, np.empty((0, 0, n))), scale, parameters
+
+
+def _standing(y: Sections) -> tuple[Numbers, np.ndarray]:
+    """Lanes whose walkers may take a step, and how the others have fallen already."""
+    outcome = np.full(y.shape[1], LOST)
+    # With the new stance leg behind or upright the walker falls back.
+    outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
+    outcome[y[0] >= MAX_ANGLE] = FORWARD
+    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < MAX_ANGLE)
+    return np.flatnonzero(valid), outcome

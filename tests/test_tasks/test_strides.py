@@ -17,6 +17,7 @@ from gaitsweep.tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, str
 from gaitsweep.tasks.step.verify_step import (
     _cubics,
     _extrema,
+    _Guard,
     _least_distance,
     _unclear,
     _zero,
@@ -294,7 +295,8 @@ def test_a_maximum_counts_only_where_the_guard_does():
     g, rate = np.full((4, 1), -0.3), np.array([[5.2], [-0.4], [-0.5], [0.4]])
     low, high = _extrema(g, rate)
     assert high[0, 0] > 0.5 and low[2, 0] < -0.4
-    begins = [np.full((3, 1), -np.inf)]
+    nowhere = np.full((3, 1), -np.inf)
     for before, least in ((False, 0.3), (True, low[2, 0])):
-        counted = [np.array([[before], [before], [True], [True]])]
-        assert _least_distance([(g, rate)], counted, begins)[0] == pytest.approx(least)
+        counts = np.array([[before], [before], [True], [True]])
+        guard = _Guard(g, rate, counts, nowhere)
+        assert _least_distance([guard])[0] == pytest.approx(least)
