@@ -20,7 +20,8 @@ from gaitsweep.tasks.tables import Arrays
 
 #: Points solved at a time: enough to amortize the calls, few enough for the cache; and
 #: where most are given by polynomials.
-_BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
+_BLOCK = 4096
+_INTERPOLATED_BLOCK = 1 << 14
 
 Settle = Callable[[Problem, Guesses], Polished]
 

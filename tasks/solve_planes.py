@@ -20,12 +20,8 @@ from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, to_arrays
 from gaitsweep.tasks.families.division import Cells, make_cells
 from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import (
-    BEYOND,
-    LOCATED,
-    PREDICTED_WITHIN,
-    Patch,
-)
+from gaitsweep.tasks.families.kinds import BEYOND, END, FOLD
+from gaitsweep.tasks.families.patch import PREDICTED_WITHIN, Patch
 from gaitsweep.tasks.families.sheet import Sheet
 from gaitsweep.tasks.fixed_points.polish import Guesses, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
@@ -134,7 +130,8 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         charts do not describe whole has two `halves` instead, by name what differs from
         `plane` in each.
     """
-    plane, wanted = Plane.of(params["plane"]), Wanted.of(params)
+    plane = Plane.of(params["plane"])
+    wanted = Wanted.of(params)
     window = params["slope_from"], params["slope_to"]
     many = math.inf if params.get("whole") else _MANY_LINES
     return make_charts(params["line"], plane, wanted, window, params["slopes"], many)
@@ -234,7 +231,8 @@ def lines(
         result of a point depends on its line, the charts and its slope alone: where its
         prediction is not accepted, that line is followed by itself.
     """
-    plane, request = Plane.of(params["plane"]), Request.of(params)
+    plane = Plane.of(params["plane"])
+    request = Request.of(params)
     return [({}, solve_plane(params["lines"], plane, request, inputs))]
 
 
@@ -260,11 +258,13 @@ def solve_plane(
     dict
         What `tasks.solve_points:points` returns, line by line.
     """
-    family, box = Family.of(lines[0], plane.keys), plane.box
+    family = Family.of(lines[0], plane.keys)
+    box = plane.box
     out, accepted = _by_charts(family, lines, box, request, charts)
     to_accuracy(_joined(out), request.wanted.accuracy)
 
-    reasons, sentences = _reasons(family, box), dict[str, int]()
+    reasons = _reasons(family, box)
+    sentences = dict[str, int]()
     for numbers, at in _not_accepted(accepted):
         out["reason"] = out["reason"].astype(np.int32)
         asked = replace(request, slope=request.slope[at])
@@ -325,7 +325,8 @@ def _by_charts(
     keys = np.array([[line["set"][key] for key in family.keys] for line in lines])
     walkers = family.walkers(keys)
     corners = family.walkers(np.array([box.low, box.high]))
-    n, s = len(keys), len(request.slope)
+    n = len(keys)
+    s = len(request.slope)
     # A massless leg's steps are the limit of those of light ones; its losses have
     # formulas of their own.
     is_alike = walkers.massless_legs == corners.massless_leg
@@ -407,7 +408,8 @@ def solve(
     accepted : ndarray of bool, shape (n, s)
         Points all of whose gaits are accepted; what `out` has of the others is void.
     """
-    n, s = len(keys), len(slope)
+    n = len(keys)
+    s = len(slope)
     out = nothing_solved(wanted.names, n * s, cell.structure.kneed)
     accepted = np.ones((n, s), bool)
     lines = max(1, block_size(bool(made)) // s)
@@ -434,7 +436,7 @@ def _away_from_ends(block: Block) -> np.ndarray:
     for patch in block.cell.patches:
         ends = patch.span.ends(block.unit)
         for end, error, kind in zip(ends, patch.end_errors, patch.kinds, strict=True):
-            if kind in LOCATED:
+            if kind in (FOLD, END):
                 within = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
                 away &= np.abs(block.q - end[:, None]) > within
     return away.ravel()
@@ -515,7 +517,8 @@ def _solve_block(
         return accepted
 
     solved = _solve_predicted(block, predicted, wanted)
-    given, found = [], []
+    given = []
+    found = []
     for k, own in enumerate(predicted):
         at = lanes_of(solved.at, solved.lanes[k])
         fine, is_step = own.patch.judge(at, own.guesses.w, own.q, own.unit)

@@ -129,7 +129,8 @@ def solve_line(
     dict
         As `points` has it.
     """
-    problem, polynomials = Problem(walker_of_line(line), request.steps), None
+    problem = Problem(walker_of_line(line), request.steps)
+    polynomials = None
     if request.interpolated:
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
     (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
@@ -219,7 +220,8 @@ def _solve_branches(
     With `polynomials`, of a single line, only gaits that these do not give are
     integrated.
     """
-    n, wanted = len(request.slope), request.wanted
+    n = len(request.slope)
+    wanted = request.wanted
     names = _without_proofs(wanted.names)
     void = dict.fromkeys((*names, *wanted.names))
     results = [nothing_solved([*void], n, problem.walker.knees) for _ in lines]
@@ -397,7 +399,8 @@ def _guessed(
         Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
         keep = _may_hold(piece.branch, segment, request.wanted.labels)
         if keep.any():
-            index, segment = index[keep], segment[keep]
+            index = index[keep]
+            segment = segment[keep]
             slope = request.slope[index]
             guesses = piece.branch.known_guesses(Z[:, keep], segment, slope)
             yield _Guessed(line, piece, index, segment, guesses)
@@ -408,7 +411,8 @@ def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
     [rad].
     """
     for piece in pieces_of(branches):
-        branch, nodes = piece.branch, np.arange(piece.first, piece.last + 1)
+        branch = piece.branch
+        nodes = np.arange(piece.first, piece.last + 1)
         has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (
             branch.leg_passes == 1
         )

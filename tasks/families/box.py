@@ -58,7 +58,8 @@ class Box:
         """Of each key the origin, the side of it, 1 or -1, the distances of both faces,
         and whether these are far.
         """
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         origin = np.array(self.origin or np.zeros(len(low)))
         side = np.where(low < origin, -1, 1)
         ends = np.sort(side * (np.array([low, high]) - origin), axis=0)
@@ -80,7 +81,8 @@ class Box:
         """Return the part that another box of the same keys has too; it holds nothing
         if there is none.
         """
-        low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
+        low = np.maximum(self.low, other.low)
+        high = np.minimum(self.high, other.high)
         return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()))
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
@@ -109,7 +111,8 @@ class Box:
         -------
         ndarray, shape (n, d) [the walker's units]
         """
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         linear = 0.5 * (low + high) + 0.5 * (high - low) * unit
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
@@ -133,7 +136,8 @@ class Box:
         -------
         ndarray, shape (n, d)
         """
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         linear = (2 * points - low - high) / (high - low)
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
@@ -159,7 +163,10 @@ class Box:
         )
 
     def parts(
-        self, axis: int, at: float | None = None, origin: float | None = None
+        self,
+        axis: int,
+        at: float | None = None,
+        origin: float | None = None,
     ) -> tuple[Box, Box]:
         """Return both parts along one key, divided at a value of it, or halved; its
         origin may be another.
@@ -178,7 +185,12 @@ class Box:
             replace(own, low=(*self.low[:axis], middle, *self.low[axis + 1 :])),
         )
 
-    def draw(self, n: int, d: int, purpose: str) -> np.ndarray:
+    def draw(
+        self,
+        n: int,
+        d: int,
+        purpose: str,
+    ) -> np.ndarray:
         """Draw points of the cube from -1 to 1 by a hash of the box and a purpose.
 
         Parameters
@@ -221,4 +233,6 @@ class Refused(Exception):
         origin: float | None = None,
     ):
         super().__init__(why)
-        self.axis, self.at, self.origin = axis, at, origin
+        self.axis = axis
+        self.at = at
+        self.origin = origin

@@ -33,7 +33,9 @@ _GOAL = 1e-10
 _INSIDE = 1e-3
 #: Share of the way to a turn within which designs are surveyed, the smallest that
 #: counts, and that by which rounding puts designs on the border of a box beyond it.
-_AT_TURN, _MIN_SHARE, _BORDER = 1e-5, 1e-12, 1e-12
+_AT_TURN = 1e-5
+_MIN_SHARE = 1e-12
+_BORDER = 1e-12
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ class Region:
         """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which
         it is smooth.
         """
-        own, share = unit.copy(), self.share(unit)
+        own = unit.copy()
+        share = self.share(unit)
         if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
         own[:, self.axis] = self.side * (2 * share - 1)
@@ -98,7 +101,8 @@ class Region:
 
     def unit(self, own: np.ndarray) -> np.ndarray:
         """Return coordinates of keys (n, d), the inverse of `own`."""
-        unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
+        unit = own.copy()
+        share = 0.5 * (1 + self.side * own[:, self.axis])
         if self.is_root:
             share = 1 - (1 - share) ** 2
         unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
@@ -243,14 +247,21 @@ def _is_end(kind: str) -> bool:
     return kind.startswith("end_")
 
 
-def _walks(problem: Lanes, kind: str, step: Point, near: np.ndarray) -> np.ndarray:
+def _walks(
+    problem: Lanes,
+    kind: str,
+    step: Point,
+    near: np.ndarray,
+) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits
     just before it.
     """
-    walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
+    walks = np.zeros(len(near), bool)
+    lanes = np.flatnonzero(near)
     if not len(lanes):
         return walks
-    Z, stride = step.at.Z[:, lanes], None
+    Z = step.at.Z[:, lanes]
+    stride = None
     if _is_end(kind):
         # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
         side = 1 if "kneestrike_at" in kind else -1
