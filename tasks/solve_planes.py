@@ -513,19 +513,23 @@ def _solve_block(
         index = block.on(patch)
         predicted.append(_Predicted.of(block, patch, index[integrated[index]]))
     accepted = np.ones(len(integrated), bool)
-    if not any(len(own.index) for own in predicted):
+    if not any(len(on_patch.index) for on_patch in predicted):
         return accepted
 
     solved = _solve_predicted(block, predicted, wanted)
     given = []
     found = []
-    for k, own in enumerate(predicted):
+    for k, on_patch in enumerate(predicted):
         at = lanes_of(solved.at, solved.lanes[k])
-        fine, is_step = own.patch.judge(at, own.guesses.w, own.q, own.unit)
-        accepted[own.index[~fine]] = False
-        part = solved.part(k, own.index, own.patch.numbers_at(own.unit).T)
+        fine, is_step = on_patch.patch.judge(
+            at, on_patch.guesses.w, on_patch.q, on_patch.unit
+        )
+        accepted[on_patch.index[~fine]] = False
+        part = solved.part(
+            k, on_patch.index, on_patch.patch.numbers_at(on_patch.unit).T
+        )
         given.append(part.some(is_step))
-        found.append((own.index, at.w))
+        found.append((on_patch.index, at.w))
     store(out, given, wanted.labels)
 
     for one, other in combinations(found, 2):
@@ -537,14 +541,16 @@ def _solve_predicted(
     block: Block, predicted: Sequence[_Predicted], wanted: Wanted
 ) -> Solved:
     """The gaits of points that are predicted."""
-    lines = np.concatenate([own.index for own in predicted]) // len(block.slope)
+    lines = np.concatenate([on_patch.index for on_patch in predicted]) // len(
+        block.slope
+    )
     problem = Lanes(block.walkers.some(lines), block.cell.structure)
     # Violations are measured walker by walker.
     alone = []
     if any(VARIABLES[name].group == "violations" for name in wanted.names):
         alone = [(problem.alone(lane), 1) for lane in range(len(lines))]
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
-    guesses = [own.guesses for own in predicted]
+    guesses = [on_patch.guesses for on_patch in predicted]
     return solve_guesses(problem, guesses, to_accuracy, wanted, alone)
 
 

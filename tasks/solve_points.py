@@ -289,21 +289,25 @@ def _solve_block(
     if not guessed:
         return parts
 
-    lines = np.concatenate([np.full(len(own.index), own.line) for own in guessed])
-    alone = {own.line: problem.alone(own.line) for own in guessed}
-    places = [(alone[own.line], own.piece.branch, own.segment) for own in guessed]
+    lines = np.concatenate([np.full(len(guess.index), guess.line) for guess in guessed])
+    alone = {guess.line: problem.alone(guess.line) for guess in guessed}
+    places = [
+        (alone[guess.line], guess.piece.branch, guess.segment) for guess in guessed
+    ]
     settle = partial(
         settle_on_branches, places=places, accuracy=request.wanted.accuracy
     )
     solved = solve_guesses(
         problem.some(lines),
-        [own.guesses for own in guessed],
+        [guess.guesses for guess in guessed],
         settle,
         request.wanted,
         [(walker, int((lines == i).sum())) for i, walker in alone.items()],
     )
-    for k, own in enumerate(guessed):
-        parts[own.line].append(solved.part(k, own.index, own.numbers, own.ratio))
+    for k, guess in enumerate(guessed):
+        parts[guess.line].append(
+            solved.part(k, guess.index, guess.numbers, guess.ratio)
+        )
     return parts
 
 

@@ -106,12 +106,12 @@ def to_arrays(cells: Sequence[Cell]) -> dict[str, np.ndarray]:
 def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
     """Return the cells of a family that arrays hold."""
     cells = []
-    for own in parts(arrays):
-        box = value_of(Box, under("box", own))
-        patches = [value_of(Patch, each) for each in parts(under("patches", own))]
-        cells.append(
-            Cell(box, structure_of(family, box), patches, str(own["why"].item()))
-        )
+    for of_cell in parts(arrays):
+        box = value_of(Box, under("box", of_cell))
+        of_patches = parts(under("patches", of_cell))
+        patches = [value_of(Patch, of_patch) for of_patch in of_patches]
+        why = str(of_cell["why"].item())
+        cells.append(Cell(box, structure_of(family, box), patches, why))
     return cells
 
 
@@ -167,8 +167,8 @@ class Lines:
         """
         inside = [
             k
-            for k, own in enumerate(self.structures)
-            if own == structure and box.holds(self.keys[k])
+            for k, known in enumerate(self.structures)
+            if known == structure and box.holds(self.keys[k])
         ]
         known = box.unit(self.keys[inside])
         numbers: list[int] = []

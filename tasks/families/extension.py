@@ -130,8 +130,8 @@ class Extension:
         n = len(nodes)
         here = self.unit[None]
         Z = self.Z[:, None]
-        start = region.own(here)
-        ends = region.own(nodes)
+        start = region.smooth(here)
+        ends = region.smooth(nodes)
         row = gradient(self.problem(here), self.kind, Z)
         smooth = Z - region.growth(here)[0]
         points = Points(

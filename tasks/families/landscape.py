@@ -482,7 +482,7 @@ class _Surveyor:
         by_pattern: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
             by_pattern.setdefault(flags[i].tobytes(), []).append(i)
-        new = [own for key, own in by_pattern.items() if key not in patterns]
+        new = [some for key, some in by_pattern.items() if key not in patterns]
         new.sort(key=lambda members: (-len(members), members[0]))
 
         surveyed = {unit.tobytes() for unit in self.unit}

@@ -88,24 +88,25 @@ class Region:
             (1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit))
         )
 
-    def own(self, unit: np.ndarray) -> np.ndarray:
+    def smooth(self, unit: np.ndarray) -> np.ndarray:
         """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which
         it is smooth.
         """
-        own = unit.copy()
+        smooth = unit.copy()
         share = self.share(unit)
         if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
-        own[:, self.axis] = self.side * (2 * share - 1)
-        return own
+        smooth[:, self.axis] = self.side * (2 * share - 1)
+        return smooth
 
-    def unit(self, own: np.ndarray) -> np.ndarray:
-        """Return coordinates of keys (n, d), the inverse of `own`."""
-        unit = own.copy()
-        share = 0.5 * (1 + self.side * own[:, self.axis])
+    def unit(self, smooth: np.ndarray) -> np.ndarray:
+        """Return coordinates of keys (n, d), the inverse of `smooth`."""
+        unit = smooth.copy()
+        share = 0.5 * (1 + self.side * smooth[:, self.axis])
         if self.is_root:
             share = 1 - (1 - share) ** 2
-        unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
+        width = 1 + self.side * self.at(smooth)
+        unit[:, self.axis] = self.side * (share * width - 1)
         return unit
 
     def growth(self, unit: np.ndarray) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -135,7 +136,7 @@ class Region:
         """Return points and the derivatives of their scalar, (c, n) each, of a chart
         over it at designs (n, d).
         """
-        Z, rows = np.split(chart(self.own(unit)), 2)
+        Z, rows = np.split(chart(self.smooth(unit)), 2)
         growth, factor = self.growth(unit)
         return Z + growth, rows * factor
 

@@ -166,7 +166,7 @@ def measured(
     problem: Problem,
     w: np.ndarray,
     q: np.ndarray,
-    each: int,
+    group: int,
 ) -> Measured:
     """Measure what the error bounds of gaits need, for groups of gaits.
 
@@ -178,7 +178,7 @@ def measured(
         Gaits in similarity coordinates.
     q : ndarray, shape (n,)
         Their ln slopes.
-    each : int
+    group : int
         Gaits of a group, which follow one another.
 
     Returns
@@ -191,9 +191,9 @@ def measured(
     variance = rounding_std(problem, w, q) ** 2
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return np.asarray(total(values[..., k::each] for k in range(each)) / each)
+        return np.asarray(total(values[..., k::group] for k in range(group)) / group)
 
-    largest = lipschitz.reshape(-1, each).max(axis=1)
+    largest = lipschitz.reshape(-1, group).max(axis=1)
     return largest, mean(gradient), np.sqrt(mean(variance))
 
 

@@ -424,7 +424,7 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
 def test_coordinates_of_a_part_are_inverse(turns, side):
     cut = Region(1, side, Chart((2,), np.array([[0.2], [0.1]])), turns)
     own = np.random.default_rng(0).uniform(-1, 1, (9, 2))
-    assert cut.own(cut.unit(own)) == pytest.approx(own, abs=1e-12)
+    assert cut.smooth(cut.unit(own)) == pytest.approx(own, abs=1e-12)
     ends = cut.unit(np.array([[0.5, -side], [0.5, side]]))
     assert ends[:, 1] == pytest.approx([-side, 0.25])
 
@@ -435,7 +435,7 @@ def test_a_whole_box_has_its_own_coordinates_border_included(d):
         Region.whole(d),
         np.vstack([np.random.default_rng(0).uniform(-1, 1, (9, d)), np.ones((1, d))]),
     )
-    assert region.own(unit) == pytest.approx(unit, abs=1e-15) and region.unit(
+    assert region.smooth(unit) == pytest.approx(unit, abs=1e-15) and region.unit(
         unit
     ) == pytest.approx(unit, abs=1e-15)
     assert region.holds(unit * (1 + 4e-16)).all() and not region.is_near(unit).any()
