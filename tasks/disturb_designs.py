@@ -13,11 +13,14 @@ from gaitsweep.tasks.step.simulate import STRUCK, step_onto
 
 #: Relative displacement of initial states from the gait, and steps after which the
 #: period of their orbits is told.
-_DISPLACED, _DROPPED = 1e-3, 2000
+_DISPLACED = 1e-3
+_DROPPED = 2000
 #: Resolution of steps of the ground, over the leg, and how many are tried at once.
-STEP_RESOLUTION, _AT_ONCE = 1e-3, 8
+STEP_RESOLUTION = 1e-3
+_AT_ONCE = 8
 #: Steps after which a walker must be back at its gait, and how near, relative.
-_RECOVERY, _BACK = 200, 1e-3
+_RECOVERY = 200
+_BACK = 1e-3
 
 
 def attractors_beside(
@@ -80,8 +83,10 @@ def largest_steps(
     that. It is survived if after 200 steps the walker is back within a thousandth of
     its gait.
     """
-    n, most = y.shape[1], int(np.ceil(round(limit / STEP_RESOLUTION, 6)))
-    largest, home = np.full((2, n), most), Neighbourhoods(problem, y, np.full(n, slope))
+    n = y.shape[1]
+    most = int(np.ceil(round(limit / STEP_RESOLUTION, 6)))
+    largest = np.full((2, n), most)
+    home = Neighbourhoods(problem, y, np.full(n, slope))
     for row, sign in zip(largest, (-1, 1), strict=True):
         left = np.arange(n)
         for first in range(1, most + 1, _AT_ONCE):
@@ -112,9 +117,11 @@ def _survive(
     height: np.ndarray,
 ) -> np.ndarray:
     """Whether walkers survive steps of the ground (k,), over the leg, at their gaits."""
-    walkers, slopes = problem.every_walker, np.full(len(height), slope)
+    walkers = problem.every_walker
+    slopes = np.full(len(height), slope)
     after = step_onto(problem, home.y, slopes, height * walkers.leg / walkers.l)
-    walk, survived = Walk(problem, after.image, slopes), np.zeros(len(height), bool)
+    walk = Walk(problem, after.image, slopes)
+    survived = np.zeros(len(height), bool)
     walk.lanes = np.flatnonzero(after.outcome == STRUCK)
     for _ in walk.steps(_RECOVERY - 2):
         back = home.hold(walk.y[:, walk.lanes], walk.lanes)

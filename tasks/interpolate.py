@@ -39,15 +39,19 @@ _SHARE = 0.9
 _TIE = 4.0
 #: Gaits nearer an end of their branch in ln slope are integrated, and so are those
 #: whose errors reach it.
-_NEAR_END, _END_SAFETY = 1e-9, 8.0
+_NEAR_END = 1e-9
+_END_SAFETY = 8.0
 #: Widest range of ln slope of a panel; pieces of branches are cut at its multiples.
 _WIDTH = 1.0
 #: Samples of a panel at which rounding and Lipschitz constants are measured, where the
 #: atlas has none, and the factor on the largest of these constants.
-_MEASURED, _LIPSCHITZ_SAFETY = 3, 2.0
+_MEASURED = 3
+_LIPSCHITZ_SAFETY = 2.0
 #: Most nodes of a sheet over a patch along each dimension, by those of the patch and
 #: beyond, and points that check it.
-_GROWN, _FURTHER, _DRAWN = 2, 8, 64
+_GROWN = 2
+_FURTHER = 8
+_DRAWN = 64
 
 
 def _sampled(
@@ -59,7 +63,8 @@ def _sampled(
     """What the gaits of several spans, as many of each, give; `fine`, shape (n,), may
     be used.
     """
-    slope, gaits = solved.guesses.slope, solved.gaits
+    slope = solved.guesses.slope
+    gaits = solved.gaits
     values, size = smooth.columns(slope, gaits, solved.at.stride.jacobian)
     found = np.isin(gaits["status"], status.SOLVED) & fine
     found &= np.isfinite(values).all(axis=0)
@@ -91,7 +96,8 @@ class _Places:
         """Gaits of a chart; those whose label or stability errors could change are
         marked as `lost`.
         """
-        names, within = smooth.names, _TIE * chart.error
+        names = smooth.names
+        within = _TIE * chart.error
         ratio = names.index("heelstrike_rate_ratio")
         low, high = chart.range_of(ratio)
         ratios = np.full(len(self.index), 0.5 * (low + high))
@@ -206,7 +212,8 @@ class Interpolation:
         wanted: Wanted,
         slope: np.ndarray,
     ):
-        self.problem, self.wanted = problem, wanted
+        self.problem = problem
+        self.wanted = wanted
         self.smooth = Smooth.of(problem.walker, wanted.names, problem.m)
         self.pieces = pieces_of(branches)
         q = np.sort(np.log(slope))
@@ -234,7 +241,8 @@ class Interpolation:
         self, asked: Sequence[Asked], points: Sequence[np.ndarray]
     ) -> Iterator[Sampled]:
         """Solve the samples of panels, all side by side."""
-        q, of_panels = [], []
+        q = []
+        of_panels = []
         for panel, x in zip(asked, points, strict=True):
             q.append(panel.span.log_slope(x))
             of_panels.append(self.pieces[panel.number].guesses(q[-1]))
@@ -325,7 +333,8 @@ class Interpolation:
         of_sheet = np.maximum(of_sheet, 0)
         numbers = piece.number, piece.place
         for number in np.unique(of_sheet).tolist():
-            some, sheet = index[of_sheet == number], sheets[number]
+            some = index[of_sheet == number]
+            sheet = sheets[number]
             if sheet.chart is None:
                 lost[some] = True
                 continue
@@ -406,7 +415,8 @@ def _over(
     """What was solved at points (n, 1 + d) of the span of a patch in which all gaits
     are steps.
     """
-    unit, q = points[:, 1:], span.log_slope(points)
+    unit = points[:, 1:]
+    q = span.log_slope(points)
     walkers = family.walkers(cell.box.at(unit))
     problem = Lanes(walkers, cell.structure)
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
@@ -442,7 +452,8 @@ def interpolate(
         known; the others are to be integrated.
     """
     n = len(block.unit) * len(block.slope)
-    given, lost = [], np.zeros(n, bool)
+    given = []
+    lost = np.zeros(n, bool)
     for sheet, patch in zip(made, block.cell.patches, strict=True):
         part = _of_patch(block, patch, sheet, wanted, lost)
         if part is not None:
@@ -473,9 +484,11 @@ def _of_patch(
     points = sheet.span.points(block.q[own], block.unit[line])
     known = sheet.is_measured(points)
     lost[index[~known]] = True
-    line, index = line[known], index[known]
+    line = line[known]
+    index = index[known]
 
-    walkers, dimension = block.walkers.some(line), block.cell.structure.dimension
+    walkers = block.walkers.some(line)
+    dimension = block.cell.structure.dimension
     smooth = Smooth.of(walkers, wanted.names, dimension)
     numbers = patch.numbers_at(block.unit[line]).T
     places = _Places(index, points[known], block.slope[own[known]], numbers)

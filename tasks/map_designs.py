@@ -29,7 +29,7 @@ from gaitsweep.tasks.disturb_designs import attractors_beside, largest_steps
 from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.landscape import Landscape, is_known, make, points_at
-from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.families.maker import Maker
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.request import Request
@@ -44,7 +44,9 @@ from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Entries in place of a reason where there is no number.
-_NO_WALKER, _NO_GAIT, _NEVER_STABLE = "no walker", "no gait", "never stable"
+_NO_WALKER = "no walker"
+_NO_GAIT = "no gait"
+_NEVER_STABLE = "never stable"
 #: A gait's state just after heelstrike.
 _STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate")
 #: What the columns of the state of a quantity's gait are called after the name of the
@@ -57,7 +59,8 @@ _OF = {
 #: Variables that describe gaits at a slope.
 _GAIT = ("stance_angle", "stance_rate", "thigh_rate", "spectral_radius")
 #: Lines surveyed, and designs solved, at a time.
-_LINES, _DESIGNS = 32, 2048
+_LINES = 32
+_DESIGNS = 2048
 
 
 def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -92,7 +95,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.log(np.asarray(params["slope"], float))
     window = float(slope.min()), float(slope.max())
     options = registry.options("design", params)
-    speed, at_slope = options["at_speed"], options["at_slope"]
+    speed = options["at_speed"]
+    at_slope = options["at_slope"]
     sought = Sought(window, None if speed is None else float(np.log(speed)))
     plane = Plane.of(params["plane"]) if "plane" in params else None
     request = None
@@ -170,7 +174,8 @@ def _gaits_over_plane(
     gaits = np.full((len(_GAIT), designs.n), np.nan)
     possible = [*_possible(designs.walkers, np.arange(designs.n))]
     if request and possible:  # invalid designs are not solved
-        lines, (slope,) = [designs.line_of(i) for i in possible], request.slope
+        lines = [designs.line_of(i) for i in possible]
+        (slope,) = request.slope
         charts = make_charts(lines[0], plane, request.wanted, (slope, slope), 1)
         gaits[:, possible] = _long(solve_plane(lines, plane, request, [charts]))
     return gaits
@@ -196,7 +201,8 @@ def _disturb(
     walking = np.flatnonzero(np.isfinite(gaits[0]))
     for structure, numbers in _alike(walkers, walking).items():
         some = walkers.some(numbers)
-        problem, time_unit = Lanes(some, structure), some.time_unit
+        problem = Lanes(some, structure)
+        time_unit = some.time_unit
         angle, stance_rate, thigh_rate, radius = gaits[:, numbers]
         state = np.array([angle, stance_rate * time_unit, thigh_rate * time_unit])
         y = problem.section_of(state, np.full(len(numbers), slope))
@@ -249,7 +255,8 @@ def _over_plane(
     """
     family = Family.of(designs.line_of(0), plane.keys)
     values = np.column_stack([designs.keys[key] for key in family.keys])
-    accepted, left = np.zeros(designs.n, bool), np.ones(designs.n, bool)
+    accepted = np.zeros(designs.n, bool)
+    left = np.ones(designs.n, bool)
     for part in _landscapes(family, plane.box, rows.sought, plane.lines):
         is_above = (values >= part.box.low).all(axis=1)
         is_below = (values <= part.box.high).all(axis=1)
@@ -308,9 +315,9 @@ class _Rows:
     """
 
     def __init__(self, n: int, sought: Sought):
-        self.sought, names = (
-            sought,
-            QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)],
+        self.sought = sought
+        names = (
+            QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)]
         )
         numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
         self.at: dict[str, Arrays] = {
@@ -332,11 +339,10 @@ class _Rows:
         accepted: np.ndarray | None = None,
     ) -> None:
         """Store what the points of some designs, numbered from 0 in `points`, give."""
-        n, window = len(numbers), self.sought.window
-        chosen, kept = (
-            best(points, n, window),
-            np.ones(n, bool) if accepted is None else accepted,
-        )
+        n = len(numbers)
+        window = self.sought.window
+        chosen = best(points, n, window)
+        kept = np.ones(n, bool) if accepted is None else accepted
         self.surveyed[numbers[kept]] = surveyed
         walks = np.zeros(n, bool)
         walks[
@@ -364,7 +370,8 @@ class _Rows:
         out: Arrays = {}
         if options["at_speed"] is not None:
             for name in COSTS:
-                at, slope = self.at[name], np.exp(self.at[name]["log_slope"])
+                at = self.at[name]
+                slope = np.exp(self.at[name]["log_slope"])
                 out |= {
                     f"{name}_of_transport": np.sin(slope),
                     f"{name}_error": at["error"],
@@ -386,7 +393,8 @@ class _Rows:
     def columns(self, walkers: WalkerArray) -> Arrays:
         """The table's columns, in the walkers' units."""
         smallest, stable, fastest = (self.at[name] for name in _OF)
-        froude, any_slope = np.exp(fastest["log_froude"]), smallest["kind"] == ANY_SLOPE
+        froude = np.exp(fastest["log_froude"])
+        any_slope = smallest["kind"] == ANY_SLOPE
         unit = [1.0, *3 * [walkers.time_unit]]
         return {
             "smallest_slope": np.where(any_slope, 0.0, np.exp(smallest["log_slope"])),
@@ -412,7 +420,8 @@ def _reached(problem: Lanes, points: Points) -> Arrays:
     """What is known of points at which quantities of designs are reached, as `_Rows`
     has it.
     """
-    angle, slope = np.exp(points.Z[0]), np.exp(points.log_slope)
+    angle = np.exp(points.Z[0])
+    slope = np.exp(points.log_slope)
     state = problem.start(np.vstack([angle, angle * points.Z[1 : problem.m]]), slope)
     names = ("log_slope", "error", "log_froude", "speed_error", "stable", "kind")
     known = {name: getattr(points, name) for name in names} | {

@@ -108,10 +108,12 @@ def _solve_steps(
     """Gaits that repeat after one step; those whose legs pass more than once if all are
     wanted.
     """
-    problem, slope = Problem(walker_of_line(line)), float(request.slope[0])
+    problem = Problem(walker_of_line(line))
+    slope = float(request.slope[0])
     branches = atlases.survey(problem, COARSE)
     point = solve_line(line, branches, request)
-    found, others = _converged(point), list[_Gait]()
+    found = _converged(point)
+    others = list[_Gait]()
     log = [*filter(None, [untuned(line)]), *_surveyed(problem, branches)]
     if is_all or not found:
         found, others, nearest = _search_slope(problem, request, branches, found)
@@ -251,7 +253,8 @@ def _search_slope(
     nearest : str
         The nearest miss in words.
     """
-    slope, wanted = request.slope[0], request.wanted
+    slope = request.slope[0]
+    wanted = request.wanted
     w, _, verdict = search(problem, float(slope))
     if verdict is None:
         none = "no initial guess led to a solution of the step's equations"
@@ -261,10 +264,12 @@ def _search_slope(
     # wanted.
     guesses = unmeasured(problem, w, np.full(w.shape[1], slope))
     solved = solve_guesses(problem, [guesses], settle, wanted)
-    at, gaits = solved.at, _to_accuracy(solved.gaits, wanted.accuracy)
+    at = solved.at
+    gaits = _to_accuracy(solved.gaits, wanted.accuracy)
 
     labels, is_new = _known(problem, branches, request.slope, found, at)
-    others, ratio = [], gait_ratio(at.stride)
+    others = []
+    ratio = gait_ratio(at.stride)
     for lane in np.flatnonzero(is_new).tolist():
         gait = {name: values[lane] for name, values in gaits.items()}
         gait["passes"] = verdict.leg_passes[lane]
@@ -292,11 +297,13 @@ def _known(
     """What labels the gaits found on branches, and which of the gaits of a search are
     others, bool (n,).
     """
-    is_new, labels = at.step & at.converged, []
+    is_new = at.step & at.converged
+    labels = []
     for _, place, known in labelled(problem, branches, slope):
         has_label = np.isin(place, list(found))
         is_new &= ~are_same(at, known)[:, has_label].any(axis=1)
-        angle, ratio = known.w[0], gait_ratio(known.stride)
+        angle = known.w[0]
+        ratio = gait_ratio(known.stride)
         for lane in np.flatnonzero(has_label).tolist():
             labels.append((angle[lane], ratio[lane], found[int(place[lane])]))
     return labels, is_new

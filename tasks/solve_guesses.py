@@ -20,7 +20,8 @@ from gaitsweep.tasks.tables import Arrays
 
 #: Points solved at a time: enough to amortize the calls, few enough for the cache; and
 #: where most are given by polynomials.
-_BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
+_BLOCK = 4096
+_INTERPOLATED_BLOCK = 1 << 14
 
 Settle = Callable[[Problem, Guesses], Polished]
 
@@ -119,14 +120,15 @@ def solve_guesses(
 
     measured = []
     walkers = alone or [(problem, len(together.slope))]
-    for (walker, _), own in zip(walkers, slices([n for _, n in walkers]), strict=True):
-        some = lanes_of(at, own) if alone else at
-        slope = together.slope[own]
-        measured.append(describe(walker, some, slope, wanted.names, wanted.limits))
+    of_walkers = slices([n for _, n in walkers])
+    for (walker, _), some in zip(walkers, of_walkers, strict=True):
+        gaits = lanes_of(at, some) if alone else at
+        slope = together.slope[some]
+        measured.append(describe(walker, gaits, slope, wanted.names, wanted.limits))
 
-    gaits = measured[0]
+    variables = measured[0]
     if len(measured) > 1:
-        gaits = {
-            name: np.concatenate([each[name] for each in measured]) for name in gaits
-        }
-    return Solved(together, at, gaits, lanes)
+        for name in variables:
+            values = [of_walker[name] for of_walker in measured]
+            variables[name] = np.concatenate(values)
+    return Solved(together, at, variables, lanes)

@@ -20,12 +20,8 @@ from gaitsweep.tasks.families.box import Box
 from gaitsweep.tasks.families.cell import Block, Cell, from_arrays, to_arrays
 from gaitsweep.tasks.families.division import Cells, make_cells
 from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import (
-    BEYOND,
-    LOCATED,
-    PREDICTED_WITHIN,
-    Patch,
-)
+from gaitsweep.tasks.families.patch import PREDICTED_WITHIN, Patch
+from gaitsweep.tasks.families.patch_ends import BEYOND, END, FOLD
 from gaitsweep.tasks.families.sheet import Sheet
 from gaitsweep.tasks.fixed_points.polish import Guesses, settle
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
@@ -134,7 +130,8 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         charts do not describe whole has two `halves` instead, by name what differs from
         `plane` in each.
     """
-    plane, wanted = Plane.of(params["plane"]), Wanted.of(params)
+    plane = Plane.of(params["plane"])
+    wanted = Wanted.of(params)
     window = params["slope_from"], params["slope_to"]
     many = math.inf if params.get("whole") else _MANY_LINES
     return make_charts(params["line"], plane, wanted, window, params["slopes"], many)
@@ -234,7 +231,8 @@ def lines(
         result of a point depends on its line, the charts and its slope alone: where its
         prediction is not accepted, that line is followed by itself.
     """
-    plane, request = Plane.of(params["plane"]), Request.of(params)
+    plane = Plane.of(params["plane"])
+    request = Request.of(params)
     return [({}, solve_plane(params["lines"], plane, request, inputs))]
 
 
@@ -260,11 +258,13 @@ def solve_plane(
     dict
         What `tasks.solve_points:points` returns, line by line.
     """
-    family, box = Family.of(lines[0], plane.keys), plane.box
+    family = Family.of(lines[0], plane.keys)
+    box = plane.box
     out, accepted = _by_charts(family, lines, box, request, charts)
     to_accuracy(_joined(out), request.wanted.accuracy)
 
-    reasons, sentences = _reasons(family, box), dict[str, int]()
+    reasons = _reasons(family, box)
+    sentences = dict[str, int]()
     for numbers, at in _not_accepted(accepted):
         out["reason"] = out["reason"].astype(np.int32)
         asked = replace(request, slope=request.slope[at])
@@ -325,7 +325,8 @@ def _by_charts(
     keys = np.array([[line["set"][key] for key in family.keys] for line in lines])
     walkers = family.walkers(keys)
     corners = family.walkers(np.array([box.low, box.high]))
-    n, s = len(keys), len(request.slope)
+    n = len(keys)
+    s = len(request.slope)
     # A massless leg's steps are the limit of those of light ones; its losses have
     # formulas of their own.
     is_alike = walkers.massless_legs == corners.massless_leg
@@ -407,7 +408,8 @@ def solve(
     accepted : ndarray of bool, shape (n, s)
         Points all of whose gaits are accepted; what `out` has of the others is void.
     """
-    n, s = len(keys), len(slope)
+    n = len(keys)
+    s = len(slope)
     out = nothing_solved(wanted.names, n * s, cell.structure.kneed)
     accepted = np.ones((n, s), bool)
     lines = max(1, block_size(bool(made)) // s)
@@ -434,7 +436,7 @@ def _away_from_ends(block: Block) -> np.ndarray:
     for patch in block.cell.patches:
         ends = patch.span.ends(block.unit)
         for end, error, kind in zip(ends, patch.end_errors, patch.kinds, strict=True):
-            if kind in LOCATED:
+            if kind in (FOLD, END):
                 within = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
                 away &= np.abs(block.q - end[:, None]) > within
     return away.ravel()
@@ -511,18 +513,23 @@ def _solve_block(
         index = block.on(patch)
         predicted.append(_Predicted.of(block, patch, index[integrated[index]]))
     accepted = np.ones(len(integrated), bool)
-    if not any(len(own.index) for own in predicted):
+    if not any(len(on_patch.index) for on_patch in predicted):
         return accepted
 
     solved = _solve_predicted(block, predicted, wanted)
-    given, found = [], []
-    for k, own in enumerate(predicted):
+    given = []
+    found = []
+    for k, on_patch in enumerate(predicted):
         at = lanes_of(solved.at, solved.lanes[k])
-        fine, is_step = own.patch.judge(at, own.guesses.w, own.q, own.unit)
-        accepted[own.index[~fine]] = False
-        part = solved.part(k, own.index, own.patch.numbers_at(own.unit).T)
+        fine, is_step = on_patch.patch.judge(
+            at, on_patch.guesses.w, on_patch.q, on_patch.unit
+        )
+        accepted[on_patch.index[~fine]] = False
+        part = solved.part(
+            k, on_patch.index, on_patch.patch.numbers_at(on_patch.unit).T
+        )
         given.append(part.some(is_step))
-        found.append((own.index, at.w))
+        found.append((on_patch.index, at.w))
     store(out, given, wanted.labels)
 
     for one, other in combinations(found, 2):
@@ -534,14 +541,16 @@ def _solve_predicted(
     block: Block, predicted: Sequence[_Predicted], wanted: Wanted
 ) -> Solved:
     """The gaits of points that are predicted."""
-    lines = np.concatenate([own.index for own in predicted]) // len(block.slope)
+    lines = np.concatenate([on_patch.index for on_patch in predicted]) // len(
+        block.slope
+    )
     problem = Lanes(block.walkers.some(lines), block.cell.structure)
     # Violations are measured walker by walker.
     alone = []
     if any(VARIABLES[name].group == "violations" for name in wanted.names):
         alone = [(problem.alone(lane), 1) for lane in range(len(lines))]
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
-    guesses = [own.guesses for own in predicted]
+    guesses = [on_patch.guesses for on_patch in predicted]
     return solve_guesses(problem, guesses, to_accuracy, wanted, alone)
 
 

@@ -129,7 +129,8 @@ def solve_line(
     dict
         As `points` has it.
     """
-    problem, polynomials = Problem(walker_of_line(line), request.steps), None
+    problem = Problem(walker_of_line(line), request.steps)
+    polynomials = None
     if request.interpolated:
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
     (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
@@ -219,7 +220,8 @@ def _solve_branches(
     With `polynomials`, of a single line, only gaits that these do not give are
     integrated.
     """
-    n, wanted = len(request.slope), request.wanted
+    n = len(request.slope)
+    wanted = request.wanted
     names = _without_proofs(wanted.names)
     void = dict.fromkeys((*names, *wanted.names))
     results = [nothing_solved([*void], n, problem.walker.knees) for _ in lines]
@@ -287,21 +289,25 @@ def _solve_block(
     if not guessed:
         return parts
 
-    lines = np.concatenate([np.full(len(own.index), own.line) for own in guessed])
-    alone = {own.line: problem.alone(own.line) for own in guessed}
-    places = [(alone[own.line], own.piece.branch, own.segment) for own in guessed]
+    lines = np.concatenate([np.full(len(guess.index), guess.line) for guess in guessed])
+    alone = {guess.line: problem.alone(guess.line) for guess in guessed}
+    places = [
+        (alone[guess.line], guess.piece.branch, guess.segment) for guess in guessed
+    ]
     settle = partial(
         settle_on_branches, places=places, accuracy=request.wanted.accuracy
     )
     solved = solve_guesses(
         problem.some(lines),
-        [own.guesses for own in guessed],
+        [guess.guesses for guess in guessed],
         settle,
         request.wanted,
         [(walker, int((lines == i).sum())) for i, walker in alone.items()],
     )
-    for k, own in enumerate(guessed):
-        parts[own.line].append(solved.part(k, own.index, own.numbers, own.ratio))
+    for k, guess in enumerate(guessed):
+        parts[guess.line].append(
+            solved.part(k, guess.index, guess.numbers, guess.ratio)
+        )
     return parts
 
 
@@ -397,7 +403,8 @@ def _guessed(
         Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
         keep = _may_hold(piece.branch, segment, request.wanted.labels)
         if keep.any():
-            index, segment = index[keep], segment[keep]
+            index = index[keep]
+            segment = segment[keep]
             slope = request.slope[index]
             guesses = piece.branch.known_guesses(Z[:, keep], segment, slope)
             yield _Guessed(line, piece, index, segment, guesses)
@@ -408,7 +415,8 @@ def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
     [rad].
     """
     for piece in pieces_of(branches):
-        branch, nodes = piece.branch, np.arange(piece.first, piece.last + 1)
+        branch = piece.branch
+        nodes = np.arange(piece.first, piece.last + 1)
         has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (
             branch.leg_passes == 1
         )

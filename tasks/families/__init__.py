@@ -6,7 +6,8 @@ node lines' branches and matches them. `chart` holds polynomials with an error t
 measured, and adds nodes to them; `span` the position along a piece that they run in.
 `cell` makes and checks the patches of a box, charts of gaits over position and keys;
 `sheet` fits those that give gaits to an accuracy;
-`manifold_maker` makes charts of special points over the keys; `carry` takes points from
-one place to others; `tuning` finds where walkers are tuned, beside which both are
-divided. A patch predicts; every value and verdict comes from the point's own steps.
+`manifold_maker` makes charts of special points over the keys, `extension` of one point
+through those to which `carry` takes it, and `cut` finds where they end; `kinds` tells
+them apart. `tuning` finds where walkers are tuned, beside which both are divided. A
+patch predicts; every value and verdict comes from the point's own steps.
 """

@@ -24,22 +24,23 @@ def arrays_of(value: Any, name: str = "") -> Arrays:
         None has none.
     name : str
     """
-    if isinstance(value, list) or (
-        isinstance(value, tuple) and any(isinstance(each, np.ndarray) for each in value)
-    ):
-        value = {str(i): each for i, each in enumerate(value)}
-    elif dataclasses.is_dataclass(value):
-        value = {
-            field.name: getattr(value, field.name)
-            for field in dataclasses.fields(value)
-        }
-    if value is None or not isinstance(value, dict):
-        return {} if value is None else {name: np.asarray(value)}
-    parts = (
-        arrays_of(each, f"{name}/{part}" if name else part)
-        for part, each in value.items()
+    if value is None:
+        return {}
+    has_arrays = isinstance(value, tuple) and any(
+        isinstance(part, np.ndarray) for part in value
     )
-    return {key: array for part in parts for key, array in part.items()}
+    if isinstance(value, list) or has_arrays:
+        value = dict(enumerate(value))
+    elif dataclasses.is_dataclass(value):
+        names = [field.name for field in dataclasses.fields(value)]
+        value = {part: getattr(value, part) for part in names}
+    if not isinstance(value, dict):
+        return {name: np.asarray(value)}
+
+    arrays: Arrays = {}
+    for part, of_part in value.items():
+        arrays |= arrays_of(of_part, f"{name}/{part}" if name else str(part))
+    return arrays
 
 
 def value_of(kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -48,15 +49,23 @@ def value_of(kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """
     values: dict[str, Any] = {}
     for name, kinds in _kinds(kind).items():
-        if (array := arrays.get(name)) is not None:
-            plain = array.item() if array.ndim == 0 else tuple(array.tolist())
-            values[name] = array if np.ndarray in kinds else plain
-        elif own := under(name, arrays):
-            of = next(filter(dataclasses.is_dataclass, kinds), None)
-            values[name] = (
-                value_of(of, own) if of else tuple(own[str(i)] for i in range(len(own)))
-            )
+        array = arrays.get(name)
+        if array is None:
+            if of_field := under(name, arrays):
+                values[name] = _nested(kinds, of_field)
+        elif np.ndarray in kinds:
+            values[name] = array
+        else:
+            values[name] = tuple(array.tolist()) if array.ndim else array.item()
     return kind(**values)
+
+
+def _nested(kinds: tuple[Any, ...], arrays: Arrays) -> Any:
+    """The dataclass of one of some kinds, or the tuple of arrays, that arrays hold."""
+    for kind in kinds:
+        if dataclasses.is_dataclass(kind):
+            return value_of(kind, arrays)
+    return tuple(arrays[str(i)] for i in range(len(arrays)))
 
 
 def under(name: str, arrays: Mapping[str, np.ndarray]) -> Arrays:
@@ -70,17 +79,16 @@ def under(name: str, arrays: Mapping[str, np.ndarray]) -> Arrays:
 
 def parts(arrays: Mapping[str, np.ndarray]) -> list[Arrays]:
     """Return the arrays of the parts 0, 1, ... of something."""
-    each: dict[int, Arrays] = {}
+    by_number: dict[int, Arrays] = {}
     for name, value in arrays.items():
         number, _, rest = name.partition("/")
         if number.isdigit():
-            each.setdefault(int(number), {})[rest] = value
-    return [each[number] for number in sorted(each)]
+            by_number.setdefault(int(number), {})[rest] = value
+    return [by_number[number] for number in sorted(by_number)]
 
 
 @functools.cache
 def _kinds(kind: Any) -> dict[str, tuple[Any, ...]]:
-    """What each field of a dataclass may hold, or what its parts are."""
-    return {
-        name: get_args(hint) or (hint,) for name, hint in get_type_hints(kind).items()
-    }
+    """What the fields of a dataclass may hold, or what their parts are."""
+    hints = get_type_hints(kind)
+    return {name: get_args(hint) or (hint,) for name, hint in hints.items()}

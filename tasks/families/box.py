@@ -6,6 +6,7 @@ import hashlib
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -58,17 +59,18 @@ class Box:
         """Of each key the origin, the side of it, 1 or -1, the distances of both faces,
         and whether these are far.
         """
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         origin = np.array(self.origin or np.zeros(len(low)))
         side = np.where(low < origin, -1, 1)
-        ends = np.sort(side * (np.array([low, high]) - origin), axis=0)
-        return origin, side, *ends, self.log & (ends[0] > 0) & (8 * ends[0] < ends[1])
+        near, far = np.sort(side * (np.array([low, high]) - origin), axis=0)
+        is_far = (near > 0) & (8 * near < far)
+        return origin, side, near, far, self.log & is_far
 
     def share(self, part: Box) -> float:
         """Return the share of its coordinates' range that a part has."""
-        return float(
-            np.prod(0.5 * np.diff(self.unit(np.array([part.low, part.high])), axis=0))
-        )
+        low, high = self.unit(np.array([part.low, part.high]))
+        return float(np.prod(0.5 * (high - low)))
 
     def holds(self, point: np.ndarray) -> bool:
         """Return whether a point (d,) lies inside or on the border [the walker's
@@ -80,7 +82,8 @@ class Box:
         """Return the part that another box of the same keys has too; it holds nothing
         if there is none.
         """
-        low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
+        low = np.maximum(self.low, other.low)
+        high = np.minimum(self.high, other.high)
         return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()))
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
@@ -109,18 +112,17 @@ class Box:
         -------
         ndarray, shape (n, d) [the walker's units]
         """
-        low, high = np.array(self.low), np.array(self.high)
-        linear = 0.5 * (low + high) + 0.5 * (high - low) * unit
+        low = np.array(self.low)
+        high = np.array(self.high)
+        middle = 0.5 * (low + high)
+        linear = middle + 0.5 * (high - low) * unit
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
             return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(
-                is_log,
-                origin
-                + side * near * np.exp(0.5 * (1 + side * unit) * np.log(far / near)),
-                linear,
-            )
+            share = 0.5 * (1 + side * unit)
+            distance = near * np.exp(share * np.log(far / near))
+            return np.where(is_log, origin + side * distance, linear)
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.
@@ -133,13 +135,15 @@ class Box:
         -------
         ndarray, shape (n, d)
         """
-        low, high = np.array(self.low), np.array(self.high)
+        low = np.array(self.low)
+        high = np.array(self.high)
         linear = (2 * points - low - high) / (high - low)
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
             return linear
         with np.errstate(invalid="ignore", divide="ignore"):
-            share = np.log(side * (points - origin) / near) / np.log(far / near)
+            distance = side * (points - origin)
+            share = np.log(distance / near) / np.log(far / near)
         return np.where(is_log, side * (2 * share - 1), linear)
 
     def corners(self, at: float) -> np.ndarray:
@@ -154,31 +158,36 @@ class Box:
         -------
         ndarray, shape (2^d, d)
         """
-        return at * np.array(
-            list(itertools.product((-1.0, 1.0), repeat=len(self.keys)))
-        )
+        corners = list(itertools.product((-1.0, 1.0), repeat=len(self.keys)))
+        return at * np.array(corners)
 
     def parts(
-        self, axis: int, at: float | None = None, origin: float | None = None
+        self,
+        axis: int,
+        at: float | None = None,
+        origin: float | None = None,
     ) -> tuple[Box, Box]:
         """Return both parts along one key, divided at a value of it, or halved; its
         origin may be another.
         """
-        halved = list(self.halved or (0,) * len(self.keys))
-        halved[axis] += at is None
-        middle = (
-            float(self.at(np.zeros((1, len(self.keys))))[0, axis]) if at is None else at
-        )
-        origins = self.origin or (0.0,) * len(self.keys)
-        own = replace(self, halved=tuple(halved))
+        d = len(self.keys)
+        halved = self.halved or (0,) * d
+        if at is None:
+            halved = _with(halved, axis, halved[axis] + 1)
+            at = float(self.at(np.zeros((1, d)))[0, axis])
+        whole = replace(self, halved=halved)
         if origin is not None:
-            own = replace(own, origin=(*origins[:axis], origin, *origins[axis + 1 :]))
-        return (
-            replace(own, high=(*self.high[:axis], middle, *self.high[axis + 1 :])),
-            replace(own, low=(*self.low[:axis], middle, *self.low[axis + 1 :])),
-        )
+            origins = self.origin or (0.0,) * d
+            whole = replace(whole, origin=_with(origins, axis, origin))
+        lower = replace(whole, high=_with(self.high, axis, at))
+        return lower, replace(whole, low=_with(self.low, axis, at))
 
-    def draw(self, n: int, d: int, purpose: str) -> np.ndarray:
+    def draw(
+        self,
+        n: int,
+        d: int,
+        purpose: str,
+    ) -> np.ndarray:
         """Draw points of the cube from -1 to 1 by a hash of the box and a purpose.
 
         Parameters
@@ -191,9 +200,12 @@ class Box:
         -------
         ndarray, shape (n, d)
         """
-        text = repr((self.keys, [x.hex() for x in (*self.low, *self.high)], purpose))
-        seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-        return np.random.Generator(np.random.PCG64(seed)).uniform(-1, 1, (n, d))
+        ends = [value.hex() for value in (*self.low, *self.high)]
+        text = repr((self.keys, ends, purpose))
+        digest = hashlib.sha256(text.encode()).digest()
+        seed = int.from_bytes(digest[:8], "big")
+        generator = np.random.Generator(np.random.PCG64(seed))
+        return generator.uniform(-1, 1, (n, d))
 
     def lot(self) -> np.ndarray:
         """Draw the coordinates of one line.
@@ -203,6 +215,11 @@ class Box:
         ndarray, shape (1, d)
         """
         return self.draw(1, len(self.keys), "line")
+
+
+def _with(values: tuple[Any, ...], axis: int, value: float) -> tuple[Any, ...]:
+    """Values of keys with another one along an axis."""
+    return (*values[:axis], value, *values[axis + 1 :])
 
 
 class Refused(Exception):
@@ -221,4 +238,6 @@ class Refused(Exception):
         origin: float | None = None,
     ):
         super().__init__(why)
-        self.axis, self.at, self.origin = axis, at, origin
+        self.axis = axis
+        self.at = at
+        self.origin = origin

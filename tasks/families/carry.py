@@ -10,14 +10,17 @@ from functools import partial
 import numpy as np
 
 #: By how much steps grow and shrink, and the shortest.
-_LONGER, _SHORTER, _SHORTEST = 1.5, 0.4, 1 / 256
+_LONGER = 1.5
+_SHORTER = 0.4
+_SHORTEST = 1 / 256
 
 
 class Carried:
     """Points Z (c, n) on their way, with the length of the next step of each, (n,)."""
 
     def __init__(self, Z: np.ndarray, stride: float):
-        self.Z, self.stride = Z.copy(), np.full(Z.shape[1], stride)
+        self.Z = Z.copy()
+        self.stride = np.full(Z.shape[1], stride)
         self.rate = np.zeros_like(
             Z
         )  # of the last steps: a parabola would lead to the other sheet beside a turn
@@ -65,7 +68,8 @@ class Carried:
             As `advance` has it, with the numbers of the points and how far along their
             ways they are before it.
         """
-        share, active = np.zeros(len(self.stride)), np.arange(len(self.stride))
+        share = np.zeros(len(self.stride))
+        active = np.arange(len(self.stride))
         while len(active):
             step = np.minimum(self.stride[active], 1 - share[active])
             fair = self.advance(

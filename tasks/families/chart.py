@@ -15,13 +15,15 @@ from numpy.polynomial.chebyshev import chebvander
 from gaitsweep.tasks.families.box import Refused, roots
 
 #: Points at which polynomials are evaluated at a time, and rows of a matrix product.
-_POINTS, _ROWS = 256, 8
+_POINTS = 256
+_ROWS = 8
 #: Share of the error wanted, or of the largest if all are below, above which the last
 #: coefficients along a dimension ask for more nodes there.
 _UNRESOLVED = 0.1
 #: Most and fewest nodes along a dimension after some are added, as multiples of those
 #: before; at least two are.
-_MOST_GROWN, _LEAST_GROWN = 1.6, 1.15
+_MOST_GROWN = 1.6
+_LEAST_GROWN = 1.15
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,10 @@ class Chart:
 
     @classmethod
     def through(
-        cls, sizes: tuple[int, ...], values: np.ndarray, size: np.ndarray | float = 1.0
+        cls,
+        sizes: tuple[int, ...],
+        values: np.ndarray,
+        size: np.ndarray | float = 1.0,
     ) -> Chart:
         """Return the chart of values (c, n) at `tensor_nodes(sizes)`, with no error
         measured.
@@ -75,17 +80,16 @@ class Chart:
         squares = [tuple(2 * (k == axis) for k in range(d)) for axis in range(d)]
 
         def term(degrees: tuple[int, ...]) -> np.ndarray:
-            return np.prod(
-                [own[:, k] for own, k in zip(basis, degrees, strict=True)], axis=0
-            )
+            powers = [basis[axis][:, degrees[axis]] for axis in range(d)]
+            return np.prod(powers, axis=0)
 
         terms = np.column_stack([*map(term, linear), sum(map(term, squares))])
-        solved = np.linalg.solve(terms, values.T)
+        *of_linear, of_squares = np.linalg.solve(terms, values.T)
         coefficients = np.zeros((*(3,) * d, len(values)))
-        for degrees, own in zip(
-            [*linear, *squares], [*solved, *[solved[-1]] * (d - 1)], strict=True
-        ):
-            coefficients[degrees] = own
+        for degrees, solved in zip(linear, of_linear, strict=True):
+            coefficients[degrees] = solved
+        for degrees in squares:
+            coefficients[degrees] = of_squares
         return cls((3,) * d, coefficients.reshape(-1, len(values)))
 
     def __call__(
@@ -117,22 +121,22 @@ class Chart:
         share is summed once.
         """
         c = coefficients.shape[1]
-        sums, place = coefficients[None], np.zeros(len(points), int)
-        for k in reversed(range(len(self.sizes))):
+        sums = coefficients[None]
+        place = np.zeros(len(points), int)
+        last = len(self.sizes) - 1
+        for k in range(last, -1, -1):
             _, first, back = np.unique(
                 points[:, k:], axis=0, return_index=True, return_inverse=True
             )
-            basis, n = chebvander(points[first, k], self.sizes[k] - 1), self.sizes[k]
-            if k == len(self.sizes) - 1:
-                sums = _product(
-                    basis, sums.reshape(-1, n, c).swapaxes(0, 1).reshape(n, -1)
-                )
-            else:  # term by term: how a product of so small matrices rounds depends on where they lie
-                terms = sums[place[first]].reshape(len(first), -1, n, c)
-                sums = np.zeros((len(first), terms.shape[1], c))
-                for i in range(n):
-                    sums += basis[:, i, None, None] * terms[:, :, i]
-            sums, place = sums.reshape(len(first), -1, c), back.reshape(-1)
+            n = self.sizes[k]
+            basis = chebvander(points[first, k], n - 1)
+            if k == last:
+                by_node = sums.reshape(-1, n, c).swapaxes(0, 1)
+                sums = _product(basis, by_node.reshape(n, -1))
+            else:
+                sums = _terms(basis, sums[place[first]].reshape(len(first), -1, n, c))
+            sums = sums.reshape(len(first), -1, c)
+            place = back.reshape(-1)
         return sums[place, 0]
 
     def tails(self, last: int = 1) -> np.ndarray:
@@ -143,12 +147,14 @@ class Chart:
         -------
         ndarray, shape (len(sizes), c)
         """
-        c = np.abs(self.coefficients).reshape(*self.sizes, -1)
-        tails = [
-            np.moveaxis(c, k, 0)[-last:].reshape(-1, c.shape[-1]).sum(axis=0)
-            for k in range(len(self.sizes))
-        ]
-        return np.reshape(tails, (len(self.sizes), c.shape[-1])) / self.size
+        d = len(self.sizes)
+        c = self.coefficients.shape[-1]
+        sizes = np.abs(self.coefficients).reshape(*self.sizes, c)
+        tails = np.zeros((d, c))
+        for axis in range(d):
+            ends = np.moveaxis(sizes, axis, 0)[-last:]
+            tails[axis] = ends.reshape(-1, c).sum(axis=0)
+        return tails / self.size
 
     def range_of(self, column: int) -> tuple[float, float]:
         """Return bounds of a value."""
@@ -157,17 +163,25 @@ class Chart:
         return first - spread, first + spread
 
 
+def _terms(basis: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Sum terms (p, r, n, c) times a basis (p, n) over n, one by one: how a product of
+    so small matrices rounds depends on where they lie.
+    """
+    sums = np.zeros((len(terms), *terms.shape[1::2]))
+    for i in range(terms.shape[2]):
+        sums += basis[:, i, None, None] * terms[:, :, i]
+    return sums
+
+
 def _product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Rows times a matrix, in blocks of one shape: a product rounds differently for
     another number of rows.
     """
-    padded = np.zeros((len(rows) + -len(rows) % _ROWS, rows.shape[1]))
-    padded[: len(rows)] = rows
-    return np.asarray(
-        (padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)[
-            : len(rows)
-        ]
-    )
+    n, k = rows.shape
+    padded = np.zeros((n + -n % _ROWS, k))
+    padded[:n] = rows
+    products = padded.reshape(-1, _ROWS, k) @ matrix
+    return np.asarray(products.reshape(len(padded), -1)[:n])
 
 
 def fit(
@@ -216,7 +230,9 @@ def fit(
 
 
 def more_nodes(
-    chart: Chart, most: Sequence[int], good: float
+    chart: Chart,
+    most: Sequence[int],
+    good: float,
 ) -> tuple[int, ...] | None:
     """Return how many nodes a chart should have along each dimension, as far as it may
     have more.
@@ -242,7 +258,11 @@ def more_nodes(
     return tuple(sizes) if tuple(sizes) != chart.sizes else None
 
 
-def _grown(n: int, tail: float, goal: float) -> int:
+def _grown(
+    n: int,
+    tail: float,
+    goal: float,
+) -> int:
     """Nodes with which the last coefficients would reach a goal, if they go on falling
     as they did from 1.
     """

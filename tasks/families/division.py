@@ -18,11 +18,14 @@ from gaitsweep.tasks.families.tuning import Tuning
 #: may follow a curve that halving along one key never leaves.
 _MAX_UNEVENNESS = 2
 #: How often a box may be divided, and fewest lines for which making its patches pays.
-_MAX_SPLITS, _MIN_LINES = 8, 12
+_MAX_SPLITS = 8
+_MIN_LINES = 12
 #: Share of the time of a plane's lines that its charts may take in vain, the time of a
 #: surveyed line with all that is made of it, over that of a line, and the least share
 #: of their time that lines in described boxes save.
-_IN_VAIN, _A_SURVEY, _SAVED = 0.1, 1.5, 0.5
+_IN_VAIN = 0.1
+_A_SURVEY = 1.5
+_SAVED = 0.5
 Part = TypeVar("Part")
 
 
@@ -83,7 +86,8 @@ def halves(box: Box, refused: Refused) -> tuple[Box, Box]:
     """Divide a box that was refused: along the key that it tells, or along another that
     was halved too rarely.
     """
-    axis, halved = refused.axis, box.halved or (0,) * len(box.keys)
+    axis = refused.axis
+    halved = box.halved or (0,) * len(box.keys)
     if refused.at is None and halved[axis] >= min(halved) + _MAX_UNEVENNESS:
         axis = halved.index(min(halved))
     return box.parts(axis, refused.at, refused.origin)
@@ -120,7 +124,8 @@ def make_cells(
     if not box.origin:
         tuned = [Tuning(family, box, axis).outside() for axis in range(len(box.keys))]
         box = replace(box, origin=tuple(value or 0.0 for value in tuned))
-    lines, count = Lines(family), lines_in(box)
+    lines = Lines(family)
+    count = lines_in(box)
     described: list[float] = []  # lines in boxes that were
 
     def cell(part: Box, why: str) -> Cell:

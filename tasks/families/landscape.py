@@ -4,8 +4,9 @@ their extremes.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,9 +34,11 @@ from gaitsweep.tasks.continuation.extremes import (
 from gaitsweep.tasks.continuation.refine import COARSE
 from gaitsweep.tasks.families.box import Box, Refused
 from gaitsweep.tasks.families.division import divide
+from gaitsweep.tasks.families.extension import Extension
 from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.families.maker import Maker
 from gaitsweep.tasks.families.manifold import Manifold
-from gaitsweep.tasks.families.manifold_maker import Maker
+from gaitsweep.tasks.families.manifold_maker import make_manifold
 from gaitsweep.tasks.families.tuning import Tuning
 from gaitsweep.tasks.kinds import RIVALS
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
@@ -43,16 +46,16 @@ from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are
 #: compared.
-_NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
+_NODES = (-0.99, 0.0, 0.99)
+_LATTICE = 15
 #: Further random lines.
 _DRAWN = 2
 #: A line this near a node, in coordinates, serves as the one there.
 _NEAR_NODE = 0.02
 #: Predictions that differ by less are both solved.
 _TIE = 1e-3
-#: Rivals get a manifold, if one can be made, already where their value comes this near
-#: the best of a line: points of other kinds become the best only where another point
-#: changes its flags.
+#: How near the best of a line the values of rivals come, which get a manifold, if one
+#: can be made.
 _RIVAL = {
     "smallest_slope": 0.05,
     "largest_stable_slope": 0.1,
@@ -60,7 +63,8 @@ _RIVAL = {
     **dict.fromkeys(COSTS, 0.0),
 }
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
-_ROUNDS, _MAX_LINES = 6, 8
+_ROUNDS = 6
+_MAX_LINES = 8
 #: Share of the lattice whose designs are left to lines instead of halving the box, as a
 #: single one is.
 _RARE = 0.02
@@ -69,7 +73,9 @@ _SAME = 1e-6
 #: Boxes of fewer designs than this are left to lines; most halvings of a box; designs
 #: of a box, for each part of it that is tried, from which on that takes less time than
 #: their lines.
-_MIN_DESIGNS, _MAX_SPLITS, _A_TRY = 64, 8, 100
+_MIN_DESIGNS = 64
+_MAX_SPLITS = 8
+_A_TRY = 100
 
 
 @dataclass
@@ -128,43 +134,80 @@ def points_at(
         Of which quantities each point may be the extreme, and the side to which the
         speed grows; -1 where it is not solved.
     """
-    n, problem = len(unit), maker.problem(unit)
     if not manifolds:
-        return nothing(problem), np.ones(n, bool), np.zeros((n, 0), np.int8)
-    predicted = [manifold.predict(unit)[0] for manifold in manifolds]
-    kinds = np.array([manifold.kind for manifold in manifolds])
-    froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
-    left = np.column_stack([manifold.region.holds(unit) for manifold in manifolds])
-    near = ~np.logical_or.reduce(
-        [manifold.region.is_near(unit) for manifold in manifolds]
-    )
-    flags = np.where(left, -1, 0).astype(np.int8)
-    parts = [nothing(problem)]
-    served = {name: np.full(n, np.inf) for name in QUANTITIES}
-    while left.any():
-        due = left.copy() if every else np.zeros_like(left)
-        for name in QUANTITIES:
-            value = np.column_stack(
-                [values(name, Z[-1], v) for Z, v in zip(predicted, froude, strict=True)]
-            )
-            value[:, ~may_be(name, kinds)] = np.inf
-            value[~left] = np.inf
-            first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE
-            due |= first & np.isfinite(value) & (value < served[name][:, None] + _TIE)
-        if not due.any():
-            break
+        n = len(unit)
+        none = nothing(maker.problem(unit))
+        return none, np.ones(n, bool), np.zeros((n, 0), np.int8)
+
+    designs = _Designs(maker, manifolds, unit, window)
+    while (due := designs.left if every else designs.due()).any():
         for k in np.flatnonzero(due.any(axis=0)).tolist():
-            lanes = np.flatnonzero(due[:, k])
-            points, fine = manifolds[k].polish(problem.some(lanes), unit[lanes])
-            points.line, near[lanes], left[lanes, k] = lanes, near[lanes] & fine, False
-            flags[lanes, k] = _flags(points, window)
-            for name, which in roles(points, window).items():
-                value = values(name, points.log_slope, points.log_froude)
-                served[name][lanes] = np.minimum(
-                    served[name][lanes], np.where(which, value, np.inf)
-                )
-            parts.append(points)
-    return join_lanes(parts), near, flags
+            designs.solve(k, np.flatnonzero(due[:, k]))
+    return join_lanes(designs.parts), designs.near, designs.flags
+
+
+class _Designs:
+    """Designs (n, d) whose points on manifolds are solved one manifold after another.
+
+    `left` (n, manifolds) has those points that are not solved, `served` for each
+    quantity the best value so far, (n,); the others are as `points_at` returns them.
+    """
+
+    def __init__(
+        self,
+        maker: Maker,
+        manifolds: list[Manifold],
+        unit: np.ndarray,
+        window: tuple[float, float],
+    ):
+        self.manifolds = manifolds
+        self.unit = unit
+        self.window = window
+        self.problem = maker.problem(unit)
+        n = len(unit)
+        self.parts = [nothing(self.problem)]
+
+        predicted = [manifold.predict(unit)[0] for manifold in manifolds]
+        radius = foot_radius(self.problem)
+        self.kinds = np.array([manifold.kind for manifold in manifolds])
+        self.log_slope = np.column_stack([Z[-1] for Z in predicted])
+        self.log_froude = np.column_stack([log_froude(Z, radius) for Z in predicted])
+
+        regions = [manifold.region for manifold in manifolds]
+        self.left = np.column_stack([region.holds(unit) for region in regions])
+        self.near = ~np.any([region.is_near(unit) for region in regions], axis=0)
+        self.flags = np.where(self.left, -1, 0).astype(np.int8)
+        self.served = {name: np.full(n, np.inf) for name in QUANTITIES}
+
+    def due(self) -> np.ndarray:
+        """The points that may be the extremes of quantities, as the predictions rank
+        them, bool (n, manifolds).
+        """
+        due = np.zeros_like(self.left)
+        for name in QUANTITIES:
+            value = values(name, self.log_slope, self.log_froude)
+            may_serve = self.left & may_be(name, self.kinds)
+            value = np.where(may_serve, value, np.inf)
+            due |= (
+                (value <= value.min(axis=1, keepdims=True) + _TIE)
+                & (value < self.served[name][:, None] + _TIE)
+                & np.isfinite(value)
+            )
+        return due
+
+    def solve(self, k: int, lanes: np.ndarray) -> None:
+        """Solve the points of some designs on a manifold."""
+        problem = self.problem.some(lanes)
+        points, fine = self.manifolds[k].polish(problem, self.unit[lanes])
+        points.line = lanes
+        self.near[lanes] &= fine
+        self.left[lanes, k] = False
+        self.flags[lanes, k] = _flags(points, self.window)
+        for name, which in roles(points, self.window).items():
+            value = values(name, points.log_slope, points.log_froude)
+            served = np.where(which, value, np.inf)
+            self.served[name][lanes] = np.minimum(self.served[name][lanes], served)
+        self.parts.append(points)
 
 
 def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
@@ -212,34 +255,31 @@ class _Surveyor:
     to which its own are added.
     """
 
-    def __init__(self, family: Family, box: Box, sought: Sought, lines: list[_Line]):
+    def __init__(
+        self,
+        family: Family,
+        box: Box,
+        sought: Sought,
+        lines: list[_Line],
+    ):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
-        self.maker, self.box, self.lines = (
-            Maker(family, box, self.structure),
-            box,
-            lines,
-        )
-        self.sought, self.window = sought, sought.window
+        self.maker = Maker(family, box, self.structure)
+        self.box = box
+        self.lines = lines
         self.d = len(box.keys)
+        self.sought = sought
+        self.window = sought.window
+        self.lattice = _lattice(box)
+
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
         self.nodes = np.zeros(0, int)  # numbers of the lines at or beside the nodes
-        self.manifolds: list[Manifold] = []
-        self.tried: set[tuple[str, int, str]] = set()
         #: For each line the share of the lattice that it stands for; lines whose
         #: designs are left to be surveyed.
         self.shares: list[float] = []
         self.left: set[int] = set()
-        # Evenly in the keys, and in their logarithms too where these are the
-        # coordinates.
-        even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, self.d))
-        both = np.vstack(
-            [even, box.unit(Box(box.keys, box.low, box.high).at(even))]
-        ).round(9)
-        axes = [np.unique(both[:, k]) for k in range(self.d)]
-        self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(
-            -1, self.d
-        )
+        self.manifolds: list[Manifold] = []
+        self.tried: set[tuple[str, int, str]] = set()
 
     def check_tuning(self) -> None:
         """Refuse a box of two keys in which walkers are tuned at one value of a key,
@@ -253,9 +293,8 @@ class _Surveyor:
                 Tuning(self.maker.family, self.box, axis, others)
                 for others in (-1.0, 0.0, 1.0)
             ]
-            found = [
-                value for tuning in tunings if (value := tuning.inside()) is not None
-            ]
+            inside = [tuning.inside() for tuning in tunings]
+            found = [value for value in inside if value is not None]
             if len(found) == len(tunings) and np.ptp(found) < _SAME * abs(found[0]):
                 raise Refused("tuned walkers inside", axis, found[0])
 
@@ -267,14 +306,17 @@ class _Surveyor:
         points = find(problem, survey_lines(problem, COARSE), self.sought)
         lines = []
         for i, keys in enumerate(self.box.at(unit)):
-            own = lanes_of(points, points.line == i)
-            own.line = np.zeros(len(own.line), int)
-            lines.append(_Line(self.structure, keys, own))
+            of_line = lanes_of(points, points.line == i)
+            of_line.line = np.zeros(len(of_line.line), int)
+            lines.append(_Line(self.structure, keys, of_line))
         self.lines += lines
         self.take(unit, lines, shares)
 
     def take(
-        self, unit: np.ndarray, lines: Sequence[_Line], shares: Sequence[float] = ()
+        self,
+        unit: np.ndarray,
+        lines: Sequence[_Line],
+        shares: Sequence[float] = (),
     ) -> None:
         """Take surveyed lines, which stand for shares of the lattice, all of it where
         none are given.
@@ -306,9 +348,9 @@ class _Surveyor:
         self.check_tuning()
         self.begin()
         for _ in range(_ROUNDS):
-            while self.missing(rivals=False):
+            while self.add_missing():
                 pass
-            self.missing(rivals=True)
+            self.add_rivals()
             patterns = self.patterns()
             new, shares = self.unknown(patterns)
             if not len(new):
@@ -321,85 +363,115 @@ class _Surveyor:
             self.box, self.structure, self.manifolds, patterns, vanishing[0]
         )
 
-    def missing(self, rivals: bool) -> bool:
-        """Add a manifold through an extreme of a line that lies on none; or all through
-        points that rival extremes.
+    def solve(self, manifolds: list[Manifold]) -> Points:
+        """The points of manifolds on all lines."""
+        return points_at(self.maker, manifolds, self.unit, self.window, every=True)[0]
+
+    def extremes(self) -> Iterator[tuple[int, str, int]]:
+        """Numbers of lines, the quantities that have an extreme there, and the numbers
+        of the points, but for lines that are left to be surveyed.
         """
-        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[
-            0
-        ]
         for i, points in enumerate(self.points):
             for name, (number,) in best(points, 1, self.window).items():
-                if number < 0 or points.kind[number] == ANY_SLOPE or i in self.left:
-                    continue
-                value = values(name, points.log_slope, points.log_froude)
-                near = roles(points, self.window)[name] & (
-                    value < value[number] + _RIVAL[name] * rivals
-                )
-                for k in np.flatnonzero(near) if rivals else [number]:
-                    kind = str(points.kind[k])
-                    on = [
-                        _is_same(points, k, own, j)
-                        for j in np.flatnonzero(own.line == i)
-                    ]
-                    if any(on) or (
-                        rivals and (kind not in RIVALS or (kind, i, name) in self.tried)
-                    ):
-                        continue
-                    if not is_located(kind):
-                        raise Refused(f"a branch ends at {kind}", self.roughest())
-                    self.tried.add((kind, i, name))
-                    edges = np.array(self.window)
-                    edge = float(edges[np.abs(edges - points.log_slope[k]).argmin()])
-                    target = {
-                        "window": edge,
-                        "speed": self.sought.log_speed or 0.0,
-                    }.get(kind, 0.0)
-                    try:
-                        self.manifolds.append(
-                            self.maker.manifold(
-                                kind, self.unit[i], points.Z[:, k], target
-                            )
-                        )
-                    except Refused:
-                        if not rivals and self.shares[i] > max(
-                            _RARE, 1 / len(self.lattice)
-                        ):
-                            raise
-                        if not rivals:
-                            self.left.add(i)
-                        continue
-                    if not rivals:
-                        return True
-                    new, _, _ = points_at(
-                        self.maker,
-                        self.manifolds[-1:],
-                        self.unit,
-                        self.window,
-                        every=True,
-                    )
-                    own = join_lanes([own, new])
+                exists = number >= 0 and points.kind[number] != ANY_SLOPE
+                if exists and i not in self.left:
+                    yield i, name, number
+
+    def add_missing(self) -> bool:
+        """Add a manifold through an extreme of a line that lies on none, and return
+        whether there was one.
+        """
+        solved = self.solve(self.manifolds)
+        for i, name, number in self.extremes():
+            if self.lies_on(solved, i, number):
+                continue
+            kind = self.points[i].kind[number]
+            if not is_located(kind):
+                raise Refused(f"a branch ends at {kind}", self.roughest())
+            try:
+                self.add(i, name, number)
+            except Refused:
+                if self.shares[i] > max(_RARE, 1 / len(self.lattice)):
+                    raise
+                self.left.add(i)
+                continue
+            return True
         return False
+
+    def add_rivals(self) -> None:
+        """Add manifolds through points that rival extremes, once for each line and
+        quantity.
+        """
+        solved = self.solve(self.manifolds)
+        for i, name, number in self.extremes():
+            for k in self.rivals(i, name, number):
+                kind = str(self.points[i].kind[k])
+                if (kind, i, name) in self.tried or self.lies_on(solved, i, k):
+                    continue
+                with contextlib.suppress(Refused):
+                    self.add(i, name, k)
+                    solved = join_lanes([solved, self.solve(self.manifolds[-1:])])
+
+    def rivals(
+        self,
+        i: int,
+        name: str,
+        number: int,
+    ) -> list[int]:
+        """Numbers of the points of a line that rival the extreme of a quantity."""
+        points = self.points[i]
+        value = values(name, points.log_slope, points.log_froude)
+        near = value < value[number] + _RIVAL[name]
+        near &= roles(points, self.window)[name] & np.isin(points.kind, RIVALS)
+        return np.flatnonzero(near).tolist()
+
+    def lies_on(
+        self,
+        solved: Points,
+        i: int,
+        k: int,
+    ) -> bool:
+        """Whether a point of a line is one of those solved."""
+        there = np.flatnonzero(solved.line == i).tolist()
+        return any(_is_same(self.points[i], k, solved, j) for j in there)
+
+    def add(
+        self,
+        i: int,
+        name: str,
+        k: int,
+    ) -> None:
+        """Add the manifold through a point of a line."""
+        points = self.points[i]
+        kind = str(points.kind[k])
+        target = 0.0
+        if kind == "speed":
+            target = self.sought.log_speed or 0.0
+        if kind == "window":  # the nearer edge
+            target = min(self.window, key=lambda q: abs(q - points.log_slope[k]))
+        self.tried.add((kind, i, name))
+        point = self.unit[i], points.Z[:, k]
+        extension = Extension(self.maker, kind, target, *point)
+        self.manifolds.append(make_manifold(extension))
 
     def patterns(self) -> set[bytes]:
         """Flags of the manifolds on lines whose extremes they reproduce, and on none
         whose extremes they do not.
         """
-        own, near, flags = points_at(
+        solved, near, flags = points_at(
             self.maker, self.manifolds, self.unit, self.window, every=True
         )
-        chosen = best(own, len(self.unit), self.window)
+        chosen = best(solved, len(self.unit), self.window)
         patterns: set[bytes] = set()
         others: set[bytes] = set()
         for i, points in enumerate(self.points):
             agrees = True
             for name, (number,) in best(points, 1, self.window).items():
-                if number >= 0 and points.kind[number] == ANY_SLOPE:
-                    continue
                 j = chosen[name][i]
-                agrees &= (number < 0) == (j < 0) and (
-                    number < 0 or _is_same(points, number, own, j)
-                )
+                if number < 0:
+                    agrees &= j < 0
+                elif points.kind[number] != ANY_SLOPE:
+                    agrees &= j >= 0 and _is_same(points, number, solved, j)
             if near[i]:
                 (patterns if agrees else others).add(flags[i].tobytes())
         return patterns - others
@@ -411,17 +483,20 @@ class _Surveyor:
         _, near, flags = points_at(
             self.maker, self.manifolds, self.lattice, self.window, every=True
         )
-        every: dict[bytes, list[int]] = {}
+        by_pattern: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
-            every.setdefault(flags[i].tobytes(), []).append(i)
-        known = {row.tobytes() for row in self.unit}
-        places, shares = [], []
-        for pattern, members in sorted(
-            every.items(), key=lambda item: (-len(item[1]), item[1][0])
-        ):
-            of = self.lattice[members]
-            place = of[np.abs(of - of.mean(axis=0)).max(axis=1).argmin()]
-            if pattern not in patterns and place.tobytes() not in known:
+            by_pattern.setdefault(flags[i].tobytes(), []).append(i)
+        new = [some for key, some in by_pattern.items() if key not in patterns]
+        new.sort(key=lambda members: (-len(members), members[0]))
+
+        surveyed = {unit.tobytes() for unit in self.unit}
+        places = []
+        shares = []
+        for members in new:
+            designs = self.lattice[members]
+            off = np.abs(designs - designs.mean(axis=0)).max(axis=1)
+            place = designs[off.argmin()]
+            if place.tobytes() not in surveyed:
                 places.append(place)
                 shares.append(len(members) / len(self.lattice))
         return np.array(places[:_MAX_LINES]).reshape(-1, self.d), shares[:_MAX_LINES]
@@ -429,27 +504,42 @@ class _Surveyor:
     def roughest(self) -> int:
         """The key along which the surveyed lines change most, or else the widest."""
         kinds = []
-        for points in [self.points[i] for i in self.nodes]:
-            kinds.append(
-                " ".join(
-                    str(points.kind[k])
-                    for (k,) in best(points, 1, self.window).values()
-                    if k >= 0
-                )
-            )
+        for i in self.nodes:
+            points = self.points[i]
+            numbers = np.concatenate([*best(points, 1, self.window).values()])
+            kinds.append(" ".join(points.kind[numbers[numbers >= 0]]))
         _, number = np.unique(kinds, return_inverse=True)
         number = number.reshape((len(_NODES),) * self.d)
-        return int(
-            np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)])
-        )
+        changes = [(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]
+        return int(np.argmax(changes))
 
 
-def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
+def _lattice(box: Box) -> np.ndarray:
+    """Designs (n, d) at which manifolds are compared: evenly in the keys, and in their
+    logarithms too where these are the coordinates.
+    """
+    d = len(box.keys)
+    even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, d))
+    in_keys = box.unit(Box(box.keys, box.low, box.high).at(even))
+    axes = [np.unique(axis) for axis in np.vstack([even, in_keys]).round(9).T]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
+
+
+def _is_same(
+    a: Points,
+    i: Any,
+    b: Points,
+    j: Any,
+) -> bool:
     return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
 
 
 def make(
-    family: Family, box: Box, sought: Sought, count: float, splits: int = _MAX_SPLITS
+    family: Family,
+    box: Box,
+    sought: Sought,
+    count: float,
+    splits: int = _MAX_SPLITS,
 ) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
 

@@ -35,7 +35,9 @@ _GOAL = 1e-10
 _INSIDE = 1e-3
 #: Share of the way to a turn within which designs are surveyed, the smallest that
 #: counts, and that by which rounding puts designs on the border of a box beyond it.
-_AT_TURN, _MIN_SHARE, _BORDER = 1e-5, 1e-12, 1e-12
+_AT_TURN = 1e-5
+_MIN_SHARE = 1e-12
+_BORDER = 1e-12
 
 
 @dataclass(frozen=True)
@@ -88,22 +90,25 @@ class Region:
             (1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit))
         )
 
-    def own(self, unit: np.ndarray) -> np.ndarray:
+    def smooth(self, unit: np.ndarray) -> np.ndarray:
         """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which
         it is smooth.
         """
-        own, share = unit.copy(), self.share(unit)
+        smooth = unit.copy()
+        share = self.share(unit)
         if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
-        own[:, self.axis] = self.side * (2 * share - 1)
-        return own
+        smooth[:, self.axis] = self.side * (2 * share - 1)
+        return smooth
 
-    def unit(self, own: np.ndarray) -> np.ndarray:
-        """Return coordinates of keys (n, d), the inverse of `own`."""
-        unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
+    def unit(self, smooth: np.ndarray) -> np.ndarray:
+        """Return coordinates of keys (n, d), the inverse of `smooth`."""
+        unit = smooth.copy()
+        share = 0.5 * (1 + self.side * smooth[:, self.axis])
         if self.is_root:
             share = 1 - (1 - share) ** 2
-        unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
+        width = 1 + self.side * self.at(smooth)
+        unit[:, self.axis] = self.side * (share * width - 1)
         return unit
 
     def growth(self, unit: np.ndarray) -> tuple[np.ndarray | float, np.ndarray | float]:
@@ -133,7 +138,7 @@ class Region:
         """Return points and the derivatives of their scalar, (c, n) each, of a chart
         over it at designs (n, d).
         """
-        Z, rows = np.split(chart(self.own(unit)), 2)
+        Z, rows = np.split(chart(self.smooth(unit)), 2)
         growth, factor = self.growth(unit)
         return Z + growth, rows * factor
 
@@ -172,11 +177,6 @@ class Manifold:
     linear: float
     quadratic: float
 
-    @property
-    def condition(self) -> Condition:
-        """What its points fulfil."""
-        return CONDITIONS[self.kind].equal_to(self.target)
-
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
 
@@ -209,7 +209,7 @@ class Manifold:
             Whether they are as near their predictions as they should be.
         """
         Z, rows = self.predict(unit)
-        condition = self.condition
+        condition = CONDITIONS[self.kind].equal_to(self.target)
         equations = Equations(problem, [condition])
         step = newton_step(equations, Z, rows, 0 if condition.walking else SAMPLES)
         near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
@@ -217,9 +217,8 @@ class Manifold:
         error = self._error(step.last_step) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))
         if len(again):
-            further = newton_step(
-                equations.some(again), step.Z[:, again], rows[:, again]
-            )
+            some = equations.some(again)
+            further = newton_step(some, step.Z[:, again], rows[:, again])
             step.Z[:, again] = further.Z
             error[again] = self._error(further.last_step) + further.rounding
         points = classify(
@@ -238,15 +237,20 @@ class Manifold:
 
 
 def _walks(
-    problem: Lanes, condition: Condition, step: Point, near: np.ndarray
+    problem: Lanes,
+    condition: Condition,
+    step: Point,
+    near: np.ndarray,
 ) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits
     just before it.
     """
-    walks, lanes = np.zeros(len(near), bool), np.flatnonzero(near)
+    walks = np.zeros(len(near), bool)
+    lanes = np.flatnonzero(near)
     if not len(lanes):
         return walks
-    Z, stride = step.at.Z[:, lanes], None
+    Z = step.at.Z[:, lanes]
+    stride = None
     if condition.walking:
         # Just before the end, where gaits are steps.
         Z = step.Z[:, lanes] + condition.walking * _INSIDE * step.direction[:, lanes]

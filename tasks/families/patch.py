@@ -19,17 +19,16 @@ from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 
-#: Kinds of the ends of patches: `CUT` where the piece goes on, `FOLD`, `END`, where
-#: walking ends, and `BEYOND`, where the equations go on and walking ended before.
-CUT, FOLD, END, BEYOND = "cut", "fold", "end", "beyond"
-#: Those at which the end of the piece itself was located.
-LOCATED = (FOLD, END)
 #: How far Newton's method may move a prediction, in units of the largest error that was
 #: measured.
 PREDICTED_WITHIN = 8.0
 #: By how much the Lipschitz constant may exceed that at the nearest places where it was
 #: measured.
 _LIPSCHITZ_SAFETY = 4.0
+
+
+#: What error bounds need of groups of gaits, as `measured` returns it.
+Measured = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def side_of_fold(stride: AnyStride) -> np.ndarray:
@@ -47,9 +46,8 @@ def side_of_fold(stride: AnyStride) -> np.ndarray:
         0 where the derivative is singular or not finite.
     """
     with np.errstate(invalid="ignore"):
-        return np.asarray(
-            np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1)))
-        )
+        matrices = np.nan_to_num(stride.inverse).transpose(2, 0, 1)
+        return np.asarray(np.sign(np.linalg.det(matrices)))
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,8 @@ class Patch:
     span : Span
         The piece, or the part of it at which it is cut.
     kinds : (str, str)
-        Of which kind its ends are: CUT, FOLD, END or BEYOND.
+        Of which kind its ends are: `cut`, `fold`, `end` or `beyond`, as
+        `tasks.families.patch_ends` has them.
     end_errors, reach : ndarray, shape (2,)
         Errors of folds and located ends, and how far before an end beyond walking that
         may be, in ln slope.
@@ -85,7 +84,7 @@ class Patch:
     end_errors: np.ndarray
     reach: np.ndarray
     gaits: Chart
-    measured: tuple[np.ndarray, np.ndarray, np.ndarray]
+    measured: Measured
     side: float
 
     @property
@@ -93,14 +92,11 @@ class Patch:
         """The part of the span in which all gaits are steps."""
         if not self.reach.any():
             return self.span
-        keys = np.array(
-            list(itertools.product((-1.0, 0.0, 1.0), repeat=len(self.span.ends.sizes)))
-        )
+        d = len(self.span.ends.sizes)
+        keys = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=d)))
         low, high = self.span.ends(keys)
-        inner = self.span.points(
-            np.concatenate([low + self.reach[0], high - self.reach[1]]),
-            np.vstack([keys, keys]),
-        )
+        q = np.concatenate([low + self.reach[0], high - self.reach[1]])
+        inner = self.span.points(q, np.vstack([keys, keys]))
         low, high = np.split(0.5 * (1 + inner[:, 0]), 2)
         return replace(self.span, part=(float(low.max()), float(high.min())))
 
@@ -108,9 +104,8 @@ class Patch:
         """Return the numbers of branch and piece (n, 2) on the surveyed line nearest to
         coordinates of keys (n, d).
         """
-        return self.numbers[
-            np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)
-        ]
+        distance = np.abs(unit[:, None] - self.lines).max(axis=2)
+        return self.numbers[distance.argmin(axis=1)]
 
     def guesses(self, unit: np.ndarray, slope: np.ndarray) -> Guesses:
         """Predict gaits.
@@ -121,26 +116,27 @@ class Patch:
             Coordinates of keys.
         slope : ndarray, shape (n,) [rad]
         """
-        points, (lipschitz, gradient, std) = (
-            self.span.points(np.log(slope), unit),
-            self.measured,
-        )
+        points = self.span.points(np.log(slope), unit)
+        lipschitz, gradient, std = self.measured
         last = len(lipschitz) - 1
         node = np.abs(points[:, :1] - roots(last + 1)).argmin(axis=1)
         around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
-        lipschitz = _LIPSCHITZ_SAFETY * np.max([lipschitz[k] for k in around], axis=0)
-        std = np.max([std[:, k] for k in around], axis=0)
+        largest = np.max([lipschitz[k] for k in around], axis=0)
         return Guesses(
-            self.gaits(points),
-            slope,
-            lipschitz,
-            gradient[..., node],
-            std,
-            np.full(len(slope), UNKNOWN),
+            w=self.gaits(points),
+            slope=slope,
+            lipschitz=_LIPSCHITZ_SAFETY * largest,
+            gradient=gradient[..., node],
+            rounding_std=np.max([std[:, k] for k in around], axis=0),
+            leg_passes=np.full(len(slope), UNKNOWN),
         )
 
     def judge(
-        self, at: Polished, w: np.ndarray, q: np.ndarray, unit: np.ndarray
+        self,
+        at: Polished,
+        w: np.ndarray,
+        q: np.ndarray,
+        unit: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return which gaits are as predicted (steps, or none near an end of walking),
         and which are steps.
@@ -167,8 +163,11 @@ class Patch:
 
 
 def measured(
-    problem: Problem, w: np.ndarray, q: np.ndarray, each: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem,
+    w: np.ndarray,
+    q: np.ndarray,
+    group: int,
+) -> Measured:
     """Measure what the error bounds of gaits need, for groups of gaits.
 
     Parameters
@@ -179,7 +178,7 @@ def measured(
         Gaits in similarity coordinates.
     q : ndarray, shape (n,)
         Their ln slopes.
-    each : int
+    group : int
         Gaits of a group, which follow one another.
 
     Returns
@@ -190,15 +189,19 @@ def measured(
     """
     lipschitz, gradient = curvature(problem, w, q)
     variance = rounding_std(problem, w, q) ** 2
-    gradient, variance = (
-        total(values[..., k::each] for k in range(each)) / each
-        for values in (gradient, variance)
-    )
-    return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.asarray(total(values[..., k::group] for k in range(group)) / group)
+
+    largest = lipschitz.reshape(-1, group).max(axis=1)
+    return largest, mean(gradient), np.sqrt(mean(variance))
 
 
 def near_predictions(
-    at: Polished, w: np.ndarray, error: np.ndarray | float, side: float
+    at: Polished,
+    w: np.ndarray,
+    error: np.ndarray | float,
+    side: float,
 ) -> np.ndarray:
     """Whether gaits converged as near their predictions as they should, on the right
     side of a fold.
@@ -220,8 +223,5 @@ def near_predictions(
     """
     with np.errstate(invalid="ignore"):
         moved = np.abs(at.w - w).max(axis=0)
-    return np.asarray(
-        at.converged
-        & (moved < PREDICTED_WITHIN * error)
-        & (side_of_fold(at.stride) == side)
-    )
+    near = at.converged & (moved < PREDICTED_WITHIN * error)
+    return np.asarray(near & (side_of_fold(at.stride) == side))

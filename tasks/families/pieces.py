@@ -10,21 +10,13 @@ import numpy as np
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.tracking import rate_of_steps
+from gaitsweep.tasks.families.patch_ends import EVENTS, FOLD
 from gaitsweep.tasks.fixed_points.polish import Guesses
 
-#: Kinds of ends beyond which the equations of a gait go on and its own step tells that
-#: it is none.
-EVENTS = {
-    f"end_{kind}"
-    for kind in (
-        "kneestrike_at_heelstrike",
-        "tangential_heelstrike",
-        "tangential_kneestrike",
-        "earlier_strike",
-    )
-}
 #: How far beyond a panel pieces are compared, in ln slope.
 _REACH = 1.0
+#: Places along pieces at which they are compared.
+_SHARES = np.array([0.15, 0.5, 0.85])
 #: Distance of two pieces of neighbouring lines that do not continue each other.
 _FAR = 1e6
 
@@ -49,7 +41,7 @@ class Piece:
     @property
     def folds(self) -> tuple[bool, bool]:
         """Whether it begins and ends at a fold."""
-        return self.kinds[0] == "fold", self.kinds[1] == "fold"
+        return self.kinds[0] == FOLD, self.kinds[1] == FOLD
 
     @property
     def end_errors(self) -> tuple[float, float]:
@@ -97,68 +89,70 @@ class Piece:
         or upper (1) end.
         """
         nodes = self.branch.Z[:, self.first : self.last + 1]
-        nodes = nodes if (nodes[-1, 0] == self.q[k]) else nodes[:, ::-1]
-        return float(
-            rate_of_steps(
-                nodes[:, : nodes.shape[1] // 2 + 1], self.branch.m, self.branch.steps
-            ).max()
-        )
+        if nodes[-1, 0] != self.q[k]:
+            nodes = nodes[:, ::-1]
+        half = nodes[:, : nodes.shape[1] // 2 + 1]
+        return float(rate_of_steps(half, self.branch.m, self.branch.steps).max())
 
     def end_point(self, k: int) -> np.ndarray:
         """Return its point (c,) at the lower (0) or upper (1) end."""
-        first = self.branch.q[self.first] == self.q[k]
-        return self.branch.Z[:, self.first if first else self.last]
+        is_first = self.branch.q[self.first] == self.q[k]
+        return self.branch.Z[:, self.first if is_first else self.last]
 
 
 def pieces_of(branches: list[Branch]) -> list[Piece]:
     """Pieces of all branches of a line."""
     pieces = []
     for number, branch in enumerate(branches):
-        spans = branch.pieces()
-        for k, (first, last) in enumerate(spans):
-            kinds = (
-                branch.why[0] if k == 0 else "fold",
-                branch.why[1] if k == len(spans) - 1 else "fold",
-            )
-            q = float(branch.q[first]), float(branch.q[last])
+        nodes = branch.pieces()
+        turns = [FOLD] * (len(nodes) - 1)
+        begins = [branch.why[0], *turns]
+        ends = [*turns, branch.why[1]]
+        for (first, last), *kinds in zip(
+            nodes,
+            begins,
+            ends,
+            strict=True,
+        ):
+            q = [float(branch.q[first]), float(branch.q[last])]
             if q[0] > q[1]:
-                kinds, q = kinds[::-1], q[::-1]
-            pieces.append(
-                Piece(
-                    branch,
-                    number,
-                    int(branch.piece(np.array([first]))[0]),
-                    first,
-                    last,
-                    kinds,
-                    q,
-                )
-            )
+                kinds.reverse()
+                q.reverse()
+            place = int(branch.piece(np.array([first]))[0])
+            of_ends = (kinds[0], kinds[1]), (q[0], q[1])
+            pieces.append(Piece(branch, number, place, first, last, *of_ends))
     return pieces
 
 
-def _distance(a: Piece, b: Piece, low: float, high: float) -> float:
+def _distance(
+    a: Piece,
+    b: Piece,
+    low: float,
+    high: float,
+) -> float:
     """How far apart two pieces of neighbouring lines are."""
+    # Ends beyond the range of interest may be of any kind, and so may those where
+    # walking ends.
+    beyond = max(a.q[0], b.q[0]) < low, min(a.q[1], b.q[1]) > high
     for end in (0, 1):
-        # Ends beyond the range of interest may be of any kind, and so may those where
-        # walking ends.
-        beyond = (a.q[0] < low and b.q[0] < low, a.q[1] > high and b.q[1] > high)[end]
-        kinds = [
-            "event" if kind in EVENTS else kind for kind in (a.kinds[end], b.kinds[end])
-        ]
-        if not beyond and kinds[0] != kinds[1]:
+        kinds = {a.kinds[end], b.kinds[end]}
+        if not (beyond[end] or len(kinds) == 1 or kinds <= EVENTS):
             return _FAR
-    spans = [np.clip(piece.q, low - _REACH, high + _REACH) for piece in (a, b)]
-    shares = np.array([0.15, 0.5, 0.85])
-    gaits = [
-        piece.gaits(q[0] + (q[1] - q[0]) * shares)
-        for piece, q in zip((a, b), spans, strict=True)
-    ]
-    return float(np.abs(gaits[0] - gaits[1]).max() + np.abs(spans[0] - spans[1]).max())
+
+    gaits = []
+    spans = []
+    for piece in (a, b):
+        first, last = np.clip(piece.q, low - _REACH, high + _REACH)
+        gaits.append(piece.gaits(first + (last - first) * _SHARES))
+        spans.append(np.array([first, last]))
+    off = np.abs(gaits[0] - gaits[1]).max() + np.abs(spans[0] - spans[1]).max()
+    return float(off)
 
 
 def match(
-    lines: list[list[Piece]], low: float, high: float
+    lines: list[list[Piece]],
+    low: float,
+    high: float,
 ) -> list[list[Piece | None]]:
     """Group the pieces of lines that continue those of the first: the nearest first.
 
@@ -178,14 +172,24 @@ def match(
     ]
     for i, pieces in enumerate(lines[1:], 1):
         new = set(range(len(pieces)))
-        pairs = [
-            (distance, row, column)
-            for row, first in enumerate(lines[0])
-            for column, piece in enumerate(pieces)
-            if (distance := _distance(first, piece, low, high)) < _FAR
-        ]
-        for _, row, column in sorted(pairs):
-            if groups[row][i] is None and column in new:
+        pairs = []
+        for row, first in enumerate(lines[0]):
+            for column, piece in enumerate(pieces):
+                pairs.append(
+                    (
+                        _distance(
+                            first,
+                            piece,
+                            low,
+                            high,
+                        ),
+                        row,
+                        column,
+                    )
+                )
+        for distance, row, column in sorted(pairs):
+            is_free = groups[row][i] is None and column in new
+            if is_free and distance < _FAR:
                 groups[row][i] = pieces[column]
                 new.remove(column)
         for column in sorted(new):

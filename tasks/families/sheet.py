@@ -207,17 +207,17 @@ def fit_sheets(
     """
     done: list[tuple[int, Sheet]] = []
     while asked:
-        points = [each.points for each in asked]
+        points = [sheet.points for sheet in asked]
         again: list[Asked] = []
-        for each, x, sampled in zip(asked, points, solve(asked, points), strict=True):
-            chart = sampled.chart(each.sizes, x)
+        for sheet, x, sampled in zip(asked, points, solve(asked, points), strict=True):
+            chart = sampled.chart(sheet.sizes, x)
             if chart and chart.error <= good:
-                done.append((each.number, each.fitted(chart, sampled.passes, x)))
-            elif chart and (sizes := more_nodes(chart, each.most, good)):
-                again.append(replace(each, sizes=sizes))
-            elif halves := each.halves(chart, sampled.bound, good):
+                done.append((sheet.number, sheet.fitted(chart, sampled.passes, x)))
+            elif chart and (sizes := more_nodes(chart, sheet.most, good)):
+                again.append(replace(sheet, sizes=sizes))
+            elif halves := sheet.halves(chart, sampled.bound, good):
                 again += [half for half in halves if is_needed(half.span)]
             else:
-                done.append((each.number, Sheet(each.span)))
+                done.append((sheet.number, Sheet(sheet.span)))
         asked = again
     return done

@@ -17,7 +17,8 @@ from gaitsweep.tasks.walkers.statics import leg_moment
 from gaitsweep.tasks.walkers.walker import WalkerError
 
 #: Places along a key beside which walkers may be tuned, and how far outside they count.
-_PLACES, _NEAR = np.linspace(-1, 1, 9), 1.25
+_PLACES = np.linspace(-1, 1, 9)
+_NEAR = 1.25
 #: A face lies where walkers are tuned if the slope at which its own are balanced, over
 #: the largest of the box, is less than this: the place may be a root, found to about so
 #: much. It says how a box is divided, not who is tuned.

@@ -24,15 +24,20 @@ from gaitsweep.tasks.continuation.equations import Equations, newton_step, solve
 from gaitsweep.tasks.continuation.extremes import Points, Sought, best, find
 from gaitsweep.tasks.continuation.joint import evaluate
 from gaitsweep.tasks.continuation.refine import COARSE
+from gaitsweep.tasks.families import cut as cuts
+from gaitsweep.tasks.families import extension as extensions
 from gaitsweep.tasks.families import landscape as landscapes
-from gaitsweep.tasks.families import manifold_maker as makers
+from gaitsweep.tasks.families import manifold_maker
 from gaitsweep.tasks.families.box import Box, Refused, roots
 from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.families.cut import Cut
 from gaitsweep.tasks.families.division import divide
+from gaitsweep.tasks.families.extension import Extension
 from gaitsweep.tasks.families.family import Family
 from gaitsweep.tasks.families.landscape import _Surveyor, is_known, make
+from gaitsweep.tasks.families.maker import Maker
 from gaitsweep.tasks.families.manifold import Region
-from gaitsweep.tasks.families.manifold_maker import Maker, _Extension
+from gaitsweep.tasks.families.manifold_maker import make_manifold, measured
 from gaitsweep.tasks.fixed_points.step_check import gait_ratio
 from gaitsweep.tasks.map_designs import _Rows, _solve, design
 from gaitsweep.tasks.mechanics.lumped import common_structure
@@ -150,7 +155,13 @@ def test_a_design_does_not_depend_on_its_company():
 
 def solved(family, landscape, keys):
     rows = _Rows(len(keys), SOUGHT)
-    accepted = _solve(family, landscape, keys, np.arange(len(keys)), rows)
+    accepted = _solve(
+        family,
+        landscape,
+        keys,
+        np.arange(len(keys)),
+        rows,
+    )
     return rows, accepted
 
 
@@ -212,11 +223,11 @@ def test_a_dropped_manifold_is_found_again(made):
     surveyor = _Surveyor(family, right.box, SOUGHT, [])
     surveyor.survey(right.box.unit(np.array([[0.46, 0.1], [0.47, 0.9], [0.64, 0.05]])))
     surveyor.manifolds = list(right.manifolds)
-    assert not surveyor.missing(rivals=False)
+    assert not surveyor.add_missing()
     assert surveyor.patterns() <= right.patterns
     for k, dropped in enumerate(right.manifolds[:2]):
         surveyor.manifolds = [m for m in right.manifolds if m is not dropped]
-        assert surveyor.missing(rivals=False)
+        assert surveyor.add_missing()
         assert surveyor.manifolds[-1].kind == dropped.kind, k
 
 
@@ -225,8 +236,23 @@ def test_flags_that_no_line_has_are_not_known():
         np.array([1, 6], np.int8).tobytes(),
         np.array([1, 0], np.int8).tobytes(),
     }
-    flags = np.array([[1, 6], [1, -1], [3, -1], [1, 2], [-1, -1]], np.int8)
-    assert is_known(flags, patterns).tolist() == [True, True, False, False, True]
+    flags = np.array(
+        [
+            [1, 6],
+            [1, -1],
+            [3, -1],
+            [1, 2],
+            [-1, -1],
+        ],
+        np.int8,
+    )
+    assert is_known(flags, patterns).tolist() == [
+        True,
+        True,
+        False,
+        False,
+        True,
+    ]
 
 
 def test_stability_ends_where_two_flips_meet(made):
@@ -272,7 +298,13 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert sorted(cut.side for cut in cuts) == [-1, 1]
     for cut in cuts:
-        assert cut.powers[:5] == (1, 0, 0, 0, 3)
+        assert cut.powers[:5] == (
+            1,
+            0,
+            0,
+            0,
+            3,
+        )
         for detuning in (0.16, 0.21, 0.249):
             at = landscape.box.unit(np.array([[tuned_at(detuning), detuning]]))
             assert at[0, 0] == pytest.approx(cut.at(at)[0], abs=1e-9)
@@ -285,7 +317,15 @@ def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
     )
     (landscape,) = make(family, box, SOUGHT, 1000)
     cuts = [m.region for m in landscape.manifolds if m.region.is_root]
-    assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 0, 3)] * 2
+    assert [cut.powers[:5] for cut in cuts] == [
+        (
+            1,
+            0,
+            0,
+            0,
+            3,
+        )
+    ] * 2
     for cut in cuts:
         assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(
             tuned_at(0.2), rel=1e-12
@@ -312,7 +352,13 @@ def test_a_map_is_divided_where_walkers_are_tuned_whatever_the_other_key():
     for part in parts:
         own = keys[(part.box.low[0] < keys[:, 0]) & (keys[:, 0] < part.box.high[0])]
         rows = _Rows(len(own), Sought(window, -0.2))
-        accepted = _solve(family, part, own, np.arange(len(own)), rows)
+        accepted = _solve(
+            family,
+            part,
+            own,
+            np.arange(len(own)),
+            rows,
+        )
         assert accepted.sum() >= 3
         line = {"walker": "A", "set": {"R": own[:, 0], "m_h": own[:, 1]}}
         lines = computed(
@@ -379,7 +425,7 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
 def test_coordinates_of_a_part_are_inverse(turns, side):
     cut = Region(1, side, Chart((2,), np.array([[0.2], [0.1]])), turns)
     own = np.random.default_rng(0).uniform(-1, 1, (9, 2))
-    assert cut.own(cut.unit(own)) == pytest.approx(own, abs=1e-12)
+    assert cut.smooth(cut.unit(own)) == pytest.approx(own, abs=1e-12)
     ends = cut.unit(np.array([[0.5, -side], [0.5, side]]))
     assert ends[:, 1] == pytest.approx([-side, 0.25])
 
@@ -390,7 +436,7 @@ def test_a_whole_box_has_its_own_coordinates_border_included(d):
         Region.whole(d),
         np.vstack([np.random.default_rng(0).uniform(-1, 1, (9, d)), np.ones((1, d))]),
     )
-    assert region.own(unit) == pytest.approx(unit, abs=1e-15) and region.unit(
+    assert region.smooth(unit) == pytest.approx(unit, abs=1e-15) and region.unit(
         unit
     ) == pytest.approx(unit, abs=1e-15)
     assert region.holds(unit * (1 + 4e-16)).all() and not region.is_near(unit).any()
@@ -430,24 +476,42 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
         raise Refused("no reason", 1)
 
     monkeypatch.setattr(landscapes._Surveyor, "landscape", refuse)
-    parts = make(family, box, SOUGHT, 1000, splits=1)
+    parts = make(
+        family,
+        box,
+        SOUGHT,
+        1000,
+        splits=1,
+    )
     assert [part.why for part in parts] == ["no reason", "no reason"]
     assert parts[0].box.high[1] == parts[1].box.low[1]
 
 
 def test_a_cut_is_smooth_where_the_last_coefficients_of_its_curve_vanish(monkeypatch):
-    extension = object.__new__(_Extension)
-    extension.d, extension.kind = 2, "fold"
-    curve = Chart((6,), np.array([[0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7]]).T)
-    monkeypatch.setattr(
-        _Extension,
-        "cut_along",
-        lambda _, axis, side, sizes: Region(axis, side, curve, True),
+    two_keys = SimpleNamespace(
+        maker=SimpleNamespace(d=2), kind="fold", problem=None, target=0.0
     )
-    assert extension.smooth_cut(1, 1).curve is curve
+    cut = Cut(two_keys, 1, 1)
+    curve = Chart(
+        (6,),
+        np.array(
+            [
+                [
+                    0.2,
+                    0.1,
+                    0.05,
+                    1e-2,
+                    1e-7,
+                    1e-7,
+                ]
+            ]
+        ).T,
+    )
+    monkeypatch.setattr(Cut, "at_places", lambda *_: Region(1, 1, curve, True))
+    assert cut.region().curve is curve
     curve.coefficients[-2] = 1e-5
     with pytest.raises(Refused, match="a fold turns along a curve that is not smooth"):
-        extension.smooth_cut(1, 1)
+        cut.region()
 
 
 @pytest.mark.parametrize(
@@ -462,11 +526,19 @@ def test_there_is_no_curve_of_vanishing_slopes_that_no_key_reaches(walker, keys,
         Box(keys, (0.05, 0.05), (0.2, 0.1)),
     )
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
-    extension = _Extension(maker, "fold", 0.0, np.zeros(2), np.zeros(5))
-    assert not np.isfinite(extension.vanishing(np.zeros((3, 2)), axis)).any()
-    assert (
-        extension.powers(np.zeros((5, 3)), np.zeros((3, 2)), np.zeros(3), axis, 1) == ()
+    cut = Cut(
+        Extension(
+            maker,
+            "fold",
+            0.0,
+            np.zeros(2),
+            np.zeros(5),
+        ),
+        axis,
+        1,
     )
+    assert not np.isfinite(cut.vanishing(np.zeros((3, 2)))).any()
+    assert cut.powers(np.zeros((5, 3)), np.zeros((3, 2))) == ()
 
 
 def test_a_box_is_halved_along_both_keys():
@@ -589,7 +661,15 @@ def test_the_scalars_vanish_at_points_known_otherwise():
 
 def test_a_row_of_differences_is_the_derivative():
     problem = lanes("A", detuning=0.3, m_h=0.5)
-    Z = np.array([[np.log(0.3)], [-0.9], [-0.5], [2.0], [np.log(0.03)]])
+    Z = np.array(
+        [
+            [np.log(0.3)],
+            [-0.9],
+            [-0.5],
+            [2.0],
+            [np.log(0.03)],
+        ]
+    )
     move = 1e-4 * np.random.default_rng(0).normal(size=(5, 1))
     for kind in (
         "flip",
@@ -646,11 +726,24 @@ def test_a_point_that_is_lost_is_refused():
     family = Family.of({"walker": "A", "set": {}}, ("detuning",))
     box = Box(("detuning",), (0.3,), (0.5,))
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
+    Z = np.array(
+        [
+            np.log(0.4),
+            -0.9,
+            -0.5,
+            np.log(0.3),
+            2.0,
+        ]
+    )
     with pytest.raises(Refused):
-        maker.manifold(
-            "flip",
-            np.array([0.0]),
-            np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]),
+        make_manifold(
+            Extension(
+                maker,
+                "flip",
+                0.0,
+                np.zeros(1),
+                Z,
+            )
         )
 
 
@@ -667,13 +760,19 @@ def extension():
     problem = maker.problem(np.zeros((1, 1)))
     points = find(problem, survey_lines(problem, COARSE), SOUGHT)
     (k, *_) = np.flatnonzero((points.kind == "flip") & points.walks)
-    return _Extension(maker, "flip", 0.0, np.zeros(1), points.Z[:, k])
+    return Extension(
+        maker,
+        "flip",
+        0.0,
+        np.zeros(1),
+        points.Z[:, k],
+    )
 
 
 def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_no_nodes(
     extension,
 ):
-    manifold = extension.manifold()
+    manifold = make_manifold(extension)
     nodes = manifold.region.unit(roots(manifold.chart.sizes[0])[:, None])
     problem, (Z, rows) = extension.problem(nodes), manifold.predict(nodes)
     equations = Equations(problem, [CONDITIONS["flip"]])
@@ -702,7 +801,7 @@ def test_a_point_is_carried_no_farther_than_its_predictions_hold(
         found.ok[-1] = True
         return found
 
-    monkeypatch.setattr(makers, "solve", jumps)
+    monkeypatch.setattr(extensions, "solve", jumps)
     assert extension.carried(nodes, region)[1].tolist() == [True, False]
     # A coarse chart leads there too: such points are carried, and these are lost.
     with pytest.raises(Refused, match="is lost on its way to 1 nodes"):
@@ -716,26 +815,28 @@ def test_points_are_followed_until_none_beside_them_is_stable_any_more(
 ):
     radius = iter([2.0, 0.5, 2.0])
     monkeypatch.setattr(
-        makers, "other_multipliers", lambda kind, jacobian: np.array([next(radius)])
+        cuts, "other_multipliers", lambda kind, jacobian: np.array([next(radius)])
     )
-    _, ends, turned = extension.followed(extension.Z[:, None], np.zeros((1, 1)), 0, -1)
+    cut = Cut(extension, 0, -1)
+    _, (ends,), turned = cut.followed(extension.Z[:, None], np.zeros((1, 1)))
     assert ends == pytest.approx([-0.02 * (1 + 1.5 + 1.5**2)]) and not turned.any()
 
 
 def test_a_manifold_is_kept_beyond_all_places_at_which_it_counts_no_more(monkeypatch):
-    extension, x = object.__new__(_Extension), roots(13)
-    extension.d, extension.kind, ends = (
-        2,
-        "fold",
-        0.3 + 0.1 * x + 1e-3 * np.cos(6 * np.arccos(x)),
-    )
+    x = roots(13)
+    ends = 0.3 + 0.1 * x + 1e-3 * np.cos(6 * np.arccos(x))
+    unit, nowhere = np.column_stack([ends, x]), np.zeros(13, bool)
     points = SimpleNamespace(Z=np.zeros((5, 13)))
-    monkeypatch.setattr(_Extension, "carried", lambda *_: (points, np.ones(13, bool)))
-    monkeypatch.setattr(
-        _Extension, "followed", lambda *_: (points, ends, np.zeros(13, bool))
+    extension = SimpleNamespace(
+        maker=SimpleNamespace(d=2),
+        kind="fold",
+        problem=None,
+        target=0.0,
+        carried=lambda *_: (points, ~nowhere),
     )
+    monkeypatch.setattr(Cut, "followed", lambda *_: (points.Z, unit, nowhere))
     for side in (-1, 1):
-        region = extension.cut_along(0, side, (13,))
+        region = Cut(extension, 0, side).at_places((13,))
         beyond = side * (region.at(np.column_stack([0 * x, x])) - ends)
         assert region.curve.sizes == (5,) and not region.is_root
         assert beyond.min() == pytest.approx(0.1, abs=1e-4) and beyond.max() < 0.103
@@ -756,7 +857,7 @@ def test_a_manifold_whose_drawn_points_are_lost_is_refused(
     extension, lane, why, monkeypatch
 ):
     region = Region.whole(1)
-    chart = extension.manifold().chart
+    chart = make_manifold(extension).chart
     usual = solve
 
     def lost(problem, kind, guess, *args, **options):
@@ -765,12 +866,12 @@ def test_a_manifold_whose_drawn_points_are_lost_is_refused(
             found.ok[lane] = False
         return found
 
-    monkeypatch.setattr(makers, "solve", lost)
+    monkeypatch.setattr(manifold_maker, "solve", lost)
     if why is None:
-        assert extension.measured(region, chart).quadratic > 0
+        assert measured(extension, region, chart).quadratic > 0
     else:
         with pytest.raises(Refused, match=why):
-            extension.measured(region, chart)
+            measured(extension, region, chart)
 
 
 def test_a_manifold_over_one_key_ends_where_it_turns():
@@ -846,10 +947,24 @@ def test_a_point_that_wanders_off_is_another_one_even_if_it_comes_back():
     }
     family = Family.of({"walker": table, "set": {}}, ("m_h",))
     walkers = family.walkers(np.array([[1.230461021906968]]))
-    guess = np.array([-0.9349689, -1.0331377, -0.5184508, 2.9497147, -2.9689430])[
-        :, None
-    ]
-    rows = np.array([1.0282389, -5.7727299, -1.9885476, -7.1496630, 0.5656257])[:, None]
+    guess = np.array(
+        [
+            -0.9349689,
+            -1.0331377,
+            -0.5184508,
+            2.9497147,
+            -2.9689430,
+        ]
+    )[:, None]
+    rows = np.array(
+        [
+            1.0282389,
+            -5.7727299,
+            -1.9885476,
+            -7.1496630,
+            0.5656257,
+        ]
+    )[:, None]
     problem = Lanes(walkers, common_structure(walkers))
     found = solve(Equations(problem, [CONDITIONS["flip"]]), guess, rows=rows)
     assert (
