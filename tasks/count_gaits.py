@@ -15,8 +15,10 @@ from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.search import distinct
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio, verify_steps
+from gaitsweep.tasks.mechanics.arrays import Sections, Unknowns
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.sameness import SAME_POINT
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
@@ -30,9 +32,8 @@ _SLOWEST, _FASTEST = -0.7, -4.0
 #: Largest swing rate over the stance rate, of a leg that swings in pi sqrt(leg/g); of
 #: faster ones in proportion.
 _SWING_RATIO = 1.6
-#: Solutions closer than this in similarity coordinates are the same, and after a coarse
-#: iteration.
-_SAME, _SAME_COARSE = 1e-5, 1e-3
+#: Solutions closer than this in similarity coordinates are the same.
+_SAME = 1e-5
 #: Newton steps of a guess, by the number of phases of a step: with a free knee they are
 #: dear, and few converge late.
 _MAX_STEPS = {1: 25, 2: 15}
@@ -86,56 +87,75 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     others (`found_deflated`; such a gait has no `hits`). A guess that never strikes is
     not used: its gait, if any, is not covered.
     """
-    walker = walker_of_line(params["line"])
-    problem = Problem(walker)
-    parts: list[list[np.ndarray]] = []
+    problem = Problem(walker_of_line(params["line"]))
+    count = int(registry.options("census", params)["starts"])
+    parts: list[tuple[np.ndarray, ...]] = []
     cover: list[dict[str, Any]] = []
-    for slope in np.asarray(params["slope"], float):
-        y = starts(
-            problem, float(slope), int(registry.options("census", params)["starts"])
-        )
-        first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
-        struck = first.outcome == STRUCK
-        guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])[:, struck]
-        w, hits, converged = _solve(problem, guesses, float(slope))
-        w, hits, tried, added = _deflate(problem, guesses, w, hits, float(slope))
-        walks = anthropomorphic = np.zeros(0, bool)
+    for slope in np.asarray(params["slope"], float).tolist():
+        guesses = _struck(problem, starts(problem, slope, count), slope)
+        w, hits, converged = _solve(problem, guesses, slope)
+        w, hits, tried, added = _deflate(problem, guesses, w, hits, slope)
+
+        walking = anthropomorphic = 0
         if w.shape[1]:
-            at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
-            walks = verdict.step & ~verdict.doubt
-            anthropomorphic = walks & verdict.anthropomorphic
-            section = np.multiply(*problem.section(w))
-            columns = (
-                np.full(len(walks), slope),
-                np.where(gait_ratio(at) < LONG_BELOW, "long", "short"),
-                anthropomorphic.astype(int),
-                verdict.leg_passes.astype(int),
-                np.exp(w[0]),
-                problem.start(section, np.full(len(walks), slope))[1]
-                / walker.time_unit,
-                w[-1] * walker.time_unit,
-                np.abs(multipliers(at.jacobian, problem.m)).max(axis=1),
-                hits,
-            )
-            parts.append([column[walks] for column in columns])
-        once = int((hits == 1).sum())
-        cover.append(
-            {
-                "slope": slope,
-                "starts": y.shape[1],
-                "struck": int(struck.sum()),
-                "converged": converged,
-                "gaits": int(walks.sum()),
-                "anthropomorphic": int(anthropomorphic.sum()),
-                "non_anthropomorphic": int((walks & ~anthropomorphic).sum()),
-                "not_steps": int((~walks).sum()),
-                "found_once": once,
-                "unseen": max(once, 1) / max(converged, 1),
-                "deflated": tried,
-                "found_deflated": added,
-            }
-        )
+            gaits = _gaits(problem, w, hits, slope)
+            parts.append(tuple(gaits.values()))
+            walking = len(gaits["slope"])
+            anthropomorphic = int(gaits["anthropomorphic"].sum())
+
+        row = {"slope": slope, "starts": count, "struck": guesses.shape[1]}
+        row |= {"converged": converged, "gaits": walking}
+        row |= _kinds(w.shape[1], walking, anthropomorphic)
+        row |= _unseen(hits, converged)
+        row |= {"deflated": tried, "found_deflated": added}
+        cover.append(row)
     return stacked("census", parts, _GAIT_COLUMNS) | table("coverage", cover)
+
+
+def _kinds(solutions: int, walking: int, anthropomorphic: int) -> dict[str, int]:
+    """Columns of the table `coverage`: how many solutions are gaits of which kind."""
+    return {
+        "anthropomorphic": anthropomorphic,
+        "non_anthropomorphic": walking - anthropomorphic,
+        "not_steps": solutions - walking,
+    }
+
+
+def _unseen(hits: np.ndarray, converged: int) -> dict[str, float]:
+    """Columns of the table `coverage`: the Good-Turing estimate, and what it is of."""
+    once = int((hits == 1).sum())
+    return {"found_once": once, "unseen": max(once, 1) / max(converged, 1)}
+
+
+def _struck(problem: Problem, y: Sections, slope: float) -> Unknowns:
+    """Guesses of gaits whose first step, simulated, ends in a strike, with its times."""
+    first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
+    guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])
+    return guesses[:, first.outcome == STRUCK]
+
+
+def _gaits(
+    problem: Problem, w: Unknowns, hits: np.ndarray, slope: float
+) -> dict[str, np.ndarray]:
+    """Columns of the table `census`, of those solutions that are steps."""
+    time_unit = problem.walker.time_unit
+    slopes = np.full(w.shape[1], slope)
+    at, verdict = verify_steps(problem, w, np.log(slopes))
+    walks = verdict.step & ~verdict.doubt
+    state = problem.start(np.multiply(*problem.section(w)), slopes)
+    columns = (
+        slopes,
+        np.where(gait_ratio(at) < LONG_BELOW, "long", "short"),
+        (walks & verdict.anthropomorphic).astype(int),
+        verdict.leg_passes.astype(int),
+        np.exp(w[0]),
+        state[1] / time_unit,
+        w[-1] * time_unit,
+        np.abs(multipliers(at.jacobian, problem.m)).max(axis=1),
+        hits,
+    )
+    walking = [column[walks] for column in columns]
+    return dict(zip(_GAIT_COLUMNS, walking, strict=True))
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
@@ -153,11 +173,13 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
         Stance angle and rates just after heelstrike.
     """
     unit = r_sequence(problem.m, count)
-    low, high = np.log(_MIN_ANGLE_RATIO * slope), np.log(_MAX_ANGLE)
+    low = np.log(_MIN_ANGLE_RATIO * slope)
+    high = np.log(_MAX_ANGLE)
     angle = np.exp(low + (high - low) * unit[0])
     # The vertical lies nearer than the ground's normal by the slope: steep gaits are
     # slow for their angle.
-    fastest, slowest = _FASTEST * angle, _SLOWEST * np.maximum(angle - slope, 0.0)
+    fastest = _FASTEST * angle
+    slowest = _SLOWEST * np.maximum(angle - slope, 0.0)
     rate = fastest + (slowest - fastest) * unit[1]
     if problem.m == 2:
         return np.vstack([angle, rate])
@@ -171,18 +193,15 @@ def _solve(
     """Distinct fixed points, how many guesses led to each, and how many converged at
     all.
     """
-    q = np.log(slope)
     # All guesses are iterated coarsely, and only distinct results exactly.
-    w, near = newton(
-        problem,
-        w,
-        np.full(w.shape[1], q),
-        coarse=True,
-        max_iterations=_MAX_STEPS[problem.phases],
-    )
-    w, hits = _merge(w[:, near], np.ones(near.sum(), int), _SAME_COARSE)
-    w, converged = newton(problem, w, np.full(w.shape[1], q))
-    return *_merge(w[:, converged], hits[converged], _SAME), int(near.sum())
+    q = np.full(w.shape[1], np.log(slope))
+    rounds = _MAX_STEPS[problem.phases]
+    w, near = newton(problem, w, q, coarse=True, max_iterations=rounds)
+    n_near = int(near.sum())
+    w, hits = _merge(w[:, near], np.ones(n_near, int), SAME_POINT)
+    w, converged = newton(problem, w, q[: w.shape[1]])
+    w, hits = _merge(w[:, converged], hits[converged], _SAME)
+    return w, hits, n_near
 
 
 def _deflate(
@@ -195,17 +214,19 @@ def _deflate(
     """Known solutions with those that deflation adds, their hits, the number of
     guesses, and of solutions added.
     """
-    first, tried = known.shape[1], 0
+    q = np.full(guesses.shape[1], np.log(slope))
+    first = known.shape[1]
+    tried = 0
     for _ in range(_PASSES):
         before = known.shape[1]
-        if not before or not guesses.shape[1]:
+        if not before or not len(q):
             break
-        tried += guesses.shape[1]
+        tried += len(q)
         w, near = deflated(problem, guesses, known, slope)
-        w, converged = newton(problem, w[:, near], np.full(near.sum(), np.log(slope)))
+        w, converged = newton(problem, w[:, near], q[near])
         both = np.hstack([known, w[:, converged]])
-        counts = np.concatenate([hits, np.zeros(both.shape[1] - before, int)])
-        known, hits = _merge(both, counts, _SAME)
+        none_yet = np.zeros(both.shape[1] - before, int)
+        known, hits = _merge(both, np.append(hits, none_yet), _SAME)
         if known.shape[1] == before:
             break
     return known, hits, tried, known.shape[1] - first

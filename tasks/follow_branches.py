@@ -13,12 +13,14 @@ from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.locate import locate_root
 from gaitsweep.tasks.continuation.lockstep import run
+from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.sampling import chosen, within
 from gaitsweep.tasks.continuation.special_points import RATES, record, special_points
 from gaitsweep.tasks.continuation.tracking import correct
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
@@ -62,61 +64,80 @@ def branch(
     """
     walker = walker_of_line(params["line"])
     problem = Problem(walker, int(params.get("steps", 1)))
-    time_unit = walker.time_unit
-    low, high, least = (
-        float(params["slope_from"]),
-        float(params["slope_to"]),
-        int(params.get("n", 2)),
-    )
+    low, high = float(params["slope_from"]), float(params["slope_to"])
+    least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
     points: list[tuple[Any, ...]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
-        Z = (
-            chosen(problem, curve, low, high, tolerance)
-            if tolerance
-            else _dense(problem, curve, low, high, least)
-        )
-        if not Z.shape[1]:
-            continue
-        w, q, m = from_largest(Z[:-1], curve.m, problem.steps), Z[-1], curve.m
-        stride, scale = problem.stride(w, q)
-        rates = problem.start(stride.y * scale, np.exp(q))[1:] / time_unit
-        radius = np.abs(multipliers(stride.jacobian, len(stride.jacobian))).max(axis=1)
-        times = w[m:] * time_unit
-        knee = times[0] if walker.knees else np.nan
-        label = np.where(gait_ratio(stride) < LONG_BELOW, "long", "short")
-        parts.append(
-            (
-                number,
-                np.exp(q),
-                np.exp(w[0]),
-                *rates,
-                times[-1],
-                knee,
-                radius,
-                (radius < 1).astype("i1"),
-                label,
-            )
-        )
+        if tolerance:
+            Z = chosen(problem, curve, low, high, tolerance)
+        else:
+            Z = _dense(problem, curve, low, high, least)
+        if Z.shape[1]:
+            parts.append((number, *_columns(problem, Z)))
+            for point in _special_within(problem, curve, low, high):
+                points.append((number, *_special_row(problem, point)))
 
-        found = special_points(problem, curve) + contact_lost(problem, curve, low, high)
-        found = [
-            point
-            for point in found
-            if low <= point["slope"] <= high and point["kind"] != "window"
-        ]
-        for point in found + _leaves_window(problem, curve, low, high):
-            state = point["stance_angle"], *(np.array(point["rates"]) / time_unit)
-            period, error = point["period"] * time_unit, point["error_bound"]
-            points.append(
-                (number, point["kind"], point["slope"], *state, period, error)
-            )
-    tables = stacked("branches", parts, COLUMNS) | table(
-        "special_points", points, SPECIAL
+    tables = stacked("branches", parts, COLUMNS)
+    tables |= table("special_points", points, SPECIAL)
+    if not parts:
+        gait = "gait"
+        if problem.steps > 1:
+            gait += f" of {problem.steps} steps"
+        tables |= nothing(over(gait, np.array([low, high])))
+    return tables
+
+
+def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
+    """Columns of the table `branches` after the first, of points of a branch."""
+    walker = problem.walker
+    w = from_largest(Z[:-1], problem.m, problem.steps)
+    slope = np.exp(Z[-1])
+    stride, scale = problem.stride(w, Z[-1])
+    state = problem.start(stride.y * scale, slope)
+    rates = state[1:] / walker.time_unit
+    jacobian = stride.jacobian
+    magnitudes = np.abs(multipliers(jacobian, len(jacobian)))
+    radius = magnitudes.max(axis=1)
+    times = w[problem.m :] * walker.time_unit
+    kneestrike = times[0] if walker.knees else np.nan
+    return (
+        slope,
+        np.exp(w[0]),
+        *rates,
+        times[-1],
+        kneestrike,
+        radius,
+        (radius < 1).astype("i1"),
+        np.where(gait_ratio(stride) < LONG_BELOW, "long", "short"),
     )
-    gait = f"gait of {problem.steps} steps" if problem.steps > 1 else "gait"
-    return tables if parts else tables | nothing(over(gait, np.array([low, high])))
+
+
+def _special_within(
+    problem: Problem, branch: Branch, low: float, high: float
+) -> list[dict[str, Any]]:
+    """Special points of a branch in a window, and where it leaves the window."""
+    found = special_points(problem, branch)
+    found += contact_lost(problem, branch, low, high)
+    inside = []
+    for point in found:
+        if low <= point["slope"] <= high and point["kind"] != "window":
+            inside.append(point)
+    return inside + _leaves_window(problem, branch, low, high)
+
+
+def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
+    """Row of the table `special_points` after the first column."""
+    time_unit = problem.walker.time_unit
+    return (
+        point["kind"],
+        point["slope"],
+        point["stance_angle"],
+        *(np.array(point["rates"]) / time_unit),
+        point["period"] * time_unit,
+        point["error_bound"],
+    )
 
 
 def contact_lost(
@@ -139,44 +160,50 @@ def contact_lost(
         and the branch continues.
     """
 
-    def least(Z: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
-        stride, scale = problem.stride(Z[:-1], Z[-1], samples=samples)
-        each, (scale, slope) = (
-            stride.singles,
-            np.tile([scale, np.exp(Z[-1])], stride.steps),
-        )
-        # A step begins with the heelstrike that ends the one before it.
-        impact, motion = (
-            np.roll(each.impact, Z.shape[1], axis=1) * scale,
-            [part * scale for part in each.motion],
-        )
-        force = violations.measure(problem.walker, motion, impact, each.times, slope)[
-            "least_normal_force"
-        ]
-        return force.reshape(stride.steps, -1).min(axis=0)
+    def least(point: Point) -> float:
+        return float(_least_force(problem, point.Z)[0])
 
-    ends = np.sort([branch.q[1:], branch.q[:-1]], axis=0)
-    meets = (ends[0] <= np.log(high)) & (
-        ends[1] >= np.log(low)
-    )  # segments: a window may lie within one
-    near = np.nonzero(np.convolve(meets, np.ones(2)))[0]
+    near = _nodes_near(branch, low, high)
     if not len(near):
         return []
+
     force = np.full(len(branch.q), np.nan)
-    force[near] = least(branch.Z[:, near])
+    force[near] = _least_force(problem, branch.Z[:, near])
     records: list[dict[str, Any]] = []
-    for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
-        point = run(
-            problem,
-            locate_root(branch, int(segment), lambda point: float(least(point.Z)[0])),
-        )
+    changes = force[1:] * force[:-1] < 0
+    for segment in np.flatnonzero(changes).tolist():
+        point = run(problem, locate_root(branch, segment, least))
         # Closer samples show the error of the minimum of a sampled force.
-        error = least(point.Z, 2 * violations.SAMPLES)[0] / (
-            force[segment + 1] - force[segment]
-        )
-        slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
-        records.append(record("end_contact_lost", point.at, 0, slope_error + 64 * EPS))
+        finer = _least_force(problem, point.Z, 2 * violations.SAMPLES)[0]
+        share = finer / (force[segment + 1] - force[segment])
+        length = branch.q[segment + 1] - branch.q[segment]
+        error = abs(float(share * length)) + 64 * EPS
+        records.append(record("end_contact_lost", point.at, 0, error))
     return records
+
+
+def _nodes_near(branch: Branch, low: float, high: float) -> Numbers:
+    """Nodes of the segments that meet a window, which may lie within one."""
+    left, right = branch.q[:-1], branch.q[1:]
+    meets = np.minimum(left, right) <= np.log(high)
+    meets &= np.maximum(left, right) >= np.log(low)
+    beside = np.convolve(meets, np.ones(2))
+    return np.flatnonzero(beside)
+
+
+def _least_force(
+    problem: Problem, Z: Coordinates, samples: int = violations.SAMPLES
+) -> PerLane:
+    """Least normal force over the steps of gaits, as `violations` measures it."""
+    stride, scale = problem.stride(Z[:-1], Z[-1], samples=samples)
+    singles = stride.singles
+    scale, slope = np.tile([scale, np.exp(Z[-1])], stride.steps)
+    motion = [part * scale for part in singles.motion]
+    # A step begins with the heelstrike that ends the one before it.
+    impact = np.roll(singles.impact, Z.shape[1], axis=1) * scale
+    measured = violations.measure(problem.walker, motion, impact, singles.times, slope)
+    force: PerLane = measured["least_normal_force"]
+    return force.reshape(stride.steps, -1).min(axis=0)
 
 
 def _leaves_window(
@@ -209,22 +236,26 @@ def _leaves_window(
 
 def _dense(
     problem: Problem, branch: Branch, low: float, high: float, least: int
-) -> np.ndarray:
+) -> Coordinates:
     """Points of the branch within the window, its nodes and as many between as `least`
     points need.
     """
     parts = 1
-    while True:
-        place, Z = within(branch, np.log(low), np.log(high), parts)
-        if not len(place) or len(place) >= least or parts >= _MAX_PARTS:
-            break
+    window = np.log(low), np.log(high)
+    place, Z = within(branch, *window, parts)
+    while 0 < len(place) < least and parts < _MAX_PARTS:
         parts *= 2
+        place, Z = within(branch, *window, parts)
+    if branch.steps == 1:
+        return Z
+
     # The polynomials of gaits of several steps are coarse. Beside folds, slopes do not
     # tell gaits apart.
-    between = np.flatnonzero(place % 1 > 0) if branch.steps > 1 else np.zeros(0, int)
+    between = np.flatnonzero(place % 1 > 0)
     if len(between):
         border = branch.direction[:, place[between].astype(int)]
-        border[:, np.abs(border[-1]) > _STEEP] = np.eye(len(border))[:, [-1]]
+        along_slope = np.eye(len(border))[:, [-1]]
+        border[:, np.abs(border[-1]) > _STEEP] = along_slope
         point = correct(problem, Z[:, between], border)
         Z[:, between[point.ok]] = point.Z[:, point.ok]
     return Z

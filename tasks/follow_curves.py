@@ -35,7 +35,10 @@ from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
 from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
 #: Why a line has no curve.
-_NO_START = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
+_NO_START = (
+    "No point to start a curve from was found, neither at the value of the walker nor "
+    "at the ends of the range."
+)
 #: Share of the range of the key at which its value is ordinary; and of the way there
 #: from a value that is not, at which a curve begins.
 _ORDINARY, _BESIDE = 0.4871, 1e-3
@@ -76,28 +79,14 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         If the walker has no such key, or the range is empty.
     """
     line, options = params["line"], registry.options("curve", params)
-    key, low, high = str(options["key"]), float(options["from"]), float(options["to"])
-    if not low < high:
-        raise WalkerError("from", low, f"must be less than `to` = {high!r}")
-
-    def walker_at(value: float) -> Walker:
-        return resolve(line["walker"], {**line.get("set", {}), key: value})
-
-    # Away from any special value: the equations that hold there hold throughout the
-    # range.
-    ordinary = low + _ORDINARY * (high - low)
-    walker_at(ordinary)
-    keys = Keys((key,), walker_at, (low,), (high,), (ordinary,))
+    key = str(options["key"])
+    keys = _keys(line, key, float(options["from"]), float(options["to"]))
     slope = np.asarray(params["slope"], float)
     window = _Window((slope.min(), slope.max()), keys)
     tables = _Tables([], [])
     value = _value_of_line(line, key)
-    for begin in _beginnings(value, low, high):
-        beside = begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0])
-        if not _is_ordinary(walker_at, np.clip(beside, low, high).tolist(), ordinary):
-            begin += _BESIDE * (ordinary - begin)
-
-        problem = Problem(walker_at(begin))
+    for begin in _beginnings(value, keys):
+        problem = Problem(keys.walker_at(begin))
         if begin == value:
             branches = atlases.from_arrays(inputs[0])
         else:
@@ -109,6 +98,21 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
     return found if tables.curves else found | nothing(_NO_START)
+
+
+def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
+    """A line's key as an unknown, over its range."""
+    if not low < high:
+        raise WalkerError("from", low, f"must be less than `to` = {high!r}")
+
+    def walker_at(value: float) -> Walker:
+        return resolve(line["walker"], {**line.get("set", {}), key: value})
+
+    # Away from any special value: the equations that hold there hold throughout the
+    # range.
+    ordinary = low + _ORDINARY * (high - low)
+    walker_at(ordinary)
+    return Keys((key,), walker_at, (low,), (high,), (ordinary,))
 
 
 @dataclass(frozen=True)
@@ -217,14 +221,20 @@ def _turning_rows(
                 yield (number, kind, turn, *_place(equations, X, window), error)
 
 
-def _beginnings(value: float, low: float, high: float) -> list[float]:
-    """Values at which curves may begin: the walker's own, or the nearest in the range;
-    then the ends of the range, the nearer one first.
+def _beginnings(value: float, keys: Keys) -> Iterator[float]:
+    """Values at which curves may begin, moved where they are not ordinary: the walker's
+    own, or the nearest in the range; then the ends of the range, the nearer one first.
     """
+    (low,), (high,), (ordinary,) = keys.low, keys.high, keys.ordinary
     nearest = min(max(value, low), high)
     ends = [low, high]
     ends.sort(key=lambda end: abs(end - value))
-    return list(dict.fromkeys([nearest, *ends]))
+    for begin in dict.fromkeys([nearest, *ends]):
+        beside = begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0])
+        beside = np.clip(beside, low, high)
+        if not _is_ordinary(keys.walker_at, beside.tolist(), ordinary):
+            begin += _BESIDE * (ordinary - begin)
+        yield begin
 
 
 def _is_ordinary(
@@ -270,7 +280,8 @@ def _error(equations: Equations, X: np.ndarray, window: _Window) -> float:
 
 def _value_of_line(line: Mapping[str, Any], key: str) -> float:
     """The line's value of a key."""
-    walker, settings = walker_of_line(line), line.get("set", {})
+    walker = walker_of_line(line)
+    settings = line.get("set", {})
     if key in settings:
         return float(settings[key])
 

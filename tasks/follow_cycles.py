@@ -49,12 +49,13 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
         By their lowest slopes. Nothing is measured on them but whether they walk: what
         points need is measured there.
     """
-    single = [flip for branch in branches for flip in flips(problem, branch)]
+    single = _flips_of(problem, branches)
     steps = n // (n & -n)  # the odd part
     followed = _searched(problem, branches, steps, single, [])
     begins = single if steps == 1 else _flips_of(problem, followed)
     while steps < n:
-        steps, followed = 2 * steps, []
+        steps *= 2
+        followed = []
         for flip in begins:
             begun = doubled(flip, _EXPECTED)
             if begun and not is_known(followed, begun[0].Z[:, 0]):
@@ -65,11 +66,10 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
 
 
 def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
-    return [
-        flip
-        for branch in branches
-        for flip in flips(problem.of_steps(branch.steps), branch)
-    ]
+    found: list[Evaluation] = []
+    for branch in branches:
+        found += flips(problem.of_steps(branch.steps), branch)
+    return found
 
 
 def _along(
@@ -84,9 +84,10 @@ def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
     """Slopes at which gaits have doubled already, as those of heavy feet at vanishing
     slopes, shape (n,) [rad].
     """
-    flip, medians = CONDITIONS["flip"], []
+    medians = []
     for branch in branches:
-        is_beyond = flip.residual(corrected(problem, branch).at) < 0
+        nodes = corrected(problem, branch)
+        is_beyond = CONDITIONS["flip"].residual(nodes.at) < 0
         q = branch.q[is_beyond & (branch.leg_passes == 1)]
         if len(q):
             medians.append(np.exp(np.median(q)))
@@ -106,16 +107,18 @@ def _searched(
     If there is no flip, gaits of two steps are searched for at slopes at which those of
     one step have doubled.
     """
-    followed: list[Branch] = []
-    several, slopes = problem.of_steps(n), np.zeros(0)
+    slopes = np.zeros(0)
     if flips and n > 2:
-        slopes = float(np.exp(min(flip.q[0] for flip in flips))) * _SEARCHED
+        first = float(np.exp(min(flip.q[0] for flip in flips)))
+        slopes = first * _SEARCHED
     elif not flips and n == 2:
         slopes = _beyond_flips(problem, branches)
-    for slope in slopes:
-        for gait in search_cycles(problem, branches, float(slope), n, _STARTS):
-            if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER and not is_known(
-                [*known, *followed], gait.Z[:, 0]
-            ):
-                followed += _along(several, gait, _FIRST_STEP, [])
+
+    followed: list[Branch] = []
+    for slope in slopes.tolist():
+        for gait in search_cycles(problem, branches, slope, n, _STARTS):
+            if abs(gait.at.multipliers[0, 0]) > MAX_MULTIPLIER:
+                continue
+            if not is_known([*known, *followed], gait.Z[:, 0]):
+                followed += _along(problem.of_steps(n), gait, _FIRST_STEP, [])
     return followed

@@ -26,6 +26,7 @@ from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.dynamics.walk import Walk
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.mechanics.arrays import Slopes, Unknowns
 from gaitsweep.tasks.status import over
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
@@ -70,6 +71,7 @@ _CASCADE = (
     "walks",
 )
 _ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
+_UNKNOWN = (np.nan,) * 4
 _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 
@@ -97,11 +99,8 @@ class _Event:
 
 @dataclass(frozen=True)
 class _Family:
-    """A family of gaits: the period at which it begins, its events in order, and why no
-    more follow.
-    """
+    """A family of gaits: its events in order, and why no more follow."""
 
-    period: int
     events: list[_Event]
     stopped: str
 
@@ -139,50 +138,65 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         them is NaN.
     """
     options = registry.options("cascade", params)
-    walker = walker_of_line(params["line"])
-    problem = Problem(walker)
+    problem = Problem(walker_of_line(params["line"]))
     near = Problem(walker_of_line(params["near"])) if "near" in params else problem
     slope = np.sort(np.asarray(params["slope"], float))
     if not len(slope):
         return {}
 
-    events: list[tuple[Any, ...]] = []
+    starts, longest = int(options["starts"]), int(options["periods"])
     accumulations: list[tuple[Any, ...]] = []
-    ends: list[tuple[Any, ...]] = []
+    families: dict[str, _Family] = {}
     missing: list[str] = []
-    longest, starts = int(options["periods"]), int(options["starts"])
     for period in map(int, options["families"]):
         first = _first_gaits(problem, near, inputs[0], slope, period, starts)
-        families = _families(problem, first, slope, period, longest)
-        if not families:
-            of = "long gait" if period == 1 else f"gait of period {period} was found"
-            missing.append(over(of, slope))
-            unknown = [np.nan] * 4
-            accumulations.append((f"{period}", 0, *unknown, missing[-1]))
-        for number, family in enumerate(families, start=1):
-            name = f"{period}" if len(families) == 1 else f"{period}-{number}"
-            events += _event_rows(name, family, walker.time_unit)
+        found = _families(problem, first, slope, period, longest)
+        families |= found
+        for name, family in found.items():
             accumulations.append(_accumulation_row(name, family))
-            ends += _lost_rows(problem, name, family, slope, int(options["steps"]))
+        if not found:
+            why = _no_family(period, slope)
+            missing.append(why)
+            accumulations.append((f"{period}", 0, *_UNKNOWN, why))
 
-    tables = table("cascade", events, _CASCADE)
+    tables = _event_table(families, problem.walker.time_unit)
     tables |= table("accumulation", accumulations, _ACCUMULATION)
-    tables |= table("lost", ends, _LOST)
-    found_any = len(missing) < len(accumulations)
-    return tables if found_any else tables | nothing(" ".join(missing))
+    tables |= _lost_table(problem, families, slope, int(options["steps"]))
+    if not families:
+        tables |= nothing(" ".join(missing))
+    return tables
+
+
+def _no_family(period: int, slope: Slopes) -> str:
+    """Why there is no family of a period."""
+    gait = "long gait" if period == 1 else f"gait of period {period} was found"
+    return over(gait, slope)
 
 
 def _families(
-    problem: Problem, first: list[Point], slope: np.ndarray, period: int, longest: int
-) -> list[_Family]:
-    """The families that begin with some gaits, each once."""
+    problem: Problem, first: list[Point], slope: Slopes, period: int, longest: int
+) -> dict[str, _Family]:
+    """The families that begin with some gaits, each once, by their names."""
+    window = float(np.log(slope[0])), float(np.log(slope[-1]))
     families: list[_Family] = []
     for gait in first:
-        known = [family.events for family in families]
-        events, stopped = _follow_family(problem, gait, slope, longest, known)
-        if stopped is not None:
-            families.append(_Family(period, events, stopped))
-    return families
+        known = [family.events[0] for family in families if family.events]
+        family = _follow_family(problem, gait, window, longest, known)
+        if family is not None:
+            families.append(family)
+
+    names = [f"{period}-{number}" for number in range(1, len(families) + 1)]
+    if len(families) == 1:
+        names = [f"{period}"]
+    return dict(zip(names, families, strict=True))
+
+
+def _event_table(families: dict[str, _Family], time_unit: float) -> Arrays:
+    """The table of the folds and flips of families, by their names."""
+    rows: list[tuple[Any, ...]] = []
+    for name, family in families.items():
+        rows += _event_rows(name, family, time_unit)
+    return table("cascade", rows, _CASCADE)
 
 
 def _event_rows(
@@ -215,8 +229,18 @@ def _accumulation_row(name: str, family: _Family) -> tuple[Any, ...]:
     return (name, len(family.flips), *bounds, last, family.stopped)
 
 
+def _lost_table(
+    problem: Problem, families: dict[str, _Family], slope: Slopes, steps: int
+) -> Arrays:
+    """The table of where the chaos beyond the flips of families ends."""
+    rows: list[tuple[Any, ...]] = []
+    for name, family in families.items():
+        rows += _lost_rows(problem, name, family, slope, steps)
+    return table("lost", rows, _LOST)
+
+
 def _lost_rows(
-    problem: Problem, name: str, family: _Family, slope: np.ndarray, steps: int
+    problem: Problem, name: str, family: _Family, slope: Slopes, steps: int
 ) -> list[tuple[Any, ...]]:
     """Row of where the chaos beyond a family's flips ends, if these accumulate."""
     accumulation = scaling.accumulation(family.flips)[0]
@@ -265,50 +289,56 @@ def _first_gaits(
     problem: Problem,
     near: Problem,
     atlas: Arrays,
-    slope: np.ndarray,
+    slope: Slopes,
     n: int,
     starts: int,
 ) -> list[Point]:
     """A gait of each family of period n, sought from those of a walker `near` and its
     atlas.
     """
+    branches = atlases.from_arrays(atlas)
     if n == 1:
-        branches = atlases.from_arrays(atlas)
-        # A branch may begin above the window's lower edge: between nodes, for at a fold
-        # it has no derivative.
-        between = np.exp(
-            np.concatenate(
-                [
-                    slope[:0],
-                    *(0.5 * (branch.q[1:] + branch.q[:-1]) for branch in branches),
-                ]
-            )
-        )
-        tried = np.unique(
-            [slope[0], *between[(between > slope[0]) & (between < slope[-1])]]
-        )
-        known, y = gaits_at(near, branches, tried, "long")
-        for k, start in zip(known, y.T, strict=True):
-            step = stride(problem, start[:, None], tried[[k]])
-            guess = joined(
-                0.0, start[None, :, None], np.diff(step.times, axis=0, prepend=0)[None]
-            )
-            gaits = _solved(problem, guess[:, step.outcome == STRUCK], float(tried[k]))
-            if gaits:
-                return gaits
-        return []
-    for s in slope:
-        gaits = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
+        return _first_long_gait(problem, near, branches, slope)
+    for s in slope.tolist():
+        gaits = search_cycles(problem, branches, s, n, starts)
         if gaits:
             return gaits
     return []
 
 
-def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
+def _first_long_gait(
+    problem: Problem, near: Problem, branches: list[Branch], slope: Slopes
+) -> list[Point]:
+    """The long gait of one step at the lowest slope of a window at which those of a
+    walker `near`, on its branches, lead to one.
+    """
+    low, high = slope[0], slope[-1]
+    tried = [low]
+    # A branch may begin above the window's lower edge: between nodes, for at a fold it
+    # has no derivative.
+    for branch in branches:
+        between = np.exp(0.5 * (branch.q[1:] + branch.q[:-1]))
+        tried.extend(between[(between > low) & (between < high)])
+
+    slopes = np.unique(tried)
+    known, y = gaits_at(near, branches, slopes, "long")
+    for k, start in zip(known, y.T, strict=True):
+        step = stride(problem, start[:, None], slopes[[k]])
+        durations = np.diff(step.times, axis=0, prepend=0)
+        guess = joined(0.0, start[None, :, None], durations[None])
+        has_struck = step.outcome == STRUCK
+        gaits = _solved(problem, guess[:, has_struck], float(slopes[k]))
+        if gaits:
+            return gaits
+    return []
+
+
+def _solved(problem: Problem, w: Unknowns, slope: float) -> list[Point]:
     """Distinct gaits, of exactly so many steps, to which Newton's method leads from
     guesses (m + k, n) at one slope.
     """
-    m, n, q = problem.m, problem.steps, np.full(w.shape[1], np.log(slope))
+    m, n = problem.m, problem.steps
+    q = np.full(w.shape[1], np.log(slope))
     w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
     exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
@@ -317,11 +347,11 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> list[Point]:
             kept.append(i)
     if not kept:
         return []
+
     Z = np.vstack([w, q])[:, kept]
-    check, gaits = check_steps(problem, Z), correct(problem, Z, None)
-    return [
-        lanes_of(gaits, np.array([i])) for i in np.flatnonzero(gaits.ok & check.step)
-    ]
+    gaits = correct(problem, Z, None)
+    walking = gaits.ok & check_steps(problem, Z).step
+    return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(walking)]
 
 
 def search_cycles(
@@ -352,70 +382,86 @@ def search_cycles(
         return []
     y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
     walk = Walk(problem, y, np.full(starts, slope))
-    after, times = zip(
-        *((walk.y.copy(), walk.times.copy()) for _ in walk.steps(n + 1)), strict=True
-    )
+    after, times = [], []
+    for _ in walk.steps(n + 1):
+        after.append(walk.y.copy())
+        times.append(walk.times.copy())
     if not len(walk.lanes):
         return []
+
     # The first step maps all initial conditions onto the strongly contracted image of
     # the map.
-    distance = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
-    nearest = walk.lanes[np.argsort(distance, kind="stable")[:60]]
-    y, strikes = (np.stack(each)[..., nearest] for each in (after[:n], times[1:]))
-    gaits = _solved(
-        problem.of_steps(n), joined(0.0, y, np.diff(strikes, axis=1, prepend=0)), slope
-    )
-    return sorted(gaits, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0])))
+    off = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
+    nearest = walk.lanes[np.argsort(off, kind="stable")[:60]]
+    y = np.stack(after[:n])[..., nearest]
+    strikes = np.stack(times[1:])[..., nearest]
+    guesses = joined(0.0, y, np.diff(strikes, axis=1, prepend=0))
+    return sorted(_solved(problem.of_steps(n), guesses, slope), key=_largest_multiplier)
+
+
+def _largest_multiplier(gait: Point) -> float:
+    return float(np.abs(gait.at.multipliers[0, 0]))
 
 
 def _follow_family(
     problem: Problem,
     start: Point,
-    slope: np.ndarray,
+    window: tuple[float, float],
     longest: int,
-    others: Sequence[list[_Event]] = (),
-) -> tuple[list[_Event], str | None]:
+    known: Sequence[_Event] = (),
+) -> _Family | None:
     """A family's fold, then its flips, switching at each to the branch of twice the
-    period; and why no more follow.
+    period; None where its fold is one of those `known`, of which it is the other side.
 
-    Of a family that is the other side of the fold of one of the `others` only the fold,
-    and None.
+    The window is of ln slope.
     """
-    low, high = np.log(slope[0]), np.log(slope[-1])
+    length = window[1] - window[0]
     problem = problem.of_steps(start.at.stride.steps)
     up = np.eye(len(start.Z))[-1]
     events: list[_Event] = []
     if problem.steps > 1:
         # Down to the fold at which the family is born; of its two sides the one nearer
         # stability cascades.
-        fold, _ = _first_event(
-            problem, (start, -up, _FIRST_STEP * (high - low)), "fold", low, high
-        )
-        if fold:
+        down: _Begun = (start, -up, _FIRST_STEP * length)
+        fold, _ = _first_event(problem, down, "fold", window)
+        if fold is not None:
+            if any(_is_same(fold, other) for other in known):
+                return None
             events.append(fold)
-            if any(_is_same(fold, other[0]) for other in others if other):
-                return events, None
-            start = min(
-                fold.beside, key=lambda gait: float(np.abs(gait.at.multipliers[0, 0]))
-            )
-    begun: _Begun | None = (start, up, _FIRST_STEP * (high - low))
-    expected, period = high - low, problem.steps
-    while begun is not None and period <= longest:
-        flip, stopped = _first_event(problem.of_steps(period), begun, "flip", low, high)
+            start = min(fold.beside, key=_largest_multiplier)
+
+    flips_from: _Begun = (start, up, _FIRST_STEP * length)
+    stopped = _follow_flips(problem, flips_from, window, longest, events)
+    return _Family(events, stopped)
+
+
+def _follow_flips(
+    problem: Problem,
+    begun: _Begun | None,
+    window: tuple[float, float],
+    longest: int,
+    events: list[_Event],
+) -> str:
+    """Add to a family's events its flips, of ever twice the period, and return why no
+    more follow.
+    """
+    interval = 0.02 * (window[1] - window[0])
+    while begun is not None and problem.steps <= longest:
+        flip, why = _first_event(problem, begun, "flip", window)
         if flip is None:
-            return events, f"No flip of period {period}: {stopped}."
-        before = [e.q for e in events]
+            return f"No flip of period {problem.steps}: {why}."
+        if events:
+            # The next interval by Feigenbaum's law from the last.
+            interval = (flip.q - events[-1].q) / scaling.DELTA
         events.append(flip)
-        # The next interval by Feigenbaum's law from the last.
-        expected = min(
-            _MAX_INTERVAL,
-            (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected,
-        )
-        period *= 2
-        begun = doubled(flip.gait, expected) if period <= longest else None
-    if period <= longest:
-        return events, f"No gait of period {period} was found beside the flip."
-    return events, f"The longest period of the search, {longest}, is reached."
+        problem = problem.of_steps(2 * problem.steps)
+        begun = None
+        if problem.steps <= longest:
+            begun = doubled(flip.gait, min(_MAX_INTERVAL, interval))
+
+    if problem.steps <= longest:
+        return f"No gait of period {problem.steps} was found beside the flip."
+    return f"The longest period of the search, {longest}, is reached."
 
 
 #: Where a branch is followed from: what `points_along` takes besides the problem.
@@ -423,9 +469,12 @@ _Begun = tuple[Point, np.ndarray, float]
 
 
 def _first_event(
-    problem: Problem, begun: _Begun, kind: str, low: float, high: float
+    problem: Problem, begun: _Begun, kind: str, window: tuple[float, float]
 ) -> tuple[_Event | None, str]:
-    """The first fold or flip along a branch inside the window, or why there is none."""
+    """The first fold or flip along a branch inside a window of ln slope, or why there
+    is none.
+    """
+    low, high = window
     points = points_along(problem, *begun)
     slope = float(np.exp(begun[0].at.q[0]))
     for number, (before, after) in enumerate(itertools.pairwise(points)):
@@ -455,11 +504,11 @@ def _event_between(
     whether there is one.
     """
     condition = CONDITIONS[kind]
-    at_before, at_after = (
-        float(condition.residual(point.at)[0]) for point in (before, after)
-    )
+    at_before = float(condition.residual(before.at)[0])
+    at_after = float(condition.residual(after.at)[0])
     if not at_before * at_after < 0:
         return None, False
+
     segment = Branch(
         problem.m,
         np.hstack([before.Z, after.Z]),

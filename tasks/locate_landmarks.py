@@ -52,43 +52,24 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         digit; slope, stance_angle, and slope_low and slope_high, between which the
         rounding of the printed parameters allows the slope [rad].
     """
-    paper, rows = paper_of(params["lines"], inputs), []
+    paper = paper_of(params["lines"], inputs)
+    rows: list[tuple[Any, ...]] = []
     for walker in _walkers(params):
         for name, mark in LANDMARKS.items():
             if mark.walker == walker:
                 at = interval(paper, name)
-                rows.append(
-                    (
-                        name,
-                        walker,
-                        mark.point,
-                        *mark.printed,
-                        at.value,
-                        at.low,
-                        at.high,
-                        at.angle,
-                    )
-                )
-        for end in (
-            paper.line(walker).special_of("end_zero_step")[:1]
-            if walker == "physical-straight"
-            else ()
-        ):
-            rows.append(
-                (
-                    "point 4",
-                    walker,
-                    "4",
-                    *NOT_PRINTED,
-                    end["slope"],
-                    np.nan,
-                    np.nan,
-                    end["stance_angle"],
-                )
-            )
+                place = (at.value, at.low, at.high, at.angle)
+                rows.append((name, walker, mark.point, *mark.printed, *place))
+
+        special_of = paper.line(walker).special_of
+        if walker == "physical-straight":
+            for end in special_of("end_zero_step")[:1]:
+                place = (end["slope"], np.nan, np.nan, end["stance_angle"])
+                rows.append(("point 4", walker, "4", *NOT_PRINTED, *place))
         if walker in _FLIPS:
-            flip = paper.line(walker).special_of("flip")[0]
-            place = (flip["slope"], flip["slope"], flip["slope"], flip["stance_angle"])
+            flip = special_of("flip")[0]
+            slope = flip["slope"]
+            place = (slope, slope, slope, flip["stance_angle"])
             rows.append((f"{walker} flip", walker, "", *_FLIPS[walker], *place))
     return table("landmarks", rows, _COLUMNS) if rows else {}
 
@@ -112,18 +93,18 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         slope_low and slope_high are the bracket where the walker's parameters are exact
         by definition.
     """
-    paper, rows = paper_of(params["lines"], inputs), []
+    paper = paper_of(params["lines"], inputs)
+    rows: list[tuple[Any, ...]] = []
     for walker in _walkers(params):
-        if walker in _CRISES:
-            low, high = crisis(paper, walker, "1")
-            bounds = (low, high)
-            if walker in HALF_UNITS:
-                (least, _), (_, most) = corner_crises(paper, walker)
-                bounds = (least, most)
-            place = (0.5 * (low + high), *bounds, np.nan)
-            rows.append(
-                (f"{walker} loss of walking", walker, "", *_CRISES[walker], *place)
-            )
+        if walker not in _CRISES:
+            continue
+        low, high = crisis(paper, walker, "1")
+        middle = 0.5 * (low + high)
+        if walker in HALF_UNITS:
+            (low, _), (_, high) = corner_crises(paper, walker)
+        name = f"{walker} loss of walking"
+        place = (middle, low, high, np.nan)
+        rows.append((name, walker, "", *_CRISES[walker], *place))
     return table("crises", rows, _COLUMNS) if rows else {}
 
 

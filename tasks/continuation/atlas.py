@@ -13,10 +13,12 @@ atlas does not depend on its block.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import MIN_NODES, Branch
 from gaitsweep.tasks.continuation.checks import checked
@@ -44,7 +46,9 @@ from gaitsweep.tasks.continuation.refine import (
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
 from gaitsweep.tasks.kinds import KINDS
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.sameness import ON_BRANCH
 from gaitsweep.tasks.step.several_steps import distance
@@ -69,10 +73,10 @@ _FEW = 8
 def _join(problem: Problem, down: Track, up: Track) -> tuple[Branch, int]:
     """Join the tracks down and up to one branch; also the index of their start on it."""
     Z, tangent = joined(down, up)
-    n, why = Z.shape[1], (down.stop_reason, up.stop_reason)
-    return Branch(
-        problem.m, Z, tangent, np.zeros(n), why, steps=problem.steps
-    ), down.Z.shape[1] - 1
+    why = down.stop_reason, up.stop_reason
+    unmeasured = np.zeros(Z.shape[1])
+    branch = Branch(problem.m, Z, tangent, unmeasured, why, steps=problem.steps)
+    return branch, down.Z.shape[1] - 1
 
 
 def branches_along(
@@ -98,34 +102,38 @@ def branches_along(
     if len(raw.q) < 4:
         return []
     check = yield Call(check_steps, (raw.Z,))
-    steps, gait = check.step, raw.Z[:, start]
+    steps = check.step
+    gait = raw.Z[:, start]
     if not steps[start]:
         return []
-    if is_closed := down.stop_reason == CLOSED:
-        order = _loop(down.Z.shape[1], steps, raw.tangent[-1])
+
+    is_closed = down.stop_reason == CLOSED
+    if is_closed:
         # A loop of steps alone is cut at a fold, where it begins and ends; any other
         # where a gait is no step.
-        raw, steps = (
-            replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0)),
-            steps[order],
-        )
+        order = _loop(down.Z.shape[1], steps, raw.tangent[-1])
+        raw = replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0))
+        steps = steps[order]
+
     branches: list[Branch] = []
     for first, last in _runs(steps):
         branch = yield from _with_ends(raw, first, last)
-        if branch is not None:
-            branch = yield from _with_folds(branch)
-            if is_closed and steps.all():
-                branch = _cut_at_fold(branch)
-            branch = begun_at_flips(branch, flips)
-            branch = yield from densify(branch, tolerance)
-            branch = yield from without_jumps(branch.in_order(gait), gait)
-            branch = yield from checked(branch, gait)
-            if len(branch.q) >= MIN_NODES:
-                branches += yield from _without_gaps(branch, gait, tolerance)
+        if branch is None:
+            continue
+        branch = yield from _with_folds(branch)
+        if is_closed and steps.all():
+            branch = _cut_at_fold(branch)
+        branch = begun_at_flips(branch, flips)
+
+        branch = yield from densify(branch, tolerance)
+        branch = yield from without_jumps(branch.in_order(gait), gait)
+        branch = yield from checked(branch, gait)
+        if len(branch.q) >= MIN_NODES:
+            branches += yield from _without_gaps(branch, gait, tolerance)
     return branches
 
 
-def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
+def _loop(n: int, steps: ndarray, slope_rate: ndarray) -> ndarray:
     """Order of the nodes of a closed branch, from one that is no step and back to it,
     or from just before a fold.
 
@@ -144,11 +152,15 @@ def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
     """
     # The track down is joined in reverse; its last point, the first of all, lies beyond
     # its start, the n-th.
-    own, count = np.arange(1, n), n - 1
-    turns = np.flatnonzero(np.diff(np.sign(slope_rate[own])) != 0)
-    outside = np.flatnonzero(~steps[own])
-    first = int(outside[0] if len(outside) else turns[0])
-    return own[(first + np.arange(count + (1 if len(outside) else 2))) % count]
+    once_round = np.arange(1, n)
+    count = n - 1
+    outside = np.flatnonzero(~steps[once_round])
+    if len(outside):
+        first, repeated = outside[0], 1
+    else:
+        turns = np.flatnonzero(np.diff(np.sign(slope_rate[once_round])) != 0)
+        first, repeated = turns[0], 2
+    return once_round[(first + np.arange(count + repeated)) % count]
 
 
 def _cut_at_fold(branch: Branch) -> Branch:
@@ -160,50 +172,61 @@ def _cut_at_fold(branch: Branch) -> Branch:
     return replace(cut, why=("fold", "fold"))
 
 
-def _runs(true: np.ndarray) -> list[tuple[int, int]]:
+def _runs(true: ndarray) -> list[tuple[int, int]]:
     """First and last index of every run of true values."""
     edges = np.diff(np.concatenate([[0], true.astype(int), [0]]))
-    return list(
-        zip(
-            np.nonzero(edges == 1)[0].tolist(),
-            (np.nonzero(edges == -1)[0] - 1).tolist(),
-            strict=True,
-        )
-    )
+    firsts = np.flatnonzero(edges == 1)
+    lasts = np.flatnonzero(edges == -1) - 1
+    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
 
 def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     """Branch of a run of nodes that are steps, with its located ends; None where fewer
     than three nodes remain.
     """
-    whole = first == 0, last == len(raw.q) - 1
-    ends: dict[int, BranchEnd] = {}
-    if not whole[1]:
-        raw, last = yield from narrow_segment(raw, last, is_step)
-        ends[1] = yield from locate_end(raw, last, last + 1)
-    if not whole[0]:
-        before = len(raw.q)
-        raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
-        first, last = segment + 1, last + len(raw.q) - before
-        ends[0] = yield from locate_end(raw, first, segment)
-
-    for side in (0, 1):
-        passed = (yield from _passed_limit(raw, side)) if whole[side] else None
-        if passed is not None:
-            ends[side] = passed
-            first += side == 0
-            last -= side == 1
-
+    raw, first, last, ends = yield from _located_ends(raw, first, last)
     # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
         return None
+
     branch = raw.part(np.arange(first, last + 1))
     for side, end in ends.items():
-        Z, direction = end.point.Z[:, 0], end.point.direction[:, 0]
+        Z = end.point.Z[:, 0]
+        direction = end.point.direction[:, 0]
         branch = branch.insert(side * len(branch.q), Z, direction)
         branch = branch.ending(side, end.kind, end.error)
     branch = _without_twins(branch, ends)
     return branch if len(branch.q) >= MIN_NODES else None
+
+
+def _located_ends(
+    raw: Branch, first: int, last: int
+) -> Procedure[tuple[Branch, int, int, dict[int, BranchEnd]]]:
+    """The ends of a run of nodes that are steps, by its sides, 0 and 1; the branch with
+    the nodes that locating them adds, and the run's first and last node between them.
+    """
+    begins_run = first == 0
+    ends_run = last == len(raw.q) - 1
+    ends: dict[int, BranchEnd] = {}
+    if not ends_run:
+        raw, last = yield from narrow_segment(raw, last, is_step)
+        ends[1] = yield from locate_end(raw, last, last + 1)
+    if not begins_run:
+        before = len(raw.q)
+        raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
+        first = segment + 1
+        last += len(raw.q) - before
+        ends[0] = yield from locate_end(raw, first, segment)
+
+    for side, is_whole in enumerate((begins_run, ends_run)):
+        passed = None
+        if is_whole:
+            passed = yield from _passed_limit(raw, side)
+        if passed is not None:
+            ends[side] = passed
+            first += side == 0
+            last -= side == 1
+    return raw, first, last, ends
 
 
 def _passed_limit(raw: Branch, side: int) -> Procedure[BranchEnd | None]:
@@ -238,7 +261,7 @@ def _is_no_step(point: Point) -> Procedure[bool]:
 
 
 def _without_gaps(
-    branch: Branch, gait: np.ndarray, tolerance: float
+    branch: Branch, gait: Gait, tolerance: float
 ) -> Procedure[list[Branch]]:
     """Measure the branch that began at a gait; where an earlier strike interrupts it,
     keep the parts on either side.
@@ -249,22 +272,25 @@ def _without_gaps(
     gaps = yield from locate_gaps(branch, distance, check)
     if steps.all() and not gaps:
         return [branch]
+
     whole = branch
     for place in sorted(gaps, reverse=True):
         segment = int(place)
         a, b = whole.ends_of(np.array(segment)).tolist()
         point = yield from correct_at(whole, segment, a + (b - a) * (place - segment))
-        branch = branch.insert(segment + 1, point.Z[:, 0], point.direction[:, 0])
+        branch = branch.with_points(segment, point)
         steps = np.insert(steps, segment + 1, False)
+
     branches = []
     for first, last in _runs(steps):
         part = yield from _with_ends(branch, first, last)
-        if part is not None:
-            part = yield from densify(part, tolerance)
-            part = yield from checked(part, gait)
-            if len(part.q) >= MIN_NODES:
-                yield from measure(part, tolerance)
-                branches.append(part)
+        if part is None:
+            continue
+        part = yield from densify(part, tolerance)
+        part = yield from checked(part, gait)
+        if len(part.q) >= MIN_NODES:
+            yield from measure(part, tolerance)
+            branches.append(part)
     return branches
 
 
@@ -274,19 +300,20 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     def slope_rate(point: Point) -> float:
         return float(point.direction[-1, 0])
 
-    for segment in np.nonzero(np.diff(np.sign(branch.tangent[-1])) != 0)[0][::-1]:
+    turning = np.flatnonzero(np.diff(np.sign(branch.tangent[-1])) != 0)
+    for segment in turning[::-1]:
         sign = np.sign(branch.tangent[-1, segment])
 
         def is_before(point: Point, sign: float = sign) -> bool:
             return bool(slope_rate(point) * sign > 0)
 
-        branch, at = yield from narrow_segment(branch, int(segment), is_before)
-        point = yield from locate_root(branch, at, slope_rate)
+        branch, left = yield from narrow_segment(branch, int(segment), is_before)
+        point = yield from locate_root(branch, left, slope_rate)
         point = yield from sharpened_fold(point)
         # A node may equal the fold to all but the last digits: between them there is no
         # polynomial.
-        if norm(branch.Z[:, at : at + 2] - point.Z).min() > _TWIN:
-            branch = branch.insert(at + 1, point.Z[:, 0], point.direction[:, 0])
+        if norm(branch.Z[:, left : left + 2] - point.Z).min() > _TWIN:
+            branch = branch.with_points(left, point)
     return branch
 
 
@@ -332,55 +359,66 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     """
     branches: list[list[Branch]] = [[] for _ in problem.lanes]
     for Z, lines in _gaits_at_anchors(problem):
-        new = [
-            i for i, line in enumerate(lines) if not is_known(branches[line], Z[:, i])
-        ]
-        if not new:
-            continue
-        Z, lines = Z[:, new], lines[new]
-        pairs = follow(problem.some(lines), Z)
-        turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
-        if len(lines) < _FEW:
-            turn[:] = 0
-        for k in range(turn.max() + 1):
-            chosen = [
-                i
-                for i in np.flatnonzero(turn == k)
-                if not is_known(branches[lines[i]], Z[:, i])
-            ]
-            parts = side_by_side(
-                problem,
-                lines[chosen],
-                [branches_along(problem, *pairs[i], tolerance) for i in chosen],
-            )
-            for i, part in zip(chosen, parts, strict=True):
-                if is_known(branches[lines[i]], Z[:, i]):
-                    continue
-                for branch in part:
-                    if not is_known(
-                        branches[lines[i]], branch.Z[:, len(branch.q) // 2]
-                    ):
-                        branches[lines[i]].append(branch)
-    return [ranked(each) for each in branches]
+        new = _unknown(branches, lines, Z)
+        if len(new):
+            _add_branches(problem, branches, lines[new], Z[:, new], tolerance)
+    return [ranked(of_line) for of_line in branches]
 
 
-def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _add_branches(
+    problem: Lanes,
+    branches: list[list[Branch]],
+    lines: ndarray,
+    Z: Coordinates,
+    tolerance: float,
+) -> None:
+    """Follow gaits Z (c, n) of lines (n,), and add to the branches those not yet known."""
+    tracks = follow(problem.some(lines), Z)
+    turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
+    if len(lines) < _FEW:
+        turn[:] = 0
+
+    for k in range(turn.max() + 1):
+        in_turn = np.flatnonzero(turn == k)
+        chosen = in_turn[_unknown(branches, lines[in_turn], Z[:, in_turn])]
+        refined = []
+        for i in chosen:
+            down, up = tracks[i]
+            refined.append(branches_along(problem, down, up, tolerance))
+        found = side_by_side(problem, lines[chosen], refined)
+        for i, parts in zip(chosen, found, strict=True):
+            of_line = branches[lines[i]]
+            if is_known(of_line, Z[:, i]):
+                continue
+            for branch in parts:
+                middle = branch.Z[:, len(branch.q) // 2]
+                if not is_known(of_line, middle):
+                    of_line.append(branch)
+
+
+def _unknown(branches: list[list[Branch]], lines: ndarray, Z: Coordinates) -> ndarray:
+    """Numbers of the gaits Z (c, n) that lie on no branch of their lines (n,)."""
+    known = [is_known(branches[line], Z[:, i]) for i, line in enumerate(lines)]
+    return np.flatnonzero(~np.array(known, bool))
+
+
+def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[ndarray, ndarray]]:
     """Anthropomorphic gaits of several lines that the search finds, for each anchor Z
     (c, n) and their lines.
     """
     gaits = search_lines(problem, ANCHORS, _SHARES)
-    counts = np.array([[w.shape[1] for w in each] for each in gaits])
-    q = np.log(ANCHORS)
-    lines, at = (
-        np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()),
-        counts.sum(axis=1),
-    )
+    counts = np.array([[w.shape[1] for w in of_lines] for of_lines in gaits])
+    at_anchor = counts.sum(axis=1)
+    lines = np.tile(np.arange(counts.shape[1]), len(ANCHORS))
+    lines = np.repeat(lines, counts.ravel())
     if not len(lines):
         return
-    Z = np.vstack([np.hstack([w for each in gaits for w in each]), np.repeat(q, at)])
+
+    w = np.hstack(list(itertools.chain(*gaits)))
+    Z = np.vstack([w, np.repeat(np.log(ANCHORS), at_anchor)])
     check = check_steps(problem.some(lines), Z)
-    for k, end in enumerate(np.cumsum(at).tolist()):
-        kept = end - at[k] + np.flatnonzero(check.anthropomorphic[end - at[k] : end])
+    for lanes in slices(at_anchor.tolist()):
+        kept = lanes.start + np.flatnonzero(check.anthropomorphic[lanes])
         yield Z[:, kept], lines[kept]
 
 
@@ -401,7 +439,7 @@ def ranked(branches: list[Branch]) -> list[Branch]:
     return sorted(branches, key=place)
 
 
-def is_known(branches: list[Branch], gait: np.ndarray) -> bool:
+def is_known(branches: list[Branch], gait: Gait) -> bool:
     """True where a gait (c,) lies on a branch already followed."""
     for branch in branches:
         for _, Z, _ in branch.guesses(gait[-1:]):
@@ -410,7 +448,7 @@ def is_known(branches: list[Branch], gait: np.ndarray) -> bool:
     return False
 
 
-def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
+def to_arrays(branches: list[Branch]) -> dict[str, ndarray]:
     """Return branches as plain arrays, to be stored and passed between processes.
 
     Returns
@@ -419,20 +457,17 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
         `lengths`, `why` and `end_errors` of the branches, `m`, and the nodes' arrays of
         all branches one after another.
     """
-    lengths = np.array([len(b.q) for b in branches], dtype=np.int64)
+    arrays = {"lengths": np.array([len(b.q) for b in branches], dtype=np.int64)}
     if not branches:
-        return {"lengths": lengths}
-    return {
-        "lengths": lengths,
-        "m": np.array([branches[0].m]),
-        "steps": np.array([branches[0].steps]),
-        "why": np.array([b.why for b in branches]),
-        "end_errors": np.array([b.end_errors for b in branches]),
-        **{
-            name: np.concatenate([getattr(b, name) for b in branches], axis=-1)
-            for name in _BY_NODE
-        },
-    }
+        return arrays
+
+    arrays["m"] = np.array([branches[0].m])
+    arrays["steps"] = np.array([branches[0].steps])
+    arrays["why"] = np.array([b.why for b in branches])
+    arrays["end_errors"] = np.array([b.end_errors for b in branches])
+    for name in _BY_NODE:
+        arrays[name] = np.concatenate([getattr(b, name) for b in branches], axis=-1)
+    return arrays
 
 
 _BY_NODE = (
@@ -447,7 +482,7 @@ _BY_NODE = (
 )
 
 
-def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
+def from_arrays(arrays: dict[str, ndarray]) -> list[Branch]:
     """Return the branches of stored arrays.
 
     Parameters
@@ -455,17 +490,16 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
     arrays : dict of ndarray
         As `to_arrays` returns them.
     """
-    ends = np.cumsum(arrays["lengths"])
-    return [
-        Branch(
+    branches = []
+    for i, nodes in enumerate(slices(arrays["lengths"].tolist())):
+        low, high = arrays["why"][i].tolist()
+        low_error, high_error = arrays["end_errors"][i].tolist()
+        branch = Branch(
             m=int(arrays["m"][0]),
             steps=int(arrays["steps"][0]),
-            why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
-            end_errors=(
-                float(arrays["end_errors"][i][0]),
-                float(arrays["end_errors"][i][1]),
-            ),
-            **{name: arrays[name][..., a:b] for name in _BY_NODE},
+            why=(low, high),
+            end_errors=(low_error, high_error),
+            **{name: arrays[name][..., nodes] for name in _BY_NODE},
         )
-        for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends, strict=True))
-    ]
+        branches.append(branch)
+    return branches

@@ -9,13 +9,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import CONDITIONS
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER
-from gaitsweep.tasks.continuation.tracking import correct, correct_and_evaluate
+from gaitsweep.tasks.continuation.tracking import (
+    ONE_STEP,
+    correct,
+    correct_and_evaluate,
+)
+from gaitsweep.tasks.mechanics.arrays import Gait, Numbers
 from gaitsweep.tasks.mechanics.sums import norm, total
+from gaitsweep.tasks.step.lanes import lanes_of
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in
 #: which that is measured.
@@ -33,7 +40,7 @@ _MAX_END = 1e-4
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
-def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
+def checked(branch: Branch, gait: Gait) -> Procedure[Branch]:
     """Check a branch as a whole; split the segments that fail, and cut it where that
     does not help.
 
@@ -61,24 +68,33 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
         branch = split
     else:
         failing = yield from _failing(branch)
+
     if failing.any():
         branch = branch.part_of(gait, np.flatnonzero(failing))
-    return (yield from _with_consistent_ends(branch)) if len(branch.q) > 1 else branch
+    if len(branch.q) > 1:
+        branch = yield from _with_consistent_ends(branch)
+    return branch
 
 
-def _split(branch: Branch, segments: np.ndarray) -> Procedure[Branch]:
+def _split(branch: Branch, segments: Numbers) -> Procedure[Branch]:
     """The branch with nodes in the middles of segments, predicted by their own two
     nodes, where they lie on them.
     """
-    alone = [branch.part(np.array([k, k + 1])) for k in segments]
-    Z = np.hstack([part.at(np.array([0.5])) for part in alone])
+    middle = np.array([0.5])
+    middles = []
+    for segment in segments:
+        alone = branch.part(np.array([segment, segment + 1]))
+        middles.append(alone.at(middle))
+
+    Z = np.hstack(middles)
     border = branch.between(segments)
-    point = (yield Call(correct_and_evaluate, (Z, border))).oriented(border)
+    point = yield Call(correct_and_evaluate, (Z, border))
     kept = point.ok & branch.lies_between(segments, point.Z)
-    return branch.insert(segments[kept] + 1, point.Z[:, kept], point.direction[:, kept])
+    new = lanes_of(point.oriented(border), kept)
+    return branch.with_points(segments[kept], new)
 
 
-def _failing(branch: Branch) -> Procedure[np.ndarray]:
+def _failing(branch: Branch) -> Procedure[ndarray]:
     """Which segments fail, shape (n - 1,)."""
     n = len(branch.q) - 1
     failing = _too_long(branch)
@@ -87,26 +103,31 @@ def _failing(branch: Branch) -> Procedure[np.ndarray]:
         # the other.
         sides = branch.tangent[-1, [fold - 1, fold + 1]]
         failing[[fold - 1, fold]] |= sides.prod() > 0
-    held_out = np.unique((n * (_GOLDEN * np.arange(1, _HELD_OUT + 1) % 1)).astype(int))
-    Z, chord = branch.at(held_out + _PLACE), norm(np.diff(branch.Z))
+
+    spread = _GOLDEN * np.arange(1, _HELD_OUT + 1) % 1
+    held_out = np.unique((n * spread).astype(int))
+    Z = branch.at(held_out + _PLACE)
     point = yield Call(correct, (Z, branch.between(held_out)))
     moved = norm(point.Z - Z)
-    failing[held_out] |= ~point.ok | ~(
-        moved < np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING)
-    )
+    chord = norm(np.diff(branch.Z))
+    allowed = np.maximum(_MAX_MOVE * chord[held_out], _ROUNDING)
+    failing[held_out] |= ~(point.ok & (moved < allowed))
     # Nodes this close leave no room for another.
     failing[chord < _ROUNDING] = False
     return failing
 
 
-def _too_long(branch: Branch) -> np.ndarray:
+def _too_long(branch: Branch) -> ndarray:
     """Which segments' polynomials are more than twice as long as their chords, shape (n
     - 1,).
     """
-    Z, n = branch.Z, len(branch.q) - 1
-    place = (np.arange(n)[:, None] + np.arange(1, _PARTS) / _PARTS).ravel()
-    inner = branch.at(place).reshape(len(Z), n, -1)
-    points = np.concatenate([Z[:, :-1, None], inner, Z[:, 1:, None]], axis=2)
+    Z = branch.Z
+    n = len(branch.q) - 1
+    shares = np.arange(1, _PARTS) / _PARTS
+    place = np.arange(n)[:, None] + shares
+    inner = branch.at(place.ravel()).reshape(len(Z), n, -1)
+    ends = Z[:, :, None]
+    points = np.concatenate([ends[:, :-1], inner, ends[:, 1:]], axis=2)
     length = total(norm(np.diff(points)).T)
     chord = norm(np.diff(Z))
     return np.asarray(~(chord >= _MIN_CHORD * length))
@@ -115,9 +136,8 @@ def _too_long(branch: Branch) -> np.ndarray:
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     """The branch; ends whose own condition fails become NO_FURTHER."""
     Z = branch.Z[:, [0, -1]]
-    point = yield Call(
-        correct, (Z, branch.direction[:, [0, -1]]), (("max_iterations", 1),)
-    )
+    direction = branch.direction[:, [0, -1]]
+    point = yield Call(correct, (Z, direction), ONE_STEP)
     at_ends = replace(point.at, Z=Z)
     for side, kind in enumerate(branch.why):
         condition = CONDITIONS.get(kind)

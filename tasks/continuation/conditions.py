@@ -12,18 +12,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.joint import Evaluation, determinants
 from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix
 from gaitsweep.tasks.continuation.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.kinds import KINDS, Kind
+from gaitsweep.tasks.mechanics.arrays import Coordinates, PerLane
 from gaitsweep.tasks.step.problem import Problem
 
 #: Scalars of evaluated steps, shape (n,), and their derivatives by Z, shape (c, n).
-Scalar = Callable[[Evaluation], np.ndarray]
+Scalar = Callable[[Evaluation], ndarray]
 #: Whether the multipliers (m,) of a point are those of its kind.
-Genuine = Callable[[np.ndarray], bool]
+Genuine = Callable[[ndarray], bool]
 #: Distance of a multiplier from where it is at a special point, and of a pair from the
 #: real axis.
 _CRITICAL = 1e-6
@@ -71,18 +73,18 @@ class Condition:
 
     # Where heelstrike is tangential to the last digit the map has no derivative.
     @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-    def residual(self, at: Evaluation) -> np.ndarray:
+    def residual(self, at: Evaluation) -> ndarray:
         """Return how far the scalar is from its target, shape (n,)."""
         return self.value(at) - self.target
 
 
-def foot_radius(problem: Problem) -> np.ndarray:
+def foot_radius(problem: Problem) -> ndarray:
     """Return the radius of the foot over the leg, of n lanes (n,), of one walker ()."""
     walkers = problem.every_walker
     return np.asarray(walkers.R / walkers.leg)
 
 
-def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def log_froude(Z: Coordinates, radius: PerLane) -> ndarray:
     """Return the logarithm of the mean speed over sqrt(g leg).
 
     Parameters
@@ -100,7 +102,7 @@ def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     return np.asarray(np.log(2 * half_step / Z[-2]))
 
 
-def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def log_froude_by_Z(Z: Coordinates, radius: PerLane) -> ndarray:
     """Return the derivatives of `log_froude` by Z.
 
     Parameters
@@ -122,29 +124,29 @@ def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     return by_Z
 
 
-def _log_speed(at: Evaluation) -> np.ndarray:
+def _log_speed(at: Evaluation) -> ndarray:
     """Logarithm of the mean speed in the walkers' units."""
     walkers = at.problem.every_walker
     in_unit = 0.5 * np.log(walkers.g * walkers.leg)
     return log_froude(at.Z, foot_radius(at.problem)) + in_unit
 
 
-def _log_speed_by_Z(at: Evaluation) -> np.ndarray:
+def _log_speed_by_Z(at: Evaluation) -> ndarray:
     return log_froude_by_Z(at.Z, foot_radius(at.problem))
 
 
-def _log_slope_by_Z(at: Evaluation) -> np.ndarray:
+def _log_slope_by_Z(at: Evaluation) -> ndarray:
     by_Z = np.zeros_like(at.Z)
     by_Z[-1] = 1.0
     return by_Z
 
 
-def _fold(at: Evaluation) -> np.ndarray:
+def _fold(at: Evaluation) -> ndarray:
     """Determinant of the joint equations at a fixed slope."""
     return determinants(at.derivative[:, :-1].transpose(2, 0, 1))
 
 
-def _flip(at: Evaluation) -> np.ndarray:
+def _flip(at: Evaluation) -> ndarray:
     """Determinant of I + DP."""
     return determinants(at.jacobians + np.eye(at.jacobians.shape[-1]))
 
@@ -152,7 +154,7 @@ def _flip(at: Evaluation) -> np.ndarray:
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def _neimark_sacker(at: Evaluation) -> np.ndarray:
+def _neimark_sacker(at: Evaluation) -> ndarray:
     """Product over i < j of (lambda_i lambda_j - 1): the determinant of the second
     compound matrix less one.
     """
@@ -160,7 +162,7 @@ def _neimark_sacker(at: Evaluation) -> np.ndarray:
     if A.shape[-1] == 2:
         return determinants(A) - 1
 
-    def minor(rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray:
+    def minor(rows: tuple[int, int], columns: tuple[int, int]) -> ndarray:
         i, j = rows
         k, q = columns
         return np.asarray(A[:, i, k] * A[:, j, q] - A[:, i, q] * A[:, j, k])
@@ -172,16 +174,16 @@ def _neimark_sacker(at: Evaluation) -> np.ndarray:
     return determinants(np.moveaxis(compound, -1, 0) - np.eye(3))
 
 
-def _is_flip(multipliers: np.ndarray) -> bool:
+def _is_flip(multipliers: ndarray) -> bool:
     return bool(np.abs(multipliers + 1).min() < _CRITICAL)
 
 
-def _is_neimark_sacker(multipliers: np.ndarray) -> bool:
+def _is_neimark_sacker(multipliers: ndarray) -> bool:
     pair = multipliers[np.abs(np.abs(multipliers) - 1) < _CRITICAL]
     return len(pair) == 2 and bool(np.abs(pair.imag).min() > _CRITICAL)
 
 
-def _nearest_zero(values: np.ndarray, at: Evaluation) -> np.ndarray:
+def _nearest_zero(values: ndarray, at: Evaluation) -> ndarray:
     """Of the values at each step of gaits, (s, n) or (s n,), those nearest zero, shape
     (n,).
     """
@@ -195,43 +197,43 @@ def _closing_at(strike: int) -> Scalar:
     angle.
     """
 
-    def closing(at: Evaluation) -> np.ndarray:
+    def closing(at: Evaluation) -> ndarray:
         return _nearest_zero(at.stride.singles.closing[strike], at) / at.stride.y[0]
 
     return closing
 
 
-def _last_phase(at: Evaluation) -> np.ndarray:
+def _last_phase(at: Evaluation) -> ndarray:
     """Duration of a step's last phase."""
     durations = np.diff(at.times, axis=0, prepend=0)
     of_steps = durations.reshape(at.stride.steps, -1, durations.shape[1])
     return _nearest_zero(of_steps[:, -1], at)
 
 
-def _foot_at_kneestrike(at: Evaluation) -> np.ndarray:
+def _foot_at_kneestrike(at: Evaluation) -> ndarray:
     """Height of the foot as the knee strikes, in angles over the stance angle."""
     stance, thigh = at.stride.one.knee[0], at.stride.one.knee[1]
     return _nearest_zero(stance + thigh, at) / at.stride.y[0]
 
 
-def _knee_rate(at: Evaluation) -> np.ndarray:
+def _knee_rate(at: Evaluation) -> ndarray:
     """Rate at which the released knee begins to bend, over the stance angle."""
     thigh_rate, shank_rate = at.stride.one.start[4], at.stride.one.start[5]
     return _nearest_zero(thigh_rate - shank_rate, at) / at.stride.y[0]
 
 
-def _stationary(at: Evaluation, by_Z: np.ndarray) -> np.ndarray:
+def _stationary(at: Evaluation, by_Z: Coordinates) -> ndarray:
     """Determinant that vanishes where a quantity is stationary along the branch, by its
     derivatives (c, n).
     """
     return determinants(bordered_matrix(at.derivative, by_Z))
 
 
-def _fastest(at: Evaluation) -> np.ndarray:
+def _fastest(at: Evaluation) -> ndarray:
     return _stationary(at, _log_speed_by_Z(at))
 
 
-def _exponent_two_thirds(at: Evaluation) -> np.ndarray:
+def _exponent_two_thirds(at: Evaluation) -> ndarray:
     """Vanishes where ln angle - 2/3 ln slope is stationary: there the angle grows with
     that power of slope.
     """
@@ -240,19 +242,19 @@ def _exponent_two_thirds(at: Evaluation) -> np.ndarray:
     return _stationary(at, by_Z)
 
 
-def _label(at: Evaluation) -> np.ndarray:
+def _label(at: Evaluation) -> ndarray:
     return gait_ratio(at.stride) - LONG_BELOW
 
 
-def _log_slope(at: Evaluation) -> np.ndarray:
+def _log_slope(at: Evaluation) -> ndarray:
     return at.q
 
 
-def _fall(at: Evaluation) -> np.ndarray:
+def _fall(at: Evaluation) -> ndarray:
     return fall_margin(at.Z, at.stride.steps)
 
 
-def _zero_step(at: Evaluation) -> np.ndarray:
+def _zero_step(at: Evaluation) -> ndarray:
     return rate_of_steps(at.Z, at.m, at.stride.steps) - MOST_RATE
 
 

@@ -10,6 +10,7 @@ tangential or coincide, so ends are followed as folds and flips are.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation import pseudo_arclength as engine
 from gaitsweep.tasks.continuation.equations import (
@@ -19,6 +20,7 @@ from gaitsweep.tasks.continuation.equations import (
 )
 from gaitsweep.tasks.continuation.pseudo_arclength import CLOSED, Track, joined
 from gaitsweep.tasks.continuation.root import OnCurve, bracketed_root, hermite
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import EPS
 from gaitsweep.tasks.step.simulate import STRUCK
@@ -49,7 +51,7 @@ _AT_END = 1e-6
 _BEGINS_THERE, _TURNING = 1e-9, 1e-11
 
 
-def walks(equations: Equations, X: np.ndarray) -> bool:
+def walks(equations: Equations, X: Gait) -> bool:
     """Return whether a point's step happens, or at an end of walking is the limit of
     steps that do.
 
@@ -85,7 +87,7 @@ class _Followed(engine.Tracks):
         equations: Equations,
         first: engine.Point,
         direction: float,
-        edges: np.ndarray,
+        edges: ndarray,
     ):
         self.equations, self.edges = equations, edges
         tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
@@ -93,33 +95,33 @@ class _Followed(engine.Tracks):
         self.end = self.Z[:, :0], self.tangent[:, :0]
 
     def correct(
-        self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray
+        self, tracks: Numbers, guess: Coordinates, border: Coordinates
     ) -> engine.Point:
         return correct_on_curve(self.equations, guess, border)
 
     def judge(
         self,
-        tracks: np.ndarray,
+        tracks: Numbers,
         point: engine.Point,
-        guess: np.ndarray,
-        error: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        guess: Coordinates,
+        error: PerLane,
+    ) -> tuple[ndarray, ndarray]:
         # Beyond the window a step is fair if it leads to a point on the border: a
         # shorter one may.
         fair = not point.ok[0] or self._is_inside(point.Z) or self._ends(point)
         return np.array([fair]), error / self.step
 
     def reasons(
-        self, tracks: np.ndarray, point: engine.Point, last: np.ndarray
-    ) -> np.ndarray:
+        self, tracks: Numbers, point: engine.Point, last: Coordinates
+    ) -> ndarray:
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
-    def _inside(self, Z: np.ndarray) -> np.ndarray:
+    def _inside(self, Z: Coordinates) -> ndarray:
         """The nearest values of the last unknowns within the window, (f, 1)."""
         low, high = self.edges[:, :1], self.edges[:, 1:]
         return np.clip(Z[-len(self.edges) :], low, high)
 
-    def _is_inside(self, Z: np.ndarray) -> bool:
+    def _is_inside(self, Z: Coordinates) -> bool:
         return bool((self._inside(Z) == Z[-len(self.edges) :]).all())
 
     def _ends(self, beyond: engine.Point) -> bool:
@@ -145,7 +147,7 @@ class _Followed(engine.Tracks):
 
 
 def follow(
-    equations: Equations, first: engine.Point, direction: float, window: np.ndarray
+    equations: Equations, first: engine.Point, direction: float, window: ndarray
 ) -> Track:
     """Follow a curve from a point on it up to the window's border, or until it closes.
 
@@ -179,8 +181,8 @@ def follow(
 
 
 def follow_both_directions(
-    equations: Equations, first: engine.Point, window: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[str, str]]:
+    equations: Equations, first: engine.Point, window: ndarray
+) -> tuple[ndarray, ndarray, tuple[str, str]]:
     """Follow a curve from a point on it in both directions, or once round.
 
     Parameters
@@ -205,7 +207,7 @@ def follow_both_directions(
 
 def turning(
     equations: Equations, a: OnCurve, b: OnCurve, component: int
-) -> tuple[np.ndarray, float] | None:
+) -> tuple[ndarray, float] | None:
     """Locate where a component of the curve's tangent vanishes between two points; None
     where it keeps its sign.
 

@@ -21,7 +21,6 @@ from gaitsweep.tasks.continuation.locate import (
 )
 from gaitsweep.tasks.continuation.lockstep import Call, Procedure
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
-from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct
 from gaitsweep.tasks.fixed_points.step_check import verified
 from gaitsweep.tasks.step.step_map import SAMPLES
@@ -34,6 +33,8 @@ _MIN_DISTANCE = 1e-6
 #: At time 0 the knee's guard has a root that is no strike: one closer than this cannot
 #: be distinguished from it [sqrt(leg/g)].
 _EARLIEST_KNEESTRIKE = 2e-6
+#: Samples of a phase by which an earlier strike is located: as many as settle a doubt.
+_SAMPLES = 16 * SAMPLES
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class BranchEnd:
 
 
 #: The ends of walking that equations define.
-_ENDS = [each for each in CONDITIONS.values() if each.kind.ends == "walking"]
+_ENDS = [
+    condition for condition in CONDITIONS.values() if condition.kind.ends == "walking"
+]
 
 
 def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
@@ -57,9 +60,10 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     axis = branch.axis[segment]
     at_good = yield from correct_at(branch, segment, branch.Z[axis, good])
     at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
+    has_knee = len(at_good.at.stride.one.knee) > 0
     ends: list[tuple[float, BranchEnd]] = []
     for condition in _ENDS:
-        if condition.kind.needs_knee and not len(at_good.at.stride.one.knee):
+        if condition.kind.needs_knee and not has_knee:
             continue
         test = value_of(condition)
         if test(at_good) * test(at_bad) < 0:
@@ -68,8 +72,9 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
             # kneestrike is tangential.
             apart = abs(float(point.Z[axis, 0] - branch.Z[axis, good]))
             ends.append((apart, BranchEnd(condition.name, point, 0.0)))
+
     if ends:
-        end = min(ends, key=lambda end: end[0])[1]
+        _, end = min(ends, key=lambda located: located[0])
         if (yield from _walks_up_to(branch, good, segment, end)):
             return (yield from _with_a_kneestrike(branch, segment, end))
     return (yield from _earlier_strike_end(branch, segment, good, bad))
@@ -81,24 +86,17 @@ def _with_a_kneestrike(
     """Where the knee strikes as soon as it is released, the end at the earliest
     kneestrike that rounding resolves.
     """
-    if (
-        end.kind != "end_tangential_kneestrike"
-        or _earliest_kneestrike(end.point) > _EARLIEST_KNEESTRIKE
-    ):
+
+    def beyond_earliest(point: Point) -> float:
+        """Time to kneestrike beyond the earliest, of the step with the shortest."""
+        phases = np.diff(point.at.times[:, 0], prepend=0)
+        return float(phases[::2].min()) - _EARLIEST_KNEESTRIKE
+
+    if end.kind != "end_tangential_kneestrike" or beyond_earliest(end.point) > 0:
         return end
-    earliest = yield from locate_root(
-        branch,
-        segment,
-        lambda point: _earliest_kneestrike(point) - _EARLIEST_KNEESTRIKE,
-    )
-    return BranchEnd(
-        end.kind, earliest, abs(float(earliest.at.q[0] - end.point.at.q[0]))
-    )
-
-
-def _earliest_kneestrike(point: Point) -> float:
-    """Shortest time to kneestrike of a gait's steps [sqrt(leg/g)]."""
-    return float(np.diff(point.at.times[:, 0], prepend=0)[::2].min())
+    earliest = yield from locate_root(branch, segment, beyond_earliest)
+    off = earliest.at.q[0] - end.point.at.q[0]
+    return BranchEnd(end.kind, earliest, abs(float(off)))
 
 
 def _walks_up_to(
@@ -107,17 +105,17 @@ def _walks_up_to(
     """Whether gaits ever nearer an end are steps, so that no earlier strike comes
     before it.
     """
-    axis, segments = branch.axis[segment], np.full(len(_SHARES), segment)
+    axis = branch.axis[segment]
     a, b = branch.Z[axis, good], end.point.Z[axis, 0]
-    points = yield Call(
-        correct,
-        (branch.evaluate(segments, a + (b - a) * _SHARES), branch.between(segments)),
-    )
+    segments = np.full(len(_SHARES), segment)
+    Z = branch.evaluate(segments, a + (b - a) * _SHARES)
+    points = yield Call(correct, (Z, branch.between(segments)))
     check = yield Call(check_steps, (points.Z,))
     values = CONDITIONS[end.kind].residual(points.at)
     # Corrected points lie slightly off the polynomial; those beyond the end do not
     # count.
-    before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
+    before = np.sign(values) == np.sign(values[0])
+    before &= np.abs(values) > _MIN_DISTANCE
     return bool((check.step | ~points.ok | ~before).all())
 
 
@@ -128,56 +126,66 @@ def _earlier_strike_end(
     zero.
     """
     axis = branch.axis[segment]
-    a, b = branch.Z[axis, good], branch.Z[axis, bad]
-
-    def distance(point: Point, samples: int = 16 * SAMPLES) -> Procedure[float]:
-        _, distances = yield Call(sampled_steps, (point.Z,), (("samples", samples),))
-        return float(distances[0])
-
-    def bisect(
-        a: float,
-        b: float,
-        rounds: int,
-        happens: Callable[[Point], Procedure[bool]] = is_step,
-    ) -> Procedure[tuple[float, float]]:
-        for _ in range(rounds):
-            middle = 0.5 * (a + b)
-            point = yield from correct_at(branch, segment, middle)
-            if point.ok[0] and (yield from happens(point)):
-                a = middle
-            else:
-                b = middle
-        return a, b
-
+    nodes = branch.Z[axis, good], branch.Z[axis, bad]
     # Bisection by whether the step happens brackets the point; the guard's minimum is
     # smooth only near it.
-    nodes = a, b
-    a, b = yield from bisect(*nodes, 8)
-    at_a = yield from distance((yield from correct_at(branch, segment, a)))
-    at_b = yield from distance((yield from correct_at(branch, segment, b)))
+    a, b = yield from _bisect(branch, segment, *nodes, 8)
+    at_a = yield from _distance_at(branch, segment, a)
+    at_b = yield from _distance_at(branch, segment, b)
     if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
-        root = yield from search_segment(
-            root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, distance
-        )
+        root = yield from search_segment(branch, segment, a, b, _distance)
         point = yield from correct_at(branch, segment, root)
         # The value at half as many samples shows the error of the cubic's minimum.
-        error = abs((yield from distance(point, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
+        coarse = yield from _distance(point, _SAMPLES // 2)
+        error = abs(coarse / (at_b - at_a) * (b - a))
     else:
         # Only samples locate it: as many as points are verified with, and finer ones to
         # show the error.
-        a, _ = yield from bisect(a, b, 40)
-        fine, _ = yield from bisect(*nodes, 48, _is_step_finely)
+        a, _ = yield from _bisect(branch, segment, a, b, 40)
+        fine, _ = yield from _bisect(branch, segment, *nodes, 48, _is_step_finely)
         point = yield from correct_at(branch, segment, a)
         error = 2 * (fine - a)
-    tangent = point.direction[:, 0]
-    return BranchEnd(
-        "end_earlier_strike", point, abs(error * float(tangent[-1] / tangent[axis]))
-    )
+
+    slope_rate = float(point.direction[-1, 0] / point.direction[axis, 0])
+    return BranchEnd("end_earlier_strike", point, abs(error * slope_rate))
+
+
+def _distance_at(branch: Branch, segment: int, x: float) -> Procedure[float]:
+    point = yield from correct_at(branch, segment, x)
+    return (yield from _distance(point))
+
+
+def _distance(point: Point, samples: int = _SAMPLES) -> Procedure[float]:
+    """Distance of a corrected point from an earlier strike."""
+    _, distances = yield Call(sampled_steps, (point.Z,), (("samples", samples),))
+    return float(distances[0])
+
+
+def _bisect(
+    branch: Branch,
+    segment: int,
+    a: float,
+    b: float,
+    rounds: int,
+    happens: Callable[[Point], Procedure[bool]] = is_step,
+) -> Procedure[tuple[float, float]]:
+    """Halve the interval between two coordinates of a segment, of which the step at the
+    first happens.
+    """
+    for _ in range(rounds):
+        middle = 0.5 * (a + b)
+        point = yield from correct_at(branch, segment, middle)
+        if point.ok[0] and (yield from happens(point)):
+            a = middle
+        else:
+            b = middle
+    return a, b
 
 
 def _is_step_finely(point: Point) -> Procedure[bool]:
     """Whether a corrected point is a step that happens, by four times as many samples
     as settle a doubt.
     """
-    stride, _ = yield Call(sampled_steps, (point.Z,), (("samples", 64 * SAMPLES),))
+    finely = (("samples", 4 * _SAMPLES),)
+    stride, _ = yield Call(sampled_steps, (point.Z,), finely)
     return bool(verified(stride).step[0])

@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.conditions import Condition
 from gaitsweep.tasks.continuation.joint import (
@@ -39,6 +40,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
     bordered_newton,
 )
 from gaitsweep.tasks.fixed_points.rounding import UNITS, by_fifteen
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers
 from gaitsweep.tasks.mechanics.lumped import Structure, structure_of
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.lanes import lanes_of
@@ -106,7 +108,7 @@ class Keys:
                 )
 
     @functools.cached_property
-    def scale(self) -> np.ndarray:
+    def scale(self) -> ndarray:
         """Lengths of the ranges, shape (k,)."""
         return np.array(self.high) - np.array(self.low)
 
@@ -115,17 +117,17 @@ class Keys:
         """Structure of the walkers at ordinary values."""
         return structure_of(self.walker_at(*self.ordinary))
 
-    def values(self, x: np.ndarray) -> np.ndarray:
+    def values(self, x: ndarray) -> ndarray:
         """Return the values of keys, shape (k, n) [the walker's units], at unknowns of
         that shape; the ends of their ranges where a point lies beyond.
         """
         return self._within(x * self.scale[:, None])
 
-    def _within(self, values: np.ndarray) -> np.ndarray:
+    def _within(self, values: ndarray) -> ndarray:
         low, high = np.reshape([self.low, self.high], (2, -1, 1))
         return np.clip(values, low, high)
 
-    def lanes(self, x: np.ndarray) -> Lanes:
+    def lanes(self, x: ndarray) -> Lanes:
         """Return the step maps at unknowns (k, n).
 
         Beyond the ranges, where there may be no walker, their constants are continued
@@ -141,7 +143,7 @@ class Keys:
             lanes.constants = 2 * lanes.constants - mirrored.constants
         return lanes.some(lane.ravel())
 
-    def _of_values(self, values: np.ndarray) -> Lanes:
+    def _of_values(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n); NaN where there is no such walker."""
         walkers, missing = [], []
         for number, each in enumerate(values.T.tolist()):
@@ -170,9 +172,9 @@ class System:
         The steps there.
     """
 
-    X: np.ndarray
-    residual: np.ndarray
-    derivative: np.ndarray
+    X: Coordinates
+    residual: ndarray
+    derivative: ndarray
     gait: Evaluation
 
 
@@ -234,7 +236,7 @@ class Equations:
         """Number u of unknowns X."""
         return self.problem.m + self.problem.phases + self.freedom
 
-    def some(self, lanes: np.ndarray) -> Equations:
+    def some(self, lanes: Numbers) -> Equations:
         """Return the equations of some lanes (j,): where keys are unknowns, each point
         has a walker of its own already.
         """
@@ -250,7 +252,7 @@ class Equations:
         other.conditions = tuple(conditions)
         return other
 
-    def split(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def split(self, X: Coordinates) -> tuple[ndarray, ndarray]:
         """Return the gaits Z (c, n) and the unknowns of the keys (k, n) of points X (u,
         n).
         """
@@ -260,11 +262,11 @@ class Equations:
         q = np.full((1, X.shape[1]), self.log_slope)
         return np.vstack([X[:joint], q]), X[joint:]
 
-    def problem_at(self, X: np.ndarray) -> Problem:
+    def problem_at(self, X: Coordinates) -> Problem:
         """Return the step map at points X (u, n)."""
         return self.problem if self.keys is None else self.keys.lanes(self.split(X)[1])
 
-    def evaluate(self, X: np.ndarray, samples: int = 0) -> Evaluation:
+    def evaluate(self, X: Coordinates, samples: int = 0) -> Evaluation:
         """Evaluate steps at points X (u, n), with `samples` of their motion as
         `Problem.stride` takes them.
         """
@@ -273,7 +275,7 @@ class Equations:
     # Where heelstrike is tangential to the last digit the map has no derivative.
     @np.errstate(invalid="ignore", over="ignore", divide="ignore")
     def at(
-        self, X: np.ndarray, difference: float | None = None, samples: int = 0
+        self, X: Coordinates, difference: float | None = None, samples: int = 0
     ) -> System:
         """Evaluate the equations to first order.
 
@@ -306,7 +308,7 @@ class Equations:
         """Number of unknowns that are the gait's own, not keys."""
         return self.size - (0 if self.keys is None else len(self.keys.names))
 
-    def _by_differences(self) -> np.ndarray:
+    def _by_differences(self) -> ndarray:
         """Unknowns by which derivatives are differences: the keys, and all where a
         condition has no formula.
         """
@@ -314,7 +316,7 @@ class Equations:
         return np.arange(self._of_gait if has_formulas else 0, self.size)
 
     def _evaluate_beside(
-        self, X: np.ndarray, by: np.ndarray, steps: np.ndarray, samples: int
+        self, X: Coordinates, by: ndarray, steps: ndarray, samples: int
     ) -> Evaluation:
         """The steps at points (u, n), then at those with more of each unknown, then at
         those with less of it.
@@ -326,7 +328,7 @@ class Equations:
         lanes = np.tile(np.arange(n), shifts.shape[1])
         return self.some(lanes).evaluate(points, samples)
 
-    def _set_exact(self, derivative: np.ndarray, here: Evaluation) -> None:
+    def _set_exact(self, derivative: ndarray, here: Evaluation) -> None:
         """Set the derivatives (e, u, n) by the gait's own unknowns that formulas have."""
         of_gait, gait_rows = self._of_gait, len(here.residual)
         derivative[:gait_rows, :of_gait] = here.derivative[:, :of_gait]
@@ -334,7 +336,7 @@ class Equations:
             if condition.by_Z is not None:
                 derivative[row, :of_gait] = condition.by_Z(here)[:of_gait]
 
-    def _steps(self, difference: float | None) -> np.ndarray:
+    def _steps(self, difference: float | None) -> ndarray:
         """Steps of the central differences by the unknowns, shape (u,)."""
         if difference is not None:
             return np.full(self.size, difference)
@@ -343,7 +345,7 @@ class Equations:
             steps[self._of_gait :] = self.keys.difference
         return steps
 
-    def gradient(self, condition: Condition, X: np.ndarray) -> np.ndarray:
+    def gradient(self, condition: Condition, X: Coordinates) -> ndarray:
         """Return the derivatives of a condition's scalar by the unknowns.
 
         Parameters
@@ -358,7 +360,7 @@ class Equations:
         return self.having([condition]).at(X).derivative[-1]
 
 
-def meeting(equations: Equations, X: np.ndarray) -> np.ndarray:
+def meeting(equations: Equations, X: Coordinates) -> ndarray:
     """Return the equations, as many as unknowns, and the determinant that vanishes
     where two points that fulfil them meet.
 
@@ -377,7 +379,7 @@ def meeting(equations: Equations, X: np.ndarray) -> np.ndarray:
     )
 
 
-def sensitivity(equations: Equations, X: np.ndarray) -> np.ndarray:
+def sensitivity(equations: Equations, X: Gait) -> ndarray:
     """Return how a point that the conditions fix moves with the keys.
 
     Parameters
@@ -410,13 +412,13 @@ class _LastCondition:
     method. Where a step has grown, they are taken anew.
     """
 
-    def __init__(self, equations: Equations, rows: np.ndarray):
+    def __init__(self, equations: Equations, rows: Coordinates):
         self.equations, self.rows = equations, rows.copy()
         self.condition = equations.conditions[-1]
 
     def __call__(
-        self, lanes: np.ndarray, at: System, last: np.ndarray, grown: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, lanes: Numbers, at: System, last: Coordinates, grown: ndarray
+    ) -> tuple[ndarray, ndarray]:
         if grown.any():
             self.rows[:, lanes[grown]] = self.equations.some(lanes[grown]).gradient(
                 self.condition, at.X[:, grown]
@@ -430,8 +432,8 @@ class _LastCondition:
 
 def _newton(
     equations: Equations,
-    guess: np.ndarray,
-    rows: np.ndarray,
+    guess: Coordinates,
+    rows: Coordinates,
     limits: Newton,
     samples: int = 0,
 ) -> Point:
@@ -439,12 +441,12 @@ def _newton(
     others = equations.having(equations.conditions[:-1])
     last = _LastCondition(equations, rows)
 
-    def linearise(lanes: np.ndarray, X: np.ndarray) -> System:
+    def linearise(lanes: Numbers, X: Coordinates) -> System:
         # A lane that wanders off ends here: what it may come back to is another point.
         near = np.abs(X - guess[:, lanes]).max(axis=0) < _MAX_MOVE
         return others.some(lanes).at(np.where(near, X, np.nan), samples=samples)
 
-    def rounding(matrix: np.ndarray, at: System) -> np.ndarray | float:
+    def rounding(matrix: ndarray, at: System) -> ndarray | float:
         if len(equations.conditions) > 1 or equations.keys is not None:
             return _ROUNDING_WITH_KEYS
         return _ROUNDING_FACTOR * rounding_step(matrix, at.gait)
@@ -454,7 +456,7 @@ def _newton(
 
 
 def newton_step(
-    equations: Equations, X: np.ndarray, rows: np.ndarray, samples: int = 0
+    equations: Equations, X: Coordinates, rows: Coordinates, samples: int = 0
 ) -> Point:
     """Evaluate points and take one Newton step on their equations.
 
@@ -477,8 +479,8 @@ def newton_step(
 
 def solve(
     equations: Equations,
-    guess: np.ndarray,
-    rows: np.ndarray | None = None,
+    guess: Coordinates,
+    rows: Coordinates | None = None,
     quick: bool = False,
 ) -> Point:
     """Solve as many equations as unknowns from guesses, by Newton's method.
@@ -519,7 +521,9 @@ def solve(
     return found
 
 
-def correct_on_curve(equations: Equations, X: np.ndarray, border: np.ndarray) -> Point:
+def correct_on_curve(
+    equations: Equations, X: Coordinates, border: Coordinates
+) -> Point:
     """Correct points of curves: the solutions in the planes through them normal to some
     directions, by Newton's method.
 
@@ -538,7 +542,7 @@ def correct_on_curve(equations: Equations, X: np.ndarray, border: np.ndarray) ->
     m, joint = equations.problem.m, equations.problem.m + equations.problem.phases
     sized = [*range(m), *range(joint, equations.size)]
 
-    def linearise(lanes: np.ndarray, X: np.ndarray) -> System:
+    def linearise(lanes: Numbers, X: Coordinates) -> System:
         return equations.some(lanes).at(X)
 
     return bordered_newton(
@@ -556,7 +560,7 @@ _SAFETY, _VARIED = 8.0, 1e-6
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def slope_error(problem: Problem, condition: Condition, Z: np.ndarray) -> float:
+def slope_error(problem: Problem, condition: Condition, Z: Gait) -> float:
     """Return a bound on the relative error of a special point's slope.
 
     Parameters
@@ -600,7 +604,7 @@ def slope_error(problem: Problem, condition: Condition, Z: np.ndarray) -> float:
     return float(np.nan_to_num(bound, nan=np.inf))
 
 
-def _in_units_and_varied(problem: Problem, Z: np.ndarray) -> Evaluation:
+def _in_units_and_varied(problem: Problem, Z: Coordinates) -> Evaluation:
     """The steps at a point Z (c, 1): of neighbouring states in every unit, then of the
     point itself with each constant varied up and down, and as it is.
     """

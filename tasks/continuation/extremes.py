@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import (
@@ -38,6 +39,13 @@ from gaitsweep.tasks.kinds import (
     KINDS,
     LARGEST_STABLE_SLOPE,
     SMALLEST_SLOPE,
+)
+from gaitsweep.tasks.mechanics.arrays import (
+    Coordinates,
+    LogSlopes,
+    Marks,
+    Numbers,
+    PerLane,
 )
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import join_lanes
@@ -93,20 +101,20 @@ class Points:
         known.
     """
 
-    line: np.ndarray
-    kind: np.ndarray
-    Z: np.ndarray
-    rows: np.ndarray
-    error: np.ndarray
-    log_froude: np.ndarray
-    speed_error: np.ndarray
-    walks: np.ndarray
-    long: np.ndarray
-    stable: np.ndarray
-    faster: np.ndarray
+    line: ndarray
+    kind: ndarray
+    Z: Coordinates
+    rows: Coordinates
+    error: PerLane
+    log_froude: PerLane
+    speed_error: PerLane
+    walks: Marks
+    long: Marks
+    stable: Marks
+    faster: Marks
 
     @property
-    def log_slope(self) -> np.ndarray:
+    def log_slope(self) -> ndarray:
         """Values of ln slope, shape (n,)."""
         return self.Z[-1]
 
@@ -123,7 +131,7 @@ def nothing(problem: Lanes) -> Points:
     )
 
 
-def may_be(name: str, kind: np.ndarray) -> np.ndarray:
+def may_be(name: str, kind: ndarray) -> ndarray:
     """Return whether points of some kinds may be the extremes of a quantity.
 
     Parameters
@@ -142,7 +150,7 @@ def may_be(name: str, kind: np.ndarray) -> np.ndarray:
     return ~np.isin(kind, excluded)
 
 
-def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
+def in_window(points: Points, window: tuple[float, float]) -> ndarray:
     """Return which points are steps of a window of ln slope, its edges included.
 
     Returns
@@ -155,7 +163,7 @@ def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
     )
 
 
-def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
+def roles(points: Points, window: tuple[float, float]) -> dict[str, ndarray]:
     """Return which points may be the extremes of which quantity within a window.
 
     Parameters
@@ -184,7 +192,7 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     return {name: which & may_be(name, kind) for name, which in every.items()}
 
 
-def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarray:
+def values(name: str, log_slope: LogSlopes, log_froude: PerLane) -> ndarray:
     """Return a number that is least where a quantity has its extreme: a logarithm, or
     minus one.
 
@@ -203,9 +211,7 @@ def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarr
     return -log_slope if name == LARGEST_STABLE_SLOPE else log_slope
 
 
-def best(
-    points: Points, lines: int, window: tuple[float, float]
-) -> dict[str, np.ndarray]:
+def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, ndarray]:
     """Find the points at which quantities reach their extremes within a window.
 
     Parameters
@@ -236,11 +242,11 @@ def best(
 def classify(
     kind: str,
     at: Evaluation,
-    line: np.ndarray,
-    Z: np.ndarray,
-    rows: np.ndarray,
-    error: np.ndarray,
-    walks: np.ndarray,
+    line: ndarray,
+    Z: Coordinates,
+    rows: Coordinates,
+    error: PerLane,
+    walks: Marks,
 ) -> Points:
     """Describe located points of one kind.
 
@@ -320,7 +326,7 @@ def _at_edge(nodes: Nodes, edge: float) -> Guesses:
     )
 
 
-def _turns_and_ends(nodes: Nodes, tuned: np.ndarray, low: float) -> list[Guesses]:
+def _turns_and_ends(nodes: Nodes, tuned: ndarray, low: float) -> list[Guesses]:
     """The folds and the ends of the branches, which are nodes.
 
     `tuned` says of each line whether its walker is; `low` is the least ln slope of the
@@ -367,7 +373,7 @@ def _located(problem: Lanes, nodes: Nodes, guesses: Guesses) -> Points:
     return classify(guesses.kind, at, line, solved.Z, solved.rows, solved.error, walks)
 
 
-def _end_errors(nodes: Nodes, node: np.ndarray) -> np.ndarray:
+def _end_errors(nodes: Nodes, node: Numbers) -> ndarray:
     """Errors of ln slope at nodes that are ends of branches, shape (n,)."""
     errors = []
     for b, number in zip(nodes.branch[node], node, strict=True):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import CONDITIONS
@@ -18,6 +19,7 @@ from gaitsweep.tasks.continuation.joint import Evaluation
 from gaitsweep.tasks.continuation.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.continuation.tracking import HALVED, correct
 from gaitsweep.tasks.fixed_points.newton import similarity
+from gaitsweep.tasks.mechanics.arrays import Gait, Unknowns
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
 
@@ -39,9 +41,7 @@ _NEAR = 0.05
 _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
-def doubled(
-    flip: Evaluation, expected: float
-) -> tuple[Point, np.ndarray, float] | None:
+def doubled(flip: Evaluation, expected: float) -> tuple[Point, ndarray, float] | None:
     """Begin the branch of twice as many steps at a flip.
 
     Parameters
@@ -62,34 +62,34 @@ def doubled(
     The first point is solved for at fixed a, where the branch of fewer steps has no point.
     """
     problem = flip.problem.of_steps(2 * flip.problem.steps)
-    Z = np.append(_twice(flip)[:, 0], flip.q[0])
+    twice = _twice(flip)
+    Z = np.append(twice[:, 0], flip.q[0])
     direction = _along_doubled(flip, Z)
     expected = abs(expected)
 
     distance = np.sqrt(expected) * _FIRST_DISTANCE
-    found: list[tuple[float, Point]] = []
+    found, found_at = None, 0.0
     for _ in range(_MAX_DISTANCES):
-        guess = (Z + distance * direction)[:, None]
-        point = correct(problem, guess, direction[:, None], _MAX_ITERATIONS)
+        guess = Z + distance * direction
+        point = correct(problem, guess[:, None], direction[:, None], _MAX_ITERATIONS)
         apart = abs(float(point.at.q[0] - flip.q[0]))
         if point.ok[0] and apart:
-            found.append((distance, point))
+            found, found_at = point, distance
             if _NEAREST * expected < apart < _FARTHEST * expected:
                 break
             distance *= np.sqrt(_WANTED * expected / apart)
-        elif found and found[-1][0] > distance:
+        elif found_at > distance:
             # Newton's steps are rounding this near the flip: between here and the last
             # point.
-            distance *= np.sqrt(found[-1][0] / distance)
+            distance *= np.sqrt(found_at / distance)
         else:
             distance *= _FARTHEST
-    if not found:
+    if found is None:
         return None
-    distance, point = found[-1]
-    return point, direction, _FIRST_STEP * distance
+    return found, direction, _FIRST_STEP * found_at
 
 
-def _along_doubled(flip: Evaluation, Z: np.ndarray) -> np.ndarray:
+def _along_doubled(flip: Evaluation, Z: Gait) -> ndarray:
     """Unit direction (c,) of the branch of twice as many steps at a flip, there Z (c,):
     the eigenvector of -1, carried through the steps, with both signs.
     """
@@ -102,20 +102,22 @@ def _along_doubled(flip: Evaluation, Z: np.ndarray) -> np.ndarray:
         half.append(v)
         v = matvec(steps.jacobian[:, :, [i]], v)
     other_half = [-part for part in half]
-    change = np.concatenate([*half, *other_half]) / flip.stride.y[0]
+    both_halves = np.concatenate([*half, *other_half])
+    change = both_halves / flip.stride.y[0]
 
     m = len(change)
+    along = similarity(_relative(Z, m), change)
     direction = np.zeros(len(Z))
-    direction[:m] = similarity(_relative(Z, m), change)[:, 0]
+    direction[:m] = along[:, 0]
     return direction / np.linalg.norm(direction)
 
 
-def _relative(w: np.ndarray, m: int) -> np.ndarray:
+def _relative(w: Unknowns, m: int) -> ndarray:
     """Sections of similarity coordinates (m + k,) over the first angle, shape (m, 1)."""
     return np.append(1.0, w[1:m])[:, None]
 
 
-def _twice(flip: Evaluation) -> np.ndarray:
+def _twice(flip: Evaluation) -> ndarray:
     """A flip as gaits of twice as many steps, begun at each of its own: similarity
     coordinates (2 (m + k), steps).
     """
@@ -147,28 +149,42 @@ def begun_at_flips(branch: Branch, flips: Sequence[Evaluation]) -> Branch:
 def _begun_at_a_flip(branch: Branch, side: int, flips: Sequence[Evaluation]) -> Branch:
     """Branch with the nearest of the flips as its end on one side, if one is near."""
     last = branch.Z[:-1, [-side]]
-    found, nearest = None, np.inf
-    for flip in flips:
-        twice = _twice(flip)
-        apart = np.abs(twice - last).max(axis=0)
-        if apart.min() < nearest:
-            nearest = apart.min()
-            found = flip, twice[:, apart.argmin()]
-    if found is None or nearest > _NEAR:
+    found = _nearest_flip(flips, last)
+    if found is None:
         return branch.ending(side, NO_FURTHER)
 
     flip, w = found
     Z = np.append(w, flip.q[0])
-    branch = branch.part(_nodes_clear_of(branch, Z, side))
+    clear = _nodes_clear_of(branch, Z, side)
+    branch = branch.part(clear)
     along = _away_from_flip(branch, w, last)
     to_node = branch.Z[:, -side] - Z
-    forward = (1 - 2 * side) * np.sign(total(to_node * along))
-    branch = branch.insert(side * len(branch.q), Z, forward * along)
+    forward = np.sign(total(to_node * along))
+    if side:
+        forward = -forward
+    end = side * len(branch.q)
+    branch = branch.insert(end, Z, forward * along)
     error = slope_error(flip.problem, CONDITIONS["flip"], flip.Z[:, 0])
     return branch.ending(side, "branch_point", error)
 
 
-def _away_from_flip(branch: Branch, flip: np.ndarray, w: np.ndarray) -> np.ndarray:
+def _nearest_flip(
+    flips: Sequence[Evaluation], w: Unknowns
+) -> tuple[Evaluation, Unknowns] | None:
+    """The flip nearest to a gait of twice as many steps, if one is near, and its gait
+    begun at the step that is nearest.
+    """
+    found, nearest = None, _NEAR
+    for flip in flips:
+        twice = _twice(flip)
+        apart = np.abs(twice - w).max(axis=0)
+        if apart.min() < nearest:
+            nearest = apart.min()
+            found = flip, twice[:, apart.argmin()]
+    return found
+
+
+def _away_from_flip(branch: Branch, flip: ndarray, w: Unknowns) -> ndarray:
     """Unit direction (c,) in which the branch leaves a flip (m + k,), by a gait (m + k,
     1) near it.
 
@@ -186,7 +202,7 @@ def _away_from_flip(branch: Branch, flip: np.ndarray, w: np.ndarray) -> np.ndarr
     return along / np.linalg.norm(along)
 
 
-def _nodes_clear_of(branch: Branch, Z: np.ndarray, side: int) -> np.ndarray:
+def _nodes_clear_of(branch: Branch, Z: Gait, side: int) -> ndarray:
     """Nodes (k,) from the first that is not known worse than a flip Z (c,) on one side
     of the branch.
     """

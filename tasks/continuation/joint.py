@@ -11,8 +11,10 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
+from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
@@ -32,7 +34,7 @@ class Evaluation:
         Of one walker, or of n lanes.
     """
 
-    Z: np.ndarray
+    Z: Coordinates
     stride: AnyStride
     problem: Problem
 
@@ -42,56 +44,59 @@ class Evaluation:
         return len(self.stride.y)
 
     @property
-    def w(self) -> np.ndarray:
+    def w(self) -> ndarray:
         """Similarity coordinates and event times, shape (m + k, n)."""
         return self.Z[:-1]
 
     @property
-    def q(self) -> np.ndarray:
+    def q(self) -> ndarray:
         """Values of ln slope, shape (n,)."""
         return self.Z[-1]
 
     @property
-    def times(self) -> np.ndarray:
+    def times(self) -> ndarray:
         """Event times, shape (k, n) [sqrt(leg/g)]."""
         return self.Z[self.m : -1]
 
     @property
-    def residual(self) -> np.ndarray:
+    def residual(self) -> ndarray:
         """Residual of the joint equations over the stance angle, shape (m + k, n)."""
         return np.asarray(self.stride.residual / self.stride.y[0])
 
     @functools.cached_property
-    def derivative(self) -> np.ndarray:
+    def derivative(self) -> ndarray:
         """Its derivative by Z, shape (m + k, c, n)."""
-        m, y, by = self.m, self.stride.y, self.stride.derivative / self.stride.y[0]
-        by[:, 0], by[:, 1:m] = matvec(by[:, :m], y), self.stride.derivative[:, 1:m]
-        by[:, -1] *= np.exp(self.q)
-        return by
+        m = self.m
+        y = self.stride.y
+        derivative = self.stride.derivative
+        by_Z = derivative / y[0]
+        by_Z[:, 0] = matvec(by_Z[:, :m], y)
+        by_Z[:, 1:m] = derivative[:, 1:m]
+        by_Z[:, -1] *= np.exp(self.q)
+        return by_Z
 
     @property
-    def jacobians(self) -> np.ndarray:
+    def jacobians(self) -> ndarray:
         """Jacobians of all steps of a gait, shape (n, d, d)."""
         return np.moveaxis(self.stride.jacobian, -1, 0)
 
     @property
-    def multipliers(self) -> np.ndarray:
+    def multipliers(self) -> ndarray:
         """Multipliers, largest magnitude first, shape (n, d); NaN where there are none."""
         return multipliers(self.stride.jacobian, len(self.stride.jacobian))
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
+def evaluate(problem: Problem, Z: Coordinates, samples: int = 0) -> Evaluation:
     """Evaluate the steps at points Z (c, n), with `samples` of their motion as
     `Problem.stride` takes them.
     """
-    return Evaluation(
-        Z, problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)[0], problem
-    )
+    stride, _ = problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)
+    return Evaluation(Z, stride, problem)
 
 
-def determinants(matrices: np.ndarray) -> np.ndarray:
+def determinants(matrices: ndarray) -> ndarray:
     """Return determinants.
 
     Parameters
@@ -109,7 +114,7 @@ def determinants(matrices: np.ndarray) -> np.ndarray:
     return out
 
 
-def rounding_step(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
+def rounding_step(matrix: ndarray, at: Evaluation) -> ndarray:
     """Size of a bordered Newton step, event times apart, that rounding alone makes.
 
     Parameters
@@ -122,15 +127,18 @@ def rounding_step(matrix: np.ndarray, at: Evaluation) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    stride, m, y = at.stride, at.m, np.abs(at.stride.y) / at.stride.y[0]
+    m = at.m
+    y = np.abs(at.stride.y) / at.stride.y[0]
     inverse = np.linalg.inv(matrix)[:, but_times(m)].transpose(1, 2, 0)
-    error = matvec(
-        np.abs(inverse), np.vstack([y, np.ones((matrix.shape[1] - m, y.shape[1]))])
-    )
+    of_others = np.ones((matrix.shape[1] - m, y.shape[1]))
+    error = matvec(np.abs(inverse), np.vstack([y, of_others]))
+
     # Rounding of the start, carried through the step; the inverse takes back most of
     # what the step amplifies.
-    carried = stride.derivative[:, :m] + np.eye(len(stride.derivative), m)[..., None]
-    error = error + matvec(np.abs(matvec(inverse[:, :-1, None], carried)), y)
+    derivative = at.stride.derivative
+    carried = derivative[:, :m] + np.eye(len(derivative), m)[..., None]
+    taken_back = matvec(inverse[:, :-1, None], carried)
+    error = error + matvec(np.abs(taken_back), y)
     return np.asarray(6 * EPS * np.nan_to_num(error).max(axis=0))
 
 

@@ -5,12 +5,12 @@ All are procedures, which run side by side (`tasks.continuation.lockstep`).
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import Condition
@@ -19,10 +19,12 @@ from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
 from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Unknowns
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.sameness import ON_BRANCH, same
 from gaitsweep.tasks.step.several_steps import (
     AnyStride,
     distances_of_steps,
@@ -30,15 +32,14 @@ from gaitsweep.tasks.step.several_steps import (
 )
 from gaitsweep.tasks.step.verify_step import strike_distance
 
-TestFunction = Callable[[Point], float | bool]
+#: A number or a truth value of corrected points, or a procedure that returns one.
+TestFunction = Callable[[Point], Any]
 
 
 #: Splits of a segment on which an end or a fold lies, and the largest error of its
 #: polynomial over its length.
 _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
-#: Farthest that Newton's method may move a guess of a branch, commonly by less than
-#: 1e-5: beyond lie others' gaits.
-_MAX_MOVE = 1e-4
+
 #: Least distance of a gait's steps from each other, over that of its guess, and over
 #: the first angle, that of rounding: nearer ones are those of a gait of fewer steps,
 #: beside whose flip it lies.
@@ -60,32 +61,40 @@ def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:
     point : Point
         Of one lane, its tangent along the branch.
     """
-    at = np.array([segment])
-    direction = branch.between(at)
-    point = yield Call(
-        correct_and_evaluate, (branch.evaluate(at, np.array([x])), direction)
-    )
+    segments = np.array([segment])
+    Z = branch.evaluate(segments, np.array([x]))
+    direction = branch.between(segments)
+    point = yield Call(correct_and_evaluate, (Z, direction))
     return point.oriented(direction)
 
 
 def search_segment(
-    search: Generator[float, float, float],
-    branch: Branch,
-    segment: int,
-    test: Callable[..., Any],
+    branch: Branch, segment: int, a: float, b: float, test: TestFunction
 ) -> Procedure[float]:
-    """Send a search for a root the values of a test function, or of a procedure, at
-    corrected points of a segment.
+    """Find the root of a test function, or of a procedure, between two coordinates of a
+    segment, to rounding.
+
+    Raises
+    ------
+    ValueError
+        Where it has the same sign at both.
     """
+    search = root_search(a, b, 1e-15 * max(1.0, abs(a)))
     x = next(search)
     while True:
-        value = test((yield from correct_at(branch, segment, x)))
-        if isinstance(value, Generator):
-            value = yield from value
+        point = yield from correct_at(branch, segment, x)
+        value = yield from _outcome(test(point))
         try:
             x = search.send(value)
         except StopIteration as end:
             return float(end.value)
+
+
+def _outcome(value: Any) -> Procedure[Any]:
+    """The value of a test function; of one that is a procedure what it returns."""
+    if isinstance(value, Generator):
+        value = yield from value
+    return value
 
 
 def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[Point]:
@@ -99,16 +108,12 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[P
     """
     a, b = branch.ends_of(np.array(segment)).tolist()
     try:
-        root = yield from search_segment(
-            root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, test
-        )
+        root = yield from search_segment(branch, segment, a, b, test)
     except ValueError:
         # The values at the nodes differ in sign by rounding only: the end nearer zero
         # is the root.
-        at_a, at_b = (
-            (yield from correct_at(branch, segment, a)),
-            (yield from correct_at(branch, segment, b)),
-        )
+        at_a = yield from correct_at(branch, segment, a)
+        at_b = yield from correct_at(branch, segment, b)
         root = a if abs(test(at_a)) < abs(test(at_b)) else b
     return (yield from correct_at(branch, segment, root))
 
@@ -116,7 +121,7 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[P
 def settle_on_branches(
     problem: Problem,
     guesses: Guesses,
-    places: Sequence[tuple[Problem, Branch, np.ndarray]],
+    places: Sequence[tuple[Problem, Branch, ndarray]],
     accuracy: float = 0.0,
 ) -> Polished:
     """Settle guesses that lie on branches; those that Newton's method loses are first
@@ -136,46 +141,68 @@ def settle_on_branches(
         As for `settle`.
     """
     gaits = settle(problem, guesses, accuracy=accuracy)
-    lost = np.flatnonzero(~(gaits.converged & _is_near(problem, gaits, guesses.w)))
+    settled = gaits.converged & _is_near(problem, gaits, guesses.w)
+    lost = np.flatnonzero(~settled)
     if not len(lost):
         return gaits
+
     again = lanes_of(guesses, lost)
-    ends = np.cumsum([len(segment) for *_, segment in places])
+    ends = np.cumsum([len(segments) for *_, segments in places])
     for i, lane in enumerate(lost.tolist()):
         number = int(np.searchsorted(ends, lane, side="right"))
         walker, branch, segments = places[number]
         segment = int(segments[lane - ends[number] + len(segments)])
-        beyond = functools.partial(_beyond, np.log(guesses.slope[lane]))
-        # By all four nodes around; by its own two where the others mislead, as where
-        # two of them all but coincide.
-        for part, own in (
-            (branch, segment),
-            (branch.part(np.array([segment, segment + 1])), 0),
-        ):
-            point = run(walker, locate_root(part, own, beyond))
-            if point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]:
-                again.w[:, i] = from_largest(point.at.w, branch.m, branch.steps)[:, 0]
-                break
+        q = np.log(guesses.slope[lane])
+        point = run(walker, _point_at_slope(branch, segment, q))
+        if point is not None:
+            w = from_largest(point.at.w, branch.m, branch.steps)
+            again.w[:, i] = w[:, 0]
+
     located = settle(problem.some(lost), again, accuracy=accuracy)
     located.converged &= _is_near(problem, located, again.w)
     replace_lanes(gaits, lost, located)
     return gaits
 
 
+def _point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point | None]:
+    """The point of a segment at a value of ln slope, located along it; None where it
+    leads off the branch.
+    """
+
+    def beyond(point: Point) -> float:
+        return float(point.at.q[0]) - q
+
+    for part, number in _polynomials(branch, segment):
+        point = yield from locate_root(part, number, beyond)
+        if _is_on(part, number, point):
+            return point
+    return None
+
+
+def _polynomials(branch: Branch, segment: int) -> list[tuple[Branch, int]]:
+    """Branches, and numbers of their segments, whose polynomials may lead to points of
+    a segment: by all four nodes around; by its own two where the others mislead, as
+    where two of them all but coincide.
+    """
+    alone = branch.part(np.array([segment, segment + 1]))
+    return [(branch, segment), (alone, 0)]
+
+
+def _is_on(branch: Branch, segment: int, point: Point) -> bool:
+    """Whether a point was found, and lies on a segment."""
+    is_between = branch.lies_between(np.array([segment]), point.Z)
+    is_found = point.ok[0] and is_between[0]
+    return bool(is_found)
+
+
 @np.errstate(invalid="ignore", divide="ignore")
-def _is_near(problem: Problem, at: Polished, w: np.ndarray) -> np.ndarray:
+def _is_near(problem: Problem, at: Polished, w: Unknowns) -> ndarray:
     """Whether gaits lie where Newton's method began and repeat no sooner, shape (n,)."""
-    near = np.abs(at.w - w).max(axis=0) < _MAX_MOVE
-    apart, guessed = (
-        distances_of_steps(each, problem.m, problem.steps) for each in (at.w, w)
-    )
-    return np.asarray(
-        near & (apart > np.maximum(_LEAST_SHARE * guessed, _LEAST_APART)).all(axis=0)
-    )
-
-
-def _beyond(q: float, point: Point) -> float:
-    return float(point.at.q[0]) - q
+    apart = distances_of_steps(at.w, problem.m, problem.steps)
+    of_guess = distances_of_steps(w, problem.m, problem.steps)
+    least = np.maximum(_LEAST_SHARE * of_guess, _LEAST_APART)
+    are_apart = (apart > least).all(axis=0)
+    return np.asarray(same(at.w, w, ON_BRANCH) & are_apart)
 
 
 def is_step(point: Point) -> Procedure[bool]:
@@ -185,7 +212,7 @@ def is_step(point: Point) -> Procedure[bool]:
 
 
 def narrow_segment(
-    branch: Branch, segment: int, like_left: Callable[[Point], bool | Procedure[bool]]
+    branch: Branch, segment: int, like_left: TestFunction
 ) -> Procedure[tuple[Branch, int]]:
     """Split a segment on which a property changes until its polynomial leads to this
     branch and to no other.
@@ -204,37 +231,44 @@ def narrow_segment(
         Number of its segment on which the change lies.
     """
     for _ in range(_MAX_SPLITS):
-        alone = branch.part(np.array([segment, segment + 1]))
-        # By all four nodes around; by its own two where the others mislead.
-        for part, at, share in (
-            (branch, segment, 0.5),
-            (alone, 0, 0.5),
-            (alone, 0, 0.25),
-            (alone, 0, 0.75),
-        ):
-            low, high = part.ends_of(np.array(at))
-            x = float(low * (1 - share) + high * share)
-            guess = part.evaluate(np.array([at]), np.array([x]))[:, 0]
-            point = yield from correct_at(part, at, x)
-            chord = np.linalg.norm(part.Z[:, at + 1] - part.Z[:, at])
-            near = bool(
-                np.linalg.norm(point.Z[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord
-            )
-            if point.ok[0] and part.lies_between(np.array([at]), point.Z)[0]:
-                break
-        else:
-            return branch, segment
-        if near and part is branch:
+        point, is_predicted = yield from _point_within(branch, segment)
+        if point is None or is_predicted:
             break
-        branch = branch.insert(segment + 1, point.Z[:, 0], point.direction[:, 0])
-        is_left = like_left(point)
-        segment += (yield from is_left) if isinstance(is_left, Generator) else is_left
+        branch = branch.with_points(segment, point)
+        segment += yield from _outcome(like_left(point))
     return branch, segment
 
 
+def _point_within(branch: Branch, segment: int) -> Procedure[tuple[Point | None, bool]]:
+    """A corrected point on a segment, near its middle, or None; and whether the
+    branch's own polynomial led to it closely.
+    """
+    whole, alone = _polynomials(branch, segment)
+    tried = (
+        (whole, 0.5),
+        (alone, 0.5),
+        (alone, 0.25),
+        (alone, 0.75),
+    )
+    for (part, number), share in tried:
+        low, high = part.ends_of(np.array(number))
+        x = float(low * (1 - share) + high * share)
+        point = yield from correct_at(part, number, x)
+        if not _is_on(part, number, point):
+            continue
+
+        guess = part.evaluate(np.array([number]), np.array([x]))
+        error = np.linalg.norm(point.Z - guess)
+        a, b = part.Z[:, number : number + 2].T
+        chord = np.linalg.norm(b - a)
+        is_close = bool(error < _MAX_PREDICTION_ERROR * chord)
+        return point, is_close and part is branch
+    return None, False
+
+
 def sampled_steps(
-    problem: Problem, Z: np.ndarray, samples: int
-) -> tuple[AnyStride, np.ndarray]:
+    problem: Problem, Z: Coordinates, samples: int
+) -> tuple[AnyStride, ndarray]:
     """Evaluate the steps at points of branches with samples of their motion.
 
     Parameters
@@ -250,8 +284,8 @@ def sampled_steps(
         From an earlier strike, as `strike_distance` has it.
     """
     stride, _ = problem.stride(Z[:-1], Z[-1], samples=samples)
-    each = stride.singles
-    distance = strike_distance(each.scaled_motion(), each.times)
+    singles = stride.singles
+    distance = strike_distance(singles.scaled_motion(), singles.times)
     return stride, distance.reshape(stride.steps, -1).min(axis=0)
 
 
@@ -264,17 +298,21 @@ def sharpened_fold(point: Point) -> Procedure[Point]:
     point : Point
         Of one lane.
     """
-    derivative, stride = point.at.derivative[..., 0], point.at.stride
+    derivative = point.at.derivative[..., 0]
+    stride = point.at.stride
     # How far residuals of the joint equations, over the stance angle, move the ln slope
     # of a fold.
-    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
+    left_vectors, *_ = np.linalg.svd(derivative[:, :-1])
+    least = left_vectors[:, -1]
     by_residual = -least / total(least * derivative[:, -1])
-    y, image = np.abs([stride.y[:, 0], stride.image[:, 0]])
-    rounded = (
-        3 * EPS * np.append(y + image, np.full(len(derivative) - len(y), 2 * y[0]))
-    )
-    if total(np.abs(by_residual) * rounded) / y[0] < _SHARP:
+    y = np.abs(stride.y[:, 0])
+    image = np.abs(stride.image[:, 0])
+    of_guards = np.full(len(derivative) - len(y), 2 * y[0])
+    rounded = 3 * EPS * np.append(y + image, of_guards)
+    uncertain = total(np.abs(by_residual) * rounded) / y[0]
+    if uncertain < _SHARP:
         return point
+
     residual = yield Call(extended_precision.residual, (point.Z,))
     Z = point.Z.copy()
     Z[-1, 0] += total(by_residual * residual[:, 0])

@@ -9,10 +9,11 @@ others, so neither does what a procedure returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
@@ -26,7 +27,7 @@ class Call(NamedTuple):
     """
 
     function: Callable[..., Any]
-    arrays: tuple[np.ndarray, ...]
+    arrays: tuple[ndarray, ...]
     options: tuple[tuple[str, Any], ...] = ()
 
 
@@ -42,7 +43,7 @@ def run(problem: Problem, procedure: Procedure[Result]) -> Result:
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def side_by_side(
     problem: Problem,
-    lines: Sequence[int] | np.ndarray,
+    lines: Sequence[int] | ndarray,
     procedures: Sequence[Procedure[Result]],
 ) -> list[Result]:
     """Run procedures side by side.
@@ -76,14 +77,24 @@ def side_by_side(
         for number, call in pending.items():
             alike.setdefault((call.function, call.options), []).append(number)
         calls, pending = pending, {}
-        for (function, options), numbers in alike.items():
-            counts = [calls[number].arrays[0].shape[-1] for number in numbers]
-            arrays = (
-                np.concatenate(each, axis=-1)
-                for each in zip(*(calls[n].arrays for n in numbers), strict=True)
+        for numbers in alike.values():
+            of_lines = [lines[number] for number in numbers]
+            parts = _in_one_batch(
+                problem, of_lines, [calls[number] for number in numbers]
             )
-            lanes = np.repeat([lines[number] for number in numbers], counts)
-            result = function(problem.some(lanes), *arrays, **dict(options))
-            for number, own in zip(numbers, slices(counts), strict=True):
-                advance(number, lanes_of(result, own))
+            for number, part in zip(numbers, parts, strict=True):
+                advance(number, part)
     return [results[number] for number in range(len(procedures))]
+
+
+def _in_one_batch(
+    problem: Problem, lines: list[int], calls: list[Call]
+) -> Iterator[Any]:
+    """Results of calls of one function with the same options, each for its line."""
+    counts = [call.arrays[0].shape[-1] for call in calls]
+    of_argument = zip(*(call.arrays for call in calls), strict=True)
+    arrays = [np.concatenate(parts, axis=-1) for parts in of_argument]
+    of_lanes = problem.some(np.repeat(lines, counts))
+    result = calls[0].function(of_lanes, *arrays, **dict(calls[0].options))
+    for lanes in slices(counts):
+        yield lanes_of(result, lanes)

@@ -9,16 +9,18 @@ condition are solved.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import Branch
 from gaitsweep.tasks.continuation.conditions import Condition
 from gaitsweep.tasks.continuation.equations import Equations, solve
-from gaitsweep.tasks.continuation.joint import evaluate
+from gaitsweep.tasks.continuation.joint import Evaluation, evaluate
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import NEAR_POINT, same
 
@@ -71,25 +73,23 @@ class Nodes:
         n = len(self.line)
         self.radius = np.full(n, np.nan)
         self.values = {condition.name: np.full(n, np.nan) for condition in conditions}
-        for begin in range(0, n, _BLOCK):
-            part = slice(begin, begin + _BLOCK)
-            at = evaluate(problem.some(self.line[part]), self.Z[:, part])
+        for part, at in _in_blocks(problem, self.line, self.Z):
             self.radius[part] = np.abs(at.multipliers[:, 0])
             for condition in conditions:
                 self.values[condition.name][part] = condition.residual(at)
 
     @functools.cached_property
-    def walks(self) -> np.ndarray:
+    def walks(self) -> ndarray:
         """Whether legs pass once, bool (n,)."""
         leg_passes = [branch.leg_passes for branch in self.branches]
         return np.concatenate(leg_passes) == 1
 
     @property
-    def stable(self) -> np.ndarray:
+    def stable(self) -> ndarray:
         """Whether such a gait is stable, bool (n,)."""
         return (self.radius < 1) & self.walks
 
-    def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def evaluate(self, node: Numbers, share: ndarray) -> ndarray:
         """Return points (c, n) of the branches' polynomials at shares of the segments
         after some nodes.
         """
@@ -100,7 +100,7 @@ class Nodes:
             Z[:, which] = self.branches[number].at(place)
         return Z
 
-    def inner(self, node: np.ndarray) -> np.ndarray:
+    def inner(self, node: Numbers) -> ndarray:
         """Return neighbours (n,) of nodes: the next, or of a branch's last the one
         before.
         """
@@ -110,6 +110,15 @@ class Nodes:
     def branch_of(self, node: int) -> Branch:
         """Return the branch of a node."""
         return self.branches[self.branch[node]]
+
+
+def _in_blocks(
+    problem: Problem, line: Numbers, Z: Coordinates
+) -> Iterator[tuple[slice, Evaluation]]:
+    """The steps at points of lines (n,), evaluated so many at a time."""
+    for begin in range(0, len(line), _BLOCK):
+        part = slice(begin, begin + _BLOCK)
+        yield part, evaluate(problem.some(line[part]), Z[:, part])
 
 
 @dataclass
@@ -128,8 +137,8 @@ class Guesses:
 
     kind: str
     condition: Condition | None
-    node: np.ndarray
-    Z: np.ndarray
+    node: Numbers
+    Z: Coordinates
 
 
 def guess_passings(
@@ -152,29 +161,25 @@ def guess_passings(
     """
     node = _changing(nodes, condition, of_stable_gaits)
     inner_shares = np.linspace(0, 1, _PARTS + 1)[1:-1]
-    every = np.repeat(node, _PARTS - 1)
-    lines = nodes.line[every]
-    Z = nodes.evaluate(every, np.tile(inner_shares, len(node)))
-    between = np.zeros(len(every))
-    for begin in range(0, len(every), _BLOCK):
-        part = slice(begin, begin + _BLOCK)
-        at = evaluate(problem.some(lines[part]), Z[:, part])
+    before = np.repeat(node, len(inner_shares))
+    Z = nodes.evaluate(before, np.tile(inner_shares, len(node)))
+    between = np.zeros(len(before))
+    for part, at in _in_blocks(problem, nodes.line[before], Z):
         between[part] = condition.residual(at)
 
+    inner = between.reshape(len(node), len(inner_shares))
     at_nodes = nodes.values[condition.name]
-    values = np.column_stack(
-        [at_nodes[node], between.reshape(len(node), _PARTS - 1), at_nodes[node + 1]]
-    )
+    values = np.column_stack([at_nodes[node], inner, at_nodes[node + 1]])
     row, share = _roots(values)
-    return Guesses(
-        condition.name, condition, node[row], nodes.evaluate(node[row], share)
-    )
+    node = node[row]
+    return Guesses(condition.name, condition, node, nodes.evaluate(node, share))
 
 
-def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> np.ndarray:
+def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> ndarray:
     """Nodes before the segments on which a condition's scalar may pass its target."""
     values = nodes.values[condition.name]
-    signs, finite = np.sign(values), np.isfinite(values)
+    signs = np.sign(values)
+    finite = np.isfinite(values)
     joined = nodes.branch[1:] == nodes.branch[:-1]
     changes = joined & (signs[1:] != signs[:-1])
     changes &= finite[1:] & finite[:-1]
@@ -194,7 +199,7 @@ def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> np.n
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def _roots(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _roots(values: ndarray) -> tuple[ndarray, ndarray]:
     """Rows and places, as shares of a row, of the roots of functions that have values
     (n, p) at equal distances.
 
@@ -212,7 +217,7 @@ def _roots(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rows, places / (values.shape[1] - 1)
 
 
-def _parabolas(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parabolas(values: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """Rows of functions (n, p), and the two roots of parabolas through three of their
     values of one sign, as places.
     """
@@ -262,7 +267,7 @@ def locate(problem: Problem, nodes: Nodes, guesses: Guesses) -> Point:
     return solved
 
 
-def _lies_on(branch: Branch, Z: np.ndarray) -> bool:
+def _lies_on(branch: Branch, Z: Gait) -> bool:
     """Whether a point (c,) lies on a branch."""
     on_pieces = [on[:, 0] for _, on, _ in branch.guesses(Z[-1:])]
     return any(same(on, Z, NEAR_POINT) for on in on_pieces)

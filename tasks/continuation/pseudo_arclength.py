@@ -14,9 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.root import hermite, passes
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Marks, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm, total
+from gaitsweep.tasks.step.iterate import Ended, iterate
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 
 #: Points beyond which a curve may have closed.
@@ -25,14 +28,12 @@ _LEAST_CLOSED = 3
 #: Equations of some lanes at their points Z (c, n), to first order, a dataclass: their
 #: `residual` (c - 1, n) and its `derivative` (c - 1, c, n); and the size of a bordered
 #: Newton step that rounding makes (n,), by the bordered matrix (n, c, c).
-Linearise = Callable[[np.ndarray, np.ndarray], Any]
-RoundingStep = Callable[[np.ndarray, Any], "np.ndarray | float"]
+Linearise = Callable[[ndarray, ndarray], Any]
+RoundingStep = Callable[[ndarray, Any], "ndarray | float"]
 #: One equation more: by the numbers of lanes (j,), the other equations there, the
 #: Newton steps that led to their points (c, j) and whether these have grown (j,), its
 #: derivatives (c, j) and its values (j,).
-Border = Callable[
-    [np.ndarray, Any, np.ndarray, np.ndarray], "tuple[np.ndarray, np.ndarray]"
-]
+Border = Callable[[ndarray, Any, ndarray, ndarray], "tuple[ndarray, ndarray]"]
 
 
 @dataclass(frozen=True)
@@ -71,20 +72,20 @@ class Point:
         The equations there, to first order: at the point or a Newton step away.
     """
 
-    Z: np.ndarray
-    direction: np.ndarray
-    ok: np.ndarray
-    last_step: np.ndarray
-    rounding: np.ndarray
-    rows: np.ndarray
+    Z: Coordinates
+    direction: Coordinates
+    ok: Marks
+    last_step: PerLane
+    rounding: PerLane
+    rows: Coordinates
     at: Any
 
     @property
-    def error(self) -> np.ndarray:
+    def error(self) -> ndarray:
         """Bound on the error of Z, infinite where Newton did not converge, shape (n,)."""
         return np.where(self.ok, self.rounding + 2 * self.last_step, np.inf)
 
-    def oriented(self, direction: np.ndarray) -> Point:
+    def oriented(self, direction: Coordinates) -> Point:
         """Return the points with their tangents turned to the side of some directions
         (c, n).
         """
@@ -92,7 +93,7 @@ class Point:
         return replace(self, direction=sign * self.direction)
 
 
-def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
+def bordered_matrix(derivative: ndarray, border: Coordinates) -> ndarray:
     """Return the matrix (n, c, c) of equations with derivatives (c - 1, c, n) and of
     one more, (c, n).
     """
@@ -100,8 +101,8 @@ def bordered_matrix(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
 
 
 def _solve_bordered(
-    matrix: np.ndarray, right: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    matrix: ndarray, right: ndarray
+) -> tuple[ndarray, ndarray, ndarray]:
     """Solve linear systems, and find the directions in which all equations but the last
     stay satisfied.
 
@@ -118,29 +119,31 @@ def _solve_bordered(
         is no solution.
     solvable : ndarray of bool, shape (n,)
     """
-    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=0)
+    solvable = np.isfinite(matrix).all(axis=(1, 2))
+    solvable &= np.isfinite(right).all(axis=0)
     both = np.zeros((*right.T.shape, 2))
-    both[..., 0], both[:, -1, 1] = right.T, 1.0
+    both[..., 0] = right.T
+    both[:, -1, 1] = 1.0
     try:
         solution = np.linalg.solve(matrix[solvable], both[solvable])
     except np.linalg.LinAlgError:  # one of them is singular to the last digit
         solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
         solution = np.linalg.solve(matrix[solvable], both[solvable])
     both[:] = 0.0
-    both[solvable], matrix[~solvable] = solution, np.eye(matrix.shape[1])
+    both[solvable] = solution
+    matrix[~solvable] = np.eye(matrix.shape[1])
     return both[..., 0].T, both[..., 1].T, solvable
 
 
-def _plane(Z: np.ndarray, normal: np.ndarray) -> Border:
+def _plane(Z: Coordinates, normal: ndarray) -> Border:
     """The equations of planes normal to some directions through points Z as they are
     now, wherever these move.
     """
     start = Z.copy()
 
-    def equation(lanes: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
-        return normal[:, lanes], total(
-            normal[:, lanes] * (Z[:, lanes] - start[:, lanes])
-        )
+    def equation(lanes: Numbers, *_: Any) -> tuple[ndarray, ndarray]:
+        rows = normal[:, lanes]
+        return rows, total(rows * (Z[:, lanes] - start[:, lanes]))
 
     return equation
 
@@ -151,8 +154,8 @@ def bordered_newton(
     linearise: Linearise,
     rounding_step: RoundingStep,
     limits: Newton,
-    Z: np.ndarray,
-    border: np.ndarray | Border,
+    Z: Coordinates,
+    border: Coordinates | Border,
     sized: Sequence[int] | slice = slice(None),
 ) -> Point:
     """Solve for the zeros at which one equation more holds, by Newton's method.
@@ -176,50 +179,97 @@ def bordered_newton(
     -------
     Point
     """
-    n, Z = Z.shape[1], Z.copy()
-    equation = border if callable(border) else _plane(Z, border)
-    step, direction, rows = (np.zeros_like(Z) for _ in range(3))
-    ok, grown, last_step, rounding = (
-        np.zeros(n, bool),
-        np.zeros(n, bool),
-        np.full(n, np.inf),
-        np.full(n, np.inf),
-    )
-    active = np.arange(n)
-    for _ in range(limits.max_iterations):
-        system = linearise(active, Z[:, active])
-        rows[:, active], value = equation(
-            active, system, step[:, active], grown[active]
-        )
-        matrix = bordered_matrix(system.derivative, rows[:, active])
-        change, along, solvable = _solve_bordered(
-            matrix, -np.vstack([system.residual, value])
-        )
-        size, before = (
-            np.where(solvable, np.abs(change[sized]).max(axis=0), np.inf),
-            last_step[active],
-        )
-        moving = size <= limits.max_step
-        Z[:, active[moving]] += change[:, moving]
-        rounding[active] = rounding_step(matrix, system)
-        at_rest = size <= np.maximum(rounding[active], limits.enough)
-        done = moving & (
-            at_rest | ((size < limits.small) & (size > limits.shrinking * before))
-        )
-        ok[active], grown[active], last_step[active] = done, size > before, size
-        step[:, active], direction[:, active] = change, along
-        # A lane that is done keeps its own last step, so its bits do not depend on the
-        # others.
-        if len(active) == n:
-            at = system
+    n = Z.shape[1]
+    search = _BorderedNewton(linearise, rounding_step, limits, Z, border, sized)
+    if not n:
+        search.step(np.arange(0), 0)  # equations of no lanes are still equations
+    ended = iterate(search, n, limits.max_iterations)
+    return search.reached(ended == Ended.CONVERGED)
+
+
+class _BorderedNewton:
+    """The rule of bordered Newton, with arguments as `bordered_newton` has them."""
+
+    def __init__(
+        self,
+        linearise: Linearise,
+        rounding_step: RoundingStep,
+        limits: Newton,
+        Z: Coordinates,
+        border: Coordinates | Border,
+        sized: Sequence[int] | slice,
+    ):
+        self.linearise = linearise
+        self.rounding_step = rounding_step
+        self.limits = limits
+        self.sized = sized
+
+        n = Z.shape[1]
+        self.Z = Z.copy()
+        self.equation = border if callable(border) else _plane(self.Z, border)
+        self.change = np.zeros_like(Z)
+        self.direction = np.zeros_like(Z)
+        self.rows = np.zeros_like(Z)
+        self.grown = np.zeros(n, bool)
+        self.size = np.full(n, np.inf)
+        self.rounding = np.full(n, np.inf)
+        self.at: Any = None
+
+    def step(self, lanes: Numbers, taken: int) -> ndarray:
+        system = self.linearise(lanes, self.Z[:, lanes])
+        last, grown = self.change[:, lanes], self.grown[lanes]
+        rows, value = self.equation(lanes, system, last, grown)
+        matrix = bordered_matrix(system.derivative, rows)
+        right = -np.vstack([system.residual, value])
+        change, direction, solvable = _solve_bordered(matrix, right)
+
+        size = np.abs(change[self.sized]).max(axis=0)
+        size[~solvable] = np.inf
+        moving = size <= self.limits.max_step
+        self.Z[:, lanes[moving]] += change[:, moving]
+        self.rounding[lanes] = self.rounding_step(matrix, system)
+        ended = self._ended(lanes, size)
+        self.grown[lanes] = size > self.size[lanes]
+        self.size[lanes] = size
+
+        self.change[:, lanes] = change
+        self.direction[:, lanes] = direction
+        self._keep(lanes, system, rows)
+        return ended
+
+    def _keep(self, lanes: Numbers, system: Any, rows: Coordinates) -> None:
+        """Keep the equations of some lanes: one that is done keeps those of its own
+        last step, so its bits do not depend on the others.
+        """
+        self.rows[:, lanes] = rows
+        if self.at is None or len(lanes) == len(self.size):
+            self.at = system
         else:
-            replace_lanes(at, active, system)
-        active = active[moving & ~done]
-        if not len(active):
-            break
-    length = norm(direction)
-    length[length == 0] = 1.0  # in lanes that are lost
-    return Point(Z, direction / length, ok, last_step, rounding, rows, at)
+            replace_lanes(self.at, lanes, system)
+
+    def _ended(self, lanes: Numbers, size: PerLane) -> ndarray:
+        """Why lanes end after steps of some sizes, or that they go on."""
+        limits = self.limits
+        at_rest = size <= np.maximum(self.rounding[lanes], limits.enough)
+        shrinks = size <= limits.shrinking * self.size[lanes]
+        is_last = at_rest | ((size < limits.small) & ~shrinks)
+        ended = np.where(is_last, Ended.CONVERGED, Ended.RUNNING)
+        ended[~(size <= limits.max_step)] = Ended.DIVERGED
+        return ended
+
+    def reached(self, ok: Marks) -> Point:
+        """Return the points reached, of which some (n,) are solutions."""
+        length = norm(self.direction)
+        length[length == 0] = 1.0  # in lanes that are lost
+        return Point(
+            Z=self.Z,
+            direction=self.direction / length,
+            ok=ok,
+            last_step=self.size,
+            rounding=self.rounding,
+            rows=self.rows,
+            at=self.at,
+        )
 
 
 @dataclass(frozen=True)
@@ -243,9 +293,7 @@ class StepControl:
     max_error: float = np.inf
     max_bend: float = np.inf
 
-    def accepts(
-        self, error: np.ndarray, step: np.ndarray, cosine: np.ndarray
-    ) -> np.ndarray:
+    def accepts(self, error: PerLane, step: PerLane, cosine: PerLane) -> ndarray:
         """Whether steps may be accepted, shape (n,).
 
         Parameters
@@ -266,7 +314,7 @@ class StepControl:
             & (cosine > self.min_cosine)
         )
 
-    def after(self, step: np.ndarray, measure: np.ndarray) -> np.ndarray:
+    def after(self, step: PerLane, measure: PerLane) -> ndarray:
         """Length of the next steps after accepted ones, shape (n,).
 
         Parameters
@@ -279,10 +327,8 @@ class StepControl:
         -------
         ndarray, shape (n,)
         """
-        factor = np.clip(
-            (self.target / np.maximum(measure, 1e-12)) ** self.power, *self.growth
-        )
-        return np.minimum(self.longest, step * factor)
+        factor = (self.target / np.maximum(measure, 1e-12)) ** self.power
+        return np.minimum(self.longest, step * np.clip(factor, *self.growth))
 
 
 #: Why a track stops that returns to its start, that could be continued no further, or
@@ -302,18 +348,18 @@ class Track:
         Why it stops at its last point.
     """
 
-    Z: np.ndarray
-    tangent: np.ndarray
+    Z: Coordinates
+    tangent: Coordinates
     stop_reason: str
 
 
-def joined(down: Track, up: Track) -> tuple[np.ndarray, np.ndarray]:
+def joined(down: Track, up: Track) -> tuple[ndarray, ndarray]:
     """Return the points and tangents (c, p) of both directions from one point, in the
     order of the track up.
     """
-    return np.hstack([down.Z[:, :0:-1], up.Z]), np.hstack(
-        [-down.tangent[:, :0:-1], up.tangent]
-    )
+    Z = np.hstack([down.Z[:, :0:-1], up.Z])
+    tangent = np.hstack([-down.tangent[:, :0:-1], up.tangent])
+    return Z, tangent
 
 
 class Tracks(ABC):
@@ -338,30 +384,36 @@ class Tracks(ABC):
     """
 
     def __init__(
-        self, control: StepControl, Z: np.ndarray, tangent: np.ndarray, step: float
+        self, control: StepControl, Z: Coordinates, tangent: Coordinates, step: float
     ):
+        n = Z.shape[1]
         self.control = control
-        self.Z, self.tangent, self.turning = Z.copy(), tangent.copy(), np.zeros(Z.shape)
-        self.step = np.full(Z.shape[1], step)
+        self.Z = Z.copy()
+        self.tangent = tangent.copy()
+        self.turning = np.zeros(Z.shape)
+        self.step = np.full(n, step)
+        self.first = Z.copy(), tangent.copy()
         # The points before the last ones, the tangents there, and the distances; 0
         # where there are none.
-        self.before, self.back = (Z.copy(), tangent.copy()), np.zeros(Z.shape[1])
-        n, self.first = Z.shape[1], (Z.copy(), tangent.copy())
-        self.count, self.stop = np.zeros(n, int), np.full(n, "", object)
-        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.before = Z.copy(), tangent.copy()
+        self.back = np.zeros(n)
+
+        self.count = np.zeros(n, int)
+        self.stop = np.full(n, "", object)
+        self.log: list[tuple[ndarray, ndarray, ndarray]] = []
         self.record(np.arange(n))
 
     @abstractmethod
     def correct(
-        self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray
+        self, tracks: Numbers, guess: Coordinates, border: Coordinates
     ) -> Point:
         """Corrected points of some tracks (j,), of predicted ones (c, j), in planes
         normal to (c, j).
         """
 
     def judge(
-        self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self, tracks: Numbers, point: Point, guess: Coordinates, error: PerLane
+    ) -> tuple[ndarray, ndarray]:
         """Which corrected points are fair (j,), besides what the step control demands,
         and what that keeps near target.
 
@@ -370,7 +422,7 @@ class Tracks(ABC):
         """
         return np.ones(len(tracks), bool), error
 
-    def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
+    def reasons(self, tracks: Numbers, point: Point, last: Coordinates) -> ndarray:
         """Why some tracks (j,) stop at points that follow on others (c, j); empty where
         they go on.
         """
@@ -381,35 +433,39 @@ class Tracks(ABC):
         while len(active := np.flatnonzero(self.stop == "")):
             last = self.Z[:, active], self.tangent[:, active]
             point, fair = self.advance(active)
-            new, refused, last = active[fair], active[~fair], lanes_of(last, fair)
+            new = active[fair]
+            last = lanes_of(last, fair)
             self.record(new)
-            self.stop[new] = self.reasons(new, lanes_of(point, fair), last[0])
-            closes = passes(
-                lanes_of(self.first, new), last, (self.Z[:, new], self.tangent[:, new])
-            )
-            self.stop[new[(self.stop[new] == "") & (self.count[new] >= most)]] = (
-                TOO_MANY
-            )
-            # Whatever lies beyond: it has been there.
-            self.stop[new[closes & (self.count[new] > _LEAST_CLOSED)]] = CLOSED
-            self.stop[refused[self.step[refused] < self.control.shortest]] = NO_FURTHER
-        owner = np.concatenate([tracks for tracks, _, _ in self.log])
-        order = np.argsort(owner, kind="stable")
-        bounds = np.cumsum(self.count)[:-1]
-        Z, tangent = (
-            np.split(np.hstack([e[i] for e in self.log])[:, order], bounds, axis=1)
-            for i in (1, 2)
-        )
-        return [
-            Track(*each) for each in zip(Z, tangent, self.stop.tolist(), strict=True)
-        ]
 
-    def record(self, tracks: np.ndarray) -> None:
+            self.stop[new] = self.reasons(new, lanes_of(point, fair), last[0])
+            too_many = (self.stop[new] == "") & (self.count[new] >= most)
+            self.stop[new[too_many]] = TOO_MANY
+            # Whatever lies beyond: it has been there.
+            now = self.Z[:, new], self.tangent[:, new]
+            closes = passes(lanes_of(self.first, new), last, now)
+            closes &= self.count[new] > _LEAST_CLOSED
+            self.stop[new[closes]] = CLOSED
+
+            refused = active[~fair]
+            is_short = self.step[refused] < self.control.shortest
+            self.stop[refused[is_short]] = NO_FURTHER
+        return self._followed()
+
+    def _followed(self) -> list[Track]:
+        """The tracks with all points that were found."""
+        owners, points, tangents = zip(*self.log, strict=True)
+        order = np.argsort(np.concatenate(owners), kind="stable")
+        bounds = np.cumsum(self.count)[:-1]
+        Z = np.split(np.hstack(points)[:, order], bounds, axis=1)
+        tangent = np.split(np.hstack(tangents)[:, order], bounds, axis=1)
+        return list(map(Track, Z, tangent, self.stop.tolist()))
+
+    def record(self, tracks: Numbers) -> None:
         """Add the last points of tracks to what was found."""
         self.count[tracks] += 1
         self.log.append((tracks, self.Z[:, tracks], self.tangent[:, tracks]))
 
-    def advance(self, active: np.ndarray) -> tuple[Point, np.ndarray]:
+    def advance(self, active: Numbers) -> tuple[Point, ndarray]:
         """Try a step of some tracks.
 
         Parameters
@@ -423,30 +479,38 @@ class Tracks(ABC):
         fair : ndarray of bool, shape (j,)
             Which of them were accepted; the next step of the other tracks is shorter.
         """
-        h, border = self.step[active], self.tangent[:, active].copy()
+        h = self.step[active]
+        border = self.tangent[:, active].copy()
         guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
         point = self.correct(active, self._near(active, guess, border), border)
+
         error = norm(point.Z - guess)
         cosine = total(point.direction * border)
         fair, measure = self.judge(active, point, guess, error)
         fair = fair & point.ok & self.control.accepts(error, h, np.abs(cosine))
+
         new = active[fair]
-        tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]
-        Z = point.Z[:, fair]
-        # The tangent keeps turning as over the last step.
-        chord = norm(Z - self.Z[:, new])
-        self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
-        for values, last in zip(self.before, (self.Z, self.tangent), strict=True):
-            values[:, new] = last[:, new]
-        self.back[new] = chord
-        self.Z[:, new], self.tangent[:, new] = Z, tangent
+        tangent = np.where(cosine >= 0, point.direction, -point.direction)
+        self._move(new, point.Z[:, fair], tangent[:, fair])
         self.step[new] = self.control.after(h[fair], measure[fair])
         self.step[active[~fair]] *= self.control.reduction
         return point, fair
 
+    def _move(self, tracks: Numbers, Z: Coordinates, tangent: Coordinates) -> None:
+        """Make points Z (c, j) the last ones of some tracks (j,)."""
+        last, last_tangent = self.Z[:, tracks], self.tangent[:, tracks]
+        chord = norm(Z - last)
+        # The tangent keeps turning as over the last step.
+        self.turning[:, tracks] = (tangent - last_tangent) / chord
+        self.before[0][:, tracks] = last
+        self.before[1][:, tracks] = last_tangent
+        self.back[tracks] = chord
+        self.Z[:, tracks] = Z
+        self.tangent[:, tracks] = tangent
+
     def _near(
-        self, active: np.ndarray, guess: np.ndarray, border: np.ndarray
-    ) -> np.ndarray:
+        self, active: Numbers, guess: Coordinates, border: Coordinates
+    ) -> ndarray:
         """Where Newton's method begins in the planes of the predicted points: on the
         cubic through the last two.
         """
@@ -455,5 +519,7 @@ class Tracks(ABC):
         has_two = self.back[active] > 0
         length = np.where(has_two, self.back[active], 1.0)
         a, b = lanes_of((self.before, (self.Z, self.tangent)), active)
-        off = hermite(a, b, length, 1 + self.step[active] / length) - guess
-        return guess + np.where(has_two, off - border * total(border * off), 0.0)
+        share = 1 + self.step[active] / length
+        off = hermite(a, b, length, share) - guess
+        in_plane = off - border * total(border * off)
+        return guess + np.where(has_two, in_plane, 0.0)

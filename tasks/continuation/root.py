@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import norm, total
 
@@ -60,36 +61,52 @@ def root_search(
         return a if at_a == 0 else b
     if not at_a * at_b < 0:
         raise ValueError(f"no change of sign between {a!r} and {b!r}")
-    part = 0.5
+
+    share = 0.5
     for _ in range(_MAX_STEPS):
-        x = a + part * (b - a)
+        x = a + share * (b - a)
         at_x = yield x
         if (at_x > 0) == (at_a > 0):
             c, at_c = a, at_a
         else:
-            c, at_c, b, at_b = b, at_b, a, at_a
+            c, at_c = b, at_b
+            b, at_b = a, at_a
         a, at_a = x, at_x
+
         best = a if abs(at_a) < abs(at_b) else b
         near = (2 * np.finfo(float).eps * abs(best) + 0.5 * tolerance) / abs(b - a)
         if near > 0.5 or at_a == 0:
             return best
-        fraction, value = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
-        part = 0.5
-        if value**2 < fraction and (1 - value) ** 2 < 1 - fraction:
-            part = at_a / (at_b - at_a) * at_c / (at_b - at_c) + (c - a) / (
-                b - a
-            ) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
-        part = min(1 - near, max(near, part))
+        share = _next_share((a, at_a), (b, at_b), (c, at_c))
+        share = min(1 - near, max(near, share))
     return best
 
 
+def _next_share(
+    last: tuple[float, float], opposite: tuple[float, float], past: tuple[float, float]
+) -> float:
+    """Where between the last argument and that of the opposite sign the root is sought
+    next, by these and the last but one, with the values there.
+    """
+    a, at_a = last
+    b, at_b = opposite
+    c, at_c = past
+    fraction = (a - b) / (c - b)
+    value = (at_a - at_b) / (at_c - at_b)
+    if value**2 < fraction and (1 - value) ** 2 < 1 - fraction:
+        by_b = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+        by_c = (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+        return by_b + by_c
+    return 0.5
+
+
 #: Points of curves and the unit tangents there, both (n,) or (n, k).
-OnCurve = tuple[np.ndarray, np.ndarray]
+OnCurve = tuple[ndarray, ndarray]
 
 
 def hermite(
-    a: OnCurve, b: OnCurve, length: float | np.ndarray, h: float | np.ndarray
-) -> np.ndarray:
+    a: OnCurve, b: OnCurve, length: float | ndarray, h: float | ndarray
+) -> ndarray:
     """Point at the fraction h of the cubic Hermite polynomial between two points of a
     curve.
 
@@ -108,7 +125,7 @@ def hermite(
     return from_a + b[0] * h * h * (3 - 2 * h) + length * b[1] * h * h * (h - 1)
 
 
-def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> np.ndarray:
+def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> ndarray:
     """Whether curves pass their starts between two points, in their directions there.
 
     Parameters

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.branch import LOST, Branch
 from gaitsweep.tasks.continuation.conditions import (
@@ -225,7 +226,7 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     return {"slope": value, "error_bound": 4 * left + 8 * EPS}
 
 
-def _extrapolated(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
     """Values at zero of polynomials of rising degree through points (n,), by Neville's
     scheme over Chebyshev's points, the first value of y before them.
     """

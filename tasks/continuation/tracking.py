@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.joint import (
     Evaluation,
@@ -33,6 +34,7 @@ from gaitsweep.tasks.continuation.pseudo_arclength import (
 )
 from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.registry import SLOPES
 from gaitsweep.tasks.step.lanes import lanes_of
@@ -72,8 +74,15 @@ MAX_CROSSING_STEP = 1e-4
 _CHECK_EVERY = 12
 
 
+#: Options of a call of `correct` that evaluates points and takes one Newton step.
+ONE_STEP = (("max_iterations", 1),)
+
+
 def correct(
-    problem: Problem, Z: np.ndarray, border: np.ndarray | None, max_iterations: int = 8
+    problem: Problem,
+    Z: Coordinates,
+    border: Coordinates | None,
+    max_iterations: int = 8,
 ) -> Point:
     """Correct points by bordered Newton: the solutions in the plane through them normal
     to `border`.
@@ -95,7 +104,7 @@ def correct(
         border = np.zeros(Z.shape)
         border[-1] = 1
 
-    def linearise(lanes: np.ndarray, Z: np.ndarray) -> Evaluation:
+    def linearise(lanes: Numbers, Z: Coordinates) -> Evaluation:
         return evaluate(problem.some(lanes), Z)
 
     limits = replace(_NEWTON, max_iterations=max_iterations)
@@ -106,7 +115,9 @@ def correct(
     return replace(found, at=replace(found.at, Z=found.Z))
 
 
-def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) -> Point:
+def correct_and_evaluate(
+    problem: Problem, Z: Coordinates, border: Coordinates
+) -> Point:
     """Correct points; the corrector's derivative is that before its last step, this
     one's that at the point itself.
 
@@ -126,7 +137,7 @@ def correct_and_evaluate(problem: Problem, Z: np.ndarray, border: np.ndarray) ->
     return at_point
 
 
-def _stop_reasons(point: Point) -> np.ndarray:
+def _stop_reasons(point: Point) -> ndarray:
     """Why tracks stop at their points; empty where they go on."""
     q, angle = point.at.q, point.Z[0]
     slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
@@ -150,7 +161,7 @@ MOST_RATE = 36.0
 HALVED, NOT_A_STEP = "halved", "not a step"
 
 
-def rate_of_steps(Z: np.ndarray, m: int, steps: int = 1) -> np.ndarray:
+def rate_of_steps(Z: Coordinates, m: int, steps: int = 1) -> ndarray:
     """Return the norm (n,) of the rates over angle of gaits Z (c, n): steps vanish
     where it has no bound.
 
@@ -161,7 +172,7 @@ def rate_of_steps(Z: np.ndarray, m: int, steps: int = 1) -> np.ndarray:
     return np.asarray(brevity * norm(Z[1:m]))
 
 
-def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:
+def fall_margin(Z: Coordinates, steps: int = 1) -> ndarray:
     """Return a number that is positive where a gait's angle or mean step's duration
     exceeds those of walking.
 
@@ -178,7 +189,7 @@ def fall_margin(Z: np.ndarray, steps: int = 1) -> np.ndarray:
 
 
 def follow(
-    problem: Problem, Z: np.ndarray, step: float = 0.05
+    problem: Problem, Z: Coordinates, step: float = 0.05
 ) -> list[tuple[Track, Track]]:
     """Follow branches in both directions from solved gaits.
 
@@ -197,46 +208,53 @@ def follow(
         For each gait the tracks towards lower and higher slopes; both begin with the
         gait itself.
     """
-    n, first = Z.shape[1], correct(problem, Z, None)
-    upwards = np.zeros(Z.shape)
-    upwards[-1] = 1.0
+    n = Z.shape[1]
+    first = correct(problem, Z, None)
     # Tracks of n lanes: down, then up.
-    lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
+    lanes = np.tile(np.arange(n), 2)
+    orientation = np.zeros((len(Z), 2 * n))
+    orientation[-1] = np.repeat([-1.0, 1.0], n)
+    starts = lanes_of(first, lanes)
     tracks = _Branches(
-        problem.some(lanes),
-        lanes_of(first, lanes),
-        sign * upwards[:, lanes],
-        step,
-        problem.steps > 1,
+        problem.some(lanes), starts, orientation, step, several=problem.steps > 1
     )
-    tracks.stop[~first.ok[lanes]] = "no start"
-    followed = [
-        Track(each.Z[:, :-1], each.tangent[:, :-1], HALVED)
-        if each.stop_reason == HALVED
-        else each
-        for each in tracks.follow(_MAX_NODES)
-    ]
+    tracks.stop[~starts.ok] = "no start"
+
+    followed = [_without_last_halved(track) for track in tracks.follow(_MAX_NODES)]
     return list(zip(followed[:n], followed[n:], strict=True))
 
 
-def _trace(point: Point) -> np.ndarray:
-    """Sum of the multipliers, shape (n,)."""
-    return np.trace(point.at.jacobians, axis1=1, axis2=2)
+def _without_last_halved(track: Track) -> Track:
+    """The track; without its last point where that lies beyond the flip that it meets."""
+    if track.stop_reason != HALVED:
+        return track
+    return Track(track.Z[:, :-1], track.tangent[:, :-1], HALVED)
 
 
-def _keeps_apart(before: np.ndarray, after: np.ndarray, problem: Problem) -> np.ndarray:
+def _tests(point: Point, direction: Coordinates) -> ndarray:
+    """What shows that other branches are near (2, n): the sign of the determinant that
+    vanishes where branches cross, and the sum of the multipliers.
+    """
+    side = np.sign(branch_point_determinant(point, direction))
+    return np.array([side, np.trace(point.at.jacobians, axis1=1, axis2=2)])
+
+
+def _keeps_apart(before: Coordinates, after: Coordinates, problem: Problem) -> ndarray:
     """Whether the halves of gaits Z (c, n) have not changed sides between two points of
     their branches, shape (n,).
     """
     if problem.steps % 2:
         return np.ones(before.shape[1], bool)
-    halves = [sections(Z[:-1], problem.m, problem.steps)[0] for Z in (before, after)]
-    apart = [y - np.roll(y, problem.steps // 2, axis=0) for y in halves]
-    return total(np.concatenate(apart[0] * apart[1])) > 0
+
+    def apart(Z: Coordinates) -> ndarray:
+        y, _ = sections(Z[:-1], problem.m, problem.steps)
+        return np.asarray(y - np.roll(y, problem.steps // 2, axis=0))
+
+    return total(np.concatenate(apart(before) * apart(after))) > 0
 
 
 def points_along(
-    problem: Problem, first: Point, direction: np.ndarray, step: float
+    problem: Problem, first: Point, direction: Gait, step: float
 ) -> Iterator[Point]:
     """Yield the points of a branch in one direction, for what lies soon on it, as long
     as another can be found.
@@ -250,15 +268,13 @@ def points_along(
     step : float
         Length of the first step.
     """
-    tracks, alone = (
-        _Branches(problem, first, direction[:, None], step, several=True),
-        np.array([0]),
-    )
+    tracks = _Branches(problem, first, direction[:, None], step, several=True)
     yield first.oriented(tracks.tangent)
+    only = np.array([0])
     while tracks.step[0] > tracks.control.shortest:
-        point, fair = tracks.advance(alone)
+        point, fair = tracks.advance(only)
         if fair[0]:
-            tracks.record(alone)
+            tracks.record(only)
             yield point.oriented(tracks.tangent)
 
 
@@ -276,71 +292,61 @@ class _Branches(Tracks):
         self,
         problem: Problem,
         first: Point,
-        orientation: np.ndarray,
+        orientation: Coordinates,
         step: float,
         several: bool,
     ):
         first = first.oriented(orientation)
-        self.problem, self.several = problem, several
+        self.problem = problem
+        self.several = several
         self.recent = np.zeros((_CHECK_EVERY // 3, *first.Z.shape))
-        self.passed = np.array(
-            [np.sign(branch_point_determinant(first, orientation)), _trace(first)]
-        )
+        self.passed = _tests(first, orientation)
         self.tried = self.passed.copy()
-        super().__init__(
-            _CONTROL_OF_SEVERAL if several else _CONTROL, first.Z, first.direction, step
-        )
+        control = _CONTROL_OF_SEVERAL if several else _CONTROL
+        super().__init__(control, first.Z, first.direction, step)
 
     def correct(
-        self, tracks: np.ndarray, guess: np.ndarray, border: np.ndarray
+        self, tracks: Numbers, guess: Coordinates, border: Coordinates
     ) -> Point:
         return correct(self.problem.some(tracks), guess, border)
 
     def judge(
-        self, tracks: np.ndarray, point: Point, guess: np.ndarray, error: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        self.tried[:, tracks] = (
-            np.sign(branch_point_determinant(point, self.tangent[:, tracks])),
-            _trace(point),
-        )
-        (side, trace), (new_side, new_trace) = (
-            self.passed[:, tracks],
-            self.tried[:, tracks],
-        )
+        self, tracks: Numbers, point: Point, guess: Coordinates, error: PerLane
+    ) -> tuple[ndarray, ndarray]:
+        self.tried[:, tracks] = _tests(point, self.tangent[:, tracks])
+        side, trace = self.passed[:, tracks]
+        new_side, new_trace = self.tried[:, tracks]
         # Another root of a guard is another solution, even if the gait is nearly the
         # same.
-        fair = (np.abs(point.Z - guess)[self.problem.m : -1] < _MAX_TIME_ERROR).all(
-            axis=0
-        )
+        late = np.abs(point.Z - guess)[self.problem.m : -1]
+        fair = (late < _MAX_TIME_ERROR).all(axis=0)
         fair &= (side * new_side >= 0) | (self.step[tracks] <= MAX_CROSSING_STEP)
         if not self.several:
             return fair, error
-        change = np.abs(new_trace - trace)
-        worth = self.control.target * (2 * change / _MAX_CHANGE) ** (
-            1 / self.control.power
-        )
-        return fair & (change < _MAX_CHANGE), np.maximum(error, worth)
 
-    def reasons(self, tracks: np.ndarray, point: Point, last: np.ndarray) -> np.ndarray:
+        change = np.abs(new_trace - trace)
+        share = (2 * change / _MAX_CHANGE) ** (1 / self.control.power)
+        measure = np.maximum(error, self.control.target * share)
+        return fair & (change < _MAX_CHANGE), measure
+
+    def reasons(self, tracks: Numbers, point: Point, last: Coordinates) -> ndarray:
         why = _stop_reasons(point)
         if self.problem.steps > 1:
-            why[np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER] = (
-                "multiplier_limit"
-            )
+            is_unstable = np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER
+            why[is_unstable] = "multiplier_limit"
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
             why[due[~self._are_steps(tracks[due])]] = NOT_A_STEP
         return why
 
-    def record(self, tracks: np.ndarray) -> None:
+    def record(self, tracks: Numbers) -> None:
         self.passed[:, tracks] = self.tried[:, tracks]
-        self.recent[self.count[tracks] % len(self.recent), :, tracks] = self.Z[
-            :, tracks
-        ].T
+        place = self.count[tracks] % len(self.recent)
+        self.recent[place, :, tracks] = self.Z[:, tracks].T
         super().record(tracks)
 
-    def _are_steps(self, tracks: np.ndarray) -> np.ndarray:
+    def _are_steps(self, tracks: Numbers) -> ndarray:
         """Whether any of the last points of some tracks is a step that happens, shape
         (j,).
         """
@@ -351,7 +357,7 @@ class _Branches(Tracks):
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
-def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
+def branch_point_determinant(point: Point, direction: Coordinates) -> ndarray:
     """Determinant that vanishes where branches cross, of the joint derivative and the
     tangent as its last row.
 
@@ -372,6 +378,6 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     return np.linalg.det(bordered_matrix(point.at.derivative, tangent))
 
 
-def check_steps(problem: Problem, Z: np.ndarray) -> StepCheck:
+def check_steps(problem: Problem, Z: Coordinates) -> StepCheck:
     """Verify that points of branches (c, n) are steps."""
     return verify_steps(problem, Z[:-1], Z[-1])[1]

@@ -32,3 +32,8 @@ Times = Annotated[ndarray, "(k, n) [sqrt(leg/g)]"]
 Parameters = Annotated[ndarray, "(p, n)"]
 #: States of each phase at equal times; three links before two.
 Motion = Annotated[list[ndarray], "(samples + 1, 4 or 6, n)"]
+#: Unknowns of the equations along branches and curves: similarity coordinates, event
+#: times, then ln slope or keys of the walker.
+Coordinates = Annotated[ndarray, "(c, n)"]
+#: Those of one gait.
+Gait = Annotated[ndarray, "(c,)"]

@@ -48,22 +48,26 @@ class Symbols:
         names = structure.parameters
         self.variables = list(hy.make_vars(*(f"p_{n}" for n in names)))
         self.held_values: list[Sym] | None = [] if flow else None
-        values = dict(zip(names, self.variables, strict=True)) | {
-            k: hy.expression(v) for k, v in structure.units
-        }
-        self.slope, self.scale = values["slope"], values["scale"]
-        self.R, self.l, self.eps, self.C_aa = (
-            values["R"],
-            values["l"],
-            values["eps"],
-            values["C_aa"],
-        )
-        self.S_a = Vector(values["S_a_re"], values["S_a_im"])
-        self.S_b = Vector(values["S_b_re"], values["S_b_im"])
+        values = dict(zip(names, self.variables, strict=True))
+        for name, unit in structure.units:
+            values[name] = hy.expression(unit)
+
+        def vector(name: str) -> Vector:
+            return Vector(values[f"{name}_re"], values[f"{name}_im"])
+
+        self.slope = values["slope"]
+        self.scale = values["scale"]
+        self.R = values["R"]
+        self.l = values["l"]
+        self.eps = values["eps"]
+        self.S_a = vector("S_a")
+        self.C_aa = values["C_aa"]
+        self.S_b = vector("S_b")
         self.C_bb = values["C_bb"]
         if structure.kneed:
-            self.S_c = Vector(values["S_c_re"], values["S_c_im"])
-            self.C_cc, self.H = values["C_cc"], Vector(values["H_re"], values["H_im"])
+            self.S_c = vector("S_c")
+            self.C_cc = values["C_cc"]
+            self.H = vector("H")
 
     def hold(self, value: Sym) -> Sym:
         """An expression of parameters alone, as the flow's own parameter where this is
@@ -79,15 +83,27 @@ class Symbols:
         """Product of a factor, a constant and e^{i angle}, the angle given by its sine
         and cosine.
         """
-        return Vector(
-            self.hold(factor * constant.x), self.hold(factor * constant.y)
-        ).rotate(*trig)
+        x = self.hold(factor * constant.x)
+        y = self.hold(factor * constant.y)
+        return Vector(x, y).rotate(*trig)
 
     def locked(self) -> tuple[Vector, Sym]:
         """S and inertia of the whole swing leg with its knee locked."""
         if not hasattr(self, "S_c"):
             return self.S_b, self.C_bb
         return (self.S_b + self.S_c, self.C_bb + self.C_cc + 2.0 * self.H.x)
+
+
+@dataclass(frozen=True)
+class _Coupling:
+    """How a swing link and the stance leg act on each other: Re K, the coupling k, and
+    its derivatives p by the stance and n by the swing angle (`Motion`).
+    """
+
+    c: Sym
+    k: Sym
+    by_stance: Sym
+    by_swing: Sym
 
 
 class Motion:
@@ -114,109 +130,152 @@ class Motion:
     """
 
     def __init__(self, p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool):
-        self.p, self.rate, self.square = p, rate, [x**2.0 for x in rate]
-        s, hold = p.scale, p.hold
-        scale = hold(s)
-        angle = [scale * x for x in q]
-        tilt = [(hy.sin(x), hy.cos(x)) for x in (x - hold(p.slope) for x in angle)]
+        self.p = p
+        self.q = q
+        self.rate = rate
+        self.square = [x**2.0 for x in rate]
+        self.scale = p.hold(p.scale)
+        self.tilt = []
+        for x in q:
+            tilt = self.scale * x - p.hold(p.slope)
+            self.tilt.append((hy.sin(tilt), hy.cos(tilt)))
         # These rotate constants of angles measured from the ground's normal.
-        sine, cosine = hy.sin(p.slope), hy.cos(p.slope)
-        swing = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
-        n = 1 + len(swing)
-        self.M = [[ZERO] * n for _ in range(n)]
-        self.f = [ZERO] * n
-        square, eps = self.square, hold(p.eps)
-        self.weighted = list(zip([p.S_a, *(S for S, _ in swing)], tilt, strict=True))
+        self.slope_trig = hy.sin(p.slope), hy.cos(p.slope)
 
-        def rolling(S: Vector, j: int) -> tuple[Sym, Sym]:
-            """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
-            normal = S.rotate(sine, cosine)
-            return p.rotate(normal, p.R, tilt[j]).y, p.rotate(
-                normal, s * p.R, tilt[j]
-            ).x
-
-        def between(i: int, j: int) -> tuple[Sym, Sym]:
-            """Sine and cosine of the angle from one link to another; a flow has them
-            cheaper than their products.
-            """
-            if p.held_values is not None:
-                angle = scale * (q[j] - q[i])
-                return hy.sin(angle), hy.cos(angle)
-            (si, ci), (sj, cj) = tilt[i], tilt[j]
-            return sj * ci - cj * si, cj * ci + sj * si
-
-        self.y, self.m = rolling(p.S_a, 0)
-        self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
-        self.f[0] = (
-            -(self.m * square[0])
-            - p.rotate(p.S_a, ONE / s, tilt[0]).x
-            - hold(p.R * sine / s)
-        )
-        #: An entry for each swing link, from 1.
-        self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
-        for j, (S, C) in enumerate(swing, start=1):
-            trig = between(0, j)
-            K = Vector(p.l * S.y, -p.l * S.x)
-            roll, roll_by = rolling(S, j)
-            c, by_stance = p.rotate(K, ONE, trig).x, p.rotate(K, s, trig).y
-            k, by_swing = c + roll, roll_by - by_stance
-            self.c.append(c)
-            self.k.append(k)
-            self.by_stance.append(by_stance)
-            self.by_swing.append(by_swing)
-            self.M[0][j], self.M[j][0], self.M[j][j] = eps * k, k, hold(C)
-            self.f[0] = self.f[0] - eps * (by_swing * square[j])
-            self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).x
+        links = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
+        self.moments = [p.S_a, *(S for S, _ in links)]
+        self.M = _zeros(len(q))
+        self.f = [ZERO] * len(q)
+        self._add_stance()
+        self.couplings = []
+        for j, (S, C) in enumerate(links, start=1):
+            coupling = self._add_swing(j, S, C)
+            self.couplings.append(coupling)
         if free_knee:
-            trig = between(1, 2)
-            self.h, self.h_by = p.rotate(p.H, ONE, trig).x, p.rotate(p.H, s, trig).y
-            self.M[1][2] = self.M[2][1] = self.h
-            self.f[1] = self.f[1] + self.h_by * square[2]
-            self.f[2] = self.f[2] - self.h_by * square[1]
-        self.last_pivot = hold(ONE / swing[-1][1])
+            self._add_knee()
+        _, last_inertia = links[-1]
+        self.last_pivot = p.hold(ONE / last_inertia)
+
+    def _add_stance(self) -> None:
+        """The stance leg's own row."""
+        p = self.p
+        sine, _ = self.slope_trig
+        # `hold` numbers what it is given: as the equations have been compiled before.
+        self.eps = p.hold(p.eps)
+        self.y, self.m = self._rolling(p.S_a, 0)
+        self.M[0][0] = p.hold(p.C_aa) + 2.0 * self.y
+        weight = p.rotate(p.S_a, ONE / p.scale, self.tilt[0]).x
+        rolling_down = p.hold(p.R * sine / p.scale)
+        self.f[0] = -(self.m * self.square[0]) - weight - rolling_down
+
+    def _add_swing(self, j: int, S: Vector, C: Sym) -> _Coupling:
+        """The row of swing link j, of first moment S and inertia C, and its coupling to
+        the stance leg.
+        """
+        p = self.p
+        trig = self._between(0, j)
+        K = Vector(p.l * S.y, -p.l * S.x)
+        roll, roll_by = self._rolling(S, j)
+        c = p.rotate(K, ONE, trig).x
+        by_stance = p.rotate(K, p.scale, trig).y
+        k = c + roll
+        by_swing = roll_by - by_stance
+
+        self.M[0][j] = self.eps * k
+        self.M[j][0] = k
+        self.M[j][j] = p.hold(C)
+        self.f[0] = self.f[0] - self.eps * (by_swing * self.square[j])
+        weight = p.rotate(S, ONE / p.scale, self.tilt[j]).x
+        self.f[j] = -(by_stance * self.square[0]) - weight
+        return _Coupling(c, k, by_stance, by_swing)
+
+    def _add_knee(self) -> None:
+        """The coupling of thigh and shank."""
+        p = self.p
+        trig = self._between(1, 2)
+        self.h = p.rotate(p.H, ONE, trig).x
+        self.h_by = p.rotate(p.H, p.scale, trig).y
+        self.M[1][2] = self.M[2][1] = self.h
+        self.f[1] = self.f[1] + self.h_by * self.square[2]
+        self.f[2] = self.f[2] - self.h_by * self.square[1]
+
+    def _rolling(self, S: Vector, j: int) -> tuple[Sym, Sym]:
+        """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
+        p = self.p
+        normal = S.rotate(*self.slope_trig)
+        y = p.rotate(normal, p.R, self.tilt[j]).y
+        x = p.rotate(normal, p.scale * p.R, self.tilt[j]).x
+        return y, x
+
+    def _between(self, i: int, j: int) -> tuple[Sym, Sym]:
+        """Sine and cosine of the angle from one link to another; a flow has them
+        cheaper than their products.
+        """
+        if self.p.held_values is not None:
+            angle = self.scale * (self.q[j] - self.q[i])
+            return hy.sin(angle), hy.cos(angle)
+        (si, ci), (sj, cj) = self.tilt[i], self.tilt[j]
+        return sj * ci - cj * si, cj * ci + sj * si
 
     def differentiate(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
         """Derivatives of the residual M u - f at the accelerations u, by the angles and
         by the rates.
         """
-        p, s, n = self.p, self.p.scale, len(u)
-        eps, s2, eps_s2 = (p.hold(x) for x in (p.eps, s * s, p.eps * s * s))
+        p = self.p
+        eps = p.hold(p.eps)
+        s2 = p.hold(p.scale * p.scale)
+        eps_s2 = p.hold(p.eps * p.scale * p.scale)
+        falling = self._weights(ONE)
         twice = [2.0 * x for x in self.rate]
-        falling = [p.rotate(S, ONE, trig).y for S, trig in self.weighted]
-        by_q = [[ZERO] * n for _ in range(n)]
-        by_rate = [[ZERO] * n for _ in range(n)]
-        by_q[0][0] = 2.0 * (self.m * u[0]) - s2 * (self.y * self.square[0]) - falling[0]
+        square = self.square
+        by_q = _zeros(len(u))
+        by_rate = _zeros(len(u))
+
+        by_stance = 2.0 * (self.m * u[0]) - s2 * (self.y * square[0]) - falling[0]
         by_rate[0][0] = self.m * twice[0]
-        for j in range(1, n):
-            lag = s2 * (self.c[j] * self.square[0])
-            by_q[0][0] = (
-                by_q[0][0]
-                + eps * (self.by_stance[j] * u[j])
-                + eps_s2 * (self.c[j] * self.square[j])
-            )
-            by_q[0][j] = eps * (self.by_swing[j] * u[j]) - eps_s2 * (
-                self.k[j] * self.square[j]
-            )
-            by_rate[0][j] = eps * (self.by_swing[j] * twice[j])
-            by_q[j][0] = self.by_stance[j] * u[0] - lag
-            by_q[j][j] = self.by_swing[j] * u[0] + lag - falling[j]
-            by_rate[j][0] = self.by_stance[j] * twice[0]
-        if n == 3:
-            for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-                bend = self.h_by * u[other] + sign * (
-                    p.hold(s * s) * (self.h * self.square[other])
-                )
-                by_q[j][1], by_q[j][2] = by_q[j][1] + bend, by_q[j][2] - bend
-                by_rate[j][other] = -sign * (self.h_by * twice[other])
+        for j, link in enumerate(self.couplings, start=1):
+            by_stance = by_stance + eps * (link.by_stance * u[j])
+            by_stance = by_stance + eps_s2 * (link.c * square[j])
+            swung = eps * (link.by_swing * u[j])
+            by_q[0][j] = swung - eps_s2 * (link.k * square[j])
+            by_rate[0][j] = eps * (link.by_swing * twice[j])
+
+            lag = s2 * (link.c * square[0])
+            by_q[j][0] = link.by_stance * u[0] - lag
+            by_q[j][j] = link.by_swing * u[0] + lag - falling[j]
+            by_rate[j][0] = link.by_stance * twice[0]
+        by_q[0][0] = by_stance
+        if len(u) == 3:
+            self._differentiate_knee(u, by_q, by_rate)
         return by_q, by_rate
+
+    def _weights(self, factor: Sym) -> list[Sym]:
+        """Im(S e^{i(q - slope)}) of every link, times a factor."""
+        links = zip(self.moments, self.tilt, strict=True)
+        return [self.p.rotate(S, factor, tilt).y for S, tilt in links]
+
+    def _differentiate_knee(
+        self, u: list[Sym], by_q: list[list[Sym]], by_rate: list[list[Sym]]
+    ) -> None:
+        """Add the derivatives of the coupling of thigh and shank."""
+        s2 = self.p.hold(self.p.scale * self.p.scale)
+        for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
+            turning = sign * (s2 * (self.h * self.square[other]))
+            bend = self.h_by * u[other] + turning
+            by_q[j][1] = by_q[j][1] + bend
+            by_q[j][2] = by_q[j][2] - bend
+            by_rate[j][other] = -sign * (self.h_by * (2.0 * self.rate[other]))
 
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""
         p = self.p
-        stance, *swing = (
-            p.rotate(S, ONE / p.scale, trig).y for S, trig in self.weighted
-        )
-        return [stance + p.hold(p.R * hy.cos(p.slope) / p.scale), *swing]
+        stance, *swing = self._weights(ONE / p.scale)
+        rolling = p.hold(p.R * hy.cos(p.slope) / p.scale)
+        return [stance + rolling, *swing]
+
+
+def _zeros(n: int) -> list[list[Sym]]:
+    return [[ZERO] * n for _ in range(n)]
 
 
 def rows(
@@ -242,9 +301,8 @@ class Solver:
         # The stance row is eliminated last: without a foot mass its coupling vanishes,
         # and the elimination with it.
         for k in reversed(range(n)):
-            self.pivots[k] = (
-                last if last is not None and k == n - 1 else ONE / self.U[k][k]
-            )
+            is_known = last is not None and k == n - 1
+            self.pivots[k] = last if is_known else ONE / self.U[k][k]
             for i in reversed(range(k)):
                 factor = self.U[i][k] * self.pivots[k]
                 self.factors.append((i, k, factor))
@@ -258,10 +316,8 @@ class Solver:
             f[i] = f[i] - factor * f[k]
         x: list[Sym] = []
         for i in range(len(f)):
-            x.append(
-                (f[i] - sum((self.U[i][j] * x[j] for j in range(i)), ZERO))
-                * self.pivots[i]
-            )
+            others = sum((self.U[i][j] * x[j] for j in range(i)), ZERO)
+            x.append((f[i] - others) * self.pivots[i])
         return x
 
 
@@ -309,24 +365,38 @@ def system(
     """
     p = Symbols(structure, flow=True)
     n = 3 if free_knee else 2
-    q = list(hy.make_vars(*(f"q{i}" for i in range(n))))
-    rate = list(hy.make_vars(*(f"v{i}" for i in range(n))))
+    q = _variables("q{}", n)
+    rate = _variables("v{}", n)
     motion = Motion(p, q, rate, free_knee)
     solve = Solver(motion.M, motion.last_pivot)
     acceleration = solve(motion.f)
     equations = [*zip(q, rate, strict=True), *zip(rate, acceleration, strict=True)]
+
     if directions:
         by_q, by_rate = motion.differentiate(acceleration)
     for d in range(directions):
-        dq = list(hy.make_vars(*(f"dq{i}_{d}" for i in range(n))))
-        dv = list(hy.make_vars(*(f"dv{i}_{d}" for i in range(n))))
-        forces = []
-        for i in range(n):
-            total = sum(
-                (by_q[i][j] * dq[j] + by_rate[i][j] * dv[j] for j in range(n)), ZERO
-            )
-            if with_slope and d == directions - 1:
-                total = total + motion.by_slope()[i]
-            forces.append(-total)
-        equations += [*zip(dq, dv, strict=True), *zip(dv, solve(forces), strict=True)]
+        dq = _variables(f"dq{{}}_{d}", n)
+        dv = _variables(f"dv{{}}_{d}", n)
+        change = _product(by_q, dq, by_rate, dv)
+        if with_slope and d == directions - 1:
+            by_slope = motion.by_slope()
+            change = [a + b for a, b in zip(change, by_slope, strict=True)]
+        variation = solve([-x for x in change])
+        equations += [*zip(dq, dv, strict=True), *zip(dv, variation, strict=True)]
     return System(equations, p.held_values or [], p.variables)
+
+
+def _variables(name: str, n: int) -> list[Sym]:
+    """Variables of so many links, whose numbers their name takes."""
+    return list(hy.make_vars(*(name.format(i) for i in range(n))))
+
+
+def _product(
+    A: list[list[Sym]], x: list[Sym], B: list[list[Sym]], y: list[Sym]
+) -> list[Sym]:
+    """A x + B y."""
+    both = []
+    for a, b in zip(A, B, strict=True):
+        terms = [a[j] * x[j] + b[j] * y[j] for j in range(len(x))]
+        both.append(sum(terms, ZERO))
+    return both

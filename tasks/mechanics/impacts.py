@@ -49,43 +49,49 @@ def heelstrike(
     the whole walker about it and of the old stance leg about the hip are conserved.
     That leg becomes the swing leg.
     """
-    new = p.scale * angle
-    old = -p.scale * angle if old_angle is None else p.scale * old_angle
-    trig_new, trig_old = (hy.sin(new), hy.cos(new)), (hy.sin(old), hy.cos(old))
-    hip_new = Vector(-p.R - p.l * trig_new[1], -p.l * trig_new[0])
-    hip_old = Vector(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
-
-    def sweep(S: Vector, trig: tuple[Sym, Sym]) -> Vector:
-        """Momentum that a unit rate gives a leg of first moment S."""
-        return S.rotate(*trig).normal()
+    new = _Leg(p, p.scale * angle)
+    if old_angle is None:
+        old = _Leg(p, -p.scale * angle)
+        swing_angle = -angle
+        cosines = 2.0 * p.R * p.l * new.cosine
+        between = 2.0 * new.angle
+    else:
+        old = _Leg(p, p.scale * old_angle)
+        swing_angle = old_angle
+        cosines = p.R * p.l * (new.cosine + old.cosine)
+        between = new.angle - old.angle
+    # The product of both hips, without cancellation for legs at a wide angle.
+    hips = p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
 
     S, J = p.locked()
-    swing_angle = -angle if old_angle is None else old_angle
-    angles = [angle, swing_angle] + ([swing_angle] if free_knee else [])
+    swing = [(S, J)]
+    angles = [angle, swing_angle]
+    if free_knee:
+        swing = [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)]
+        angles.append(swing_angle)
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
-    # The product hip_new . hip_old, without cancellation for legs at a wide angle.
-    hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
-    if old_angle is not None:
-        hips = (
-            p.R**2.0
-            + p.R * p.l * (trig_new[1] + trig_old[1])
-            + p.l**2.0 * hy.cos(new - old)
-        )
-    momentum = [
-        (
-            hips
-            + p.eps
-            * (sweep(S, trig_new).dot(hip_old) + hip_new.dot(sweep(S, trig_old)))
-        )
-        * stance_rate
-        + p.eps * (hip_new.dot(sweep(S, trig_new)) + J) * swing_rate
-    ]
-    swing = (
-        [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)] if free_knee else [(S, J)]
-    )
+
+    legs = new.sweep(S).dot(old.hip) + new.hip.dot(old.sweep(S))
+    of_stance = (hips + p.eps * legs) * stance_rate
+    of_swing = p.eps * (new.hip.dot(new.sweep(S)) + J) * swing_rate
+    momentum = [of_stance + of_swing]
     for S_j, inertia in swing:
-        momentum.append((sweep(S_j, trig_old).dot(hip_old) + inertia) * stance_rate)
+        momentum.append((old.sweep(S_j).dot(old.hip) + inertia) * stance_rate)
     return Solver(M)(momentum)
+
+
+class _Leg:
+    """A leg on the ground at an angle, and the velocity of its hip at a unit rate."""
+
+    def __init__(self, p: Symbols, angle: Sym):
+        self.angle = angle
+        self.sine = hy.sin(angle)
+        self.cosine = hy.cos(angle)
+        self.hip = Vector(-p.R - p.l * self.cosine, -p.l * self.sine)
+
+    def sweep(self, S: Vector) -> Vector:
+        """Momentum that a unit rate gives a leg of first moment S."""
+        return S.rotate(self.sine, self.cosine).normal()
 
 
 def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
@@ -110,5 +116,9 @@ def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
     """
     free, _ = rows(p, q, rate, True)
     locked, _ = rows(p, q[:2], rate[:2], False)
-    row = [sum((free[i][j] * rate[j] for j in range(3)), ZERO) for i in range(3)]
-    return Solver(locked)([row[0], row[1] + row[2]])
+    momenta = []
+    for row in free:
+        terms = [mass * v for mass, v in zip(row, rate, strict=True)]
+        momenta.append(sum(terms, ZERO))
+    stance, thigh, shank = momenta
+    return Solver(locked)([stance, thigh + shank])

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from heyoka import real128
 
+from gaitsweep.tasks.mechanics.arrays import PerLane
 from gaitsweep.tasks.mechanics.vector import Vector
 from gaitsweep.tasks.walkers.statics import lies_on_line
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
@@ -50,111 +52,155 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
         `_im`; kneed walkers also `S_c, C_cc, H`. Swing constants are divided by `eps`,
         the swing leg's inertia about the hip.
     """
-    return {
-        name: value[0]
-        for name, value in _lump_all(WalkerArray.of([walker]), number).items()
-    }
+    constants = _lump_all(WalkerArray.of([walker]), number)
+    return {name: values[0] for name, values in constants.items()}
 
 
 # Constants of invalid walkers, which an array may hold, are NaN.
 @np.errstate(divide="ignore", invalid="ignore")
-def _lump_all(walkers: WalkerArray, number: type) -> dict[str, np.ndarray]:
+def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
     """Lumped constants of several walkers, all with or all without knees, as `lump` has
     them, in arrays (n,).
     """
-    key: dict[str, Any] = {
-        k: np.broadcast_to(np.asarray(getattr(walkers, k), number), len(walkers))
-        for k in NUMBERS
-    }
-    massless = walkers.massless_legs
-    zero, one, two, half = (
-        np.full(len(walkers), number(x)) for x in (0.0, 1.0, 2.0, 0.5)
-    )
-    bent, knees = key["eps_T"] != 0, walkers.knees
-    sin_T, cos_T = np.sin(key["eps_T"]), np.cos(key["eps_T"])
-    d = key["l_s"] - key["R"]
-    # sin eps_S = l_t sin eps_T / d closes the leg.
-    sin_S = np.where(bent, key["l_t"] * sin_T / np.where(bent, d, one), zero)
-    cos_S = _power(one - sin_S * sin_S, half)
-    l = key["l_t"] * cos_T + d * cos_S
-    length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
-    R, l = key["R"] / length, l / length
-    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
-    thigh = (
-        Vector(
-            -key["c_t"] * sin_T - key["w_t"] * cos_T,
-            -key["c_t"] * cos_T + key["w_t"] * sin_T,
-        )
-        / length
-    )
-    shank = (
-        Vector(
-            key["c_s"] * sin_S - key["w_s"] * cos_S,
-            -key["c_s"] * cos_S - key["w_s"] * sin_S,
-        )
-        / length
-    )
+    leg = _Leg(walkers, number)
     # For a massless leg only ratios of the swing leg's constants remain: a unit mass
     # where the shank's was.
-    eps = np.where(massless, zero, one)
-    m_t, m_s = (
-        np.where(massless, zero, key["m_t"] / mass),
-        np.where(massless, one, key["m_s"] / mass),
-    )
-    S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
-    if knees:
-        S_b, S_c = _aligned(S_b), _aligned(S_c)
-    S = _aligned(S_b + S_c)
-    C_bb = m_t * (thigh.dot(thigh) + _power(key["r_t"] / length, two)) + m_s * knee.dot(
-        knee
-    )
-    C_cc = m_s * (shank.dot(shank) + _power(key["r_s"] / length, two))
+    massless = walkers.massless_legs
+    eps = np.where(massless, leg.zero, leg.one)
+    m_t = np.where(massless, leg.zero, leg.key.m_t / leg.mass)
+    m_s = np.where(massless, leg.one, leg.key.m_s / leg.mass)
+    S_b = leg.thigh * m_t + leg.knee * m_s
+    S_c = leg.shank * m_s
+    if walkers.knees:
+        S_b = _aligned(S_b)
+        S_c = _aligned(S_c)
+    knee = leg.knee
+    of_thigh = m_t * _square(leg, leg.thigh, leg.key.r_t)
+    C_bb = of_thigh + m_s * knee.dot(knee)
+    C_cc = m_s * _square(leg, leg.shank, leg.key.r_s)
     # H = conj(knee) S_c.
-    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
-    inertia = C_bb + C_cc + two * H.x
-    constants = {
+    across = knee.x * S_c.y - knee.y * S_c.x
+    H = Vector(knee.dot(S_c), across)
+
+    S = _aligned(S_b + S_c)
+    inertia = C_bb + C_cc + leg.two * H.x
+    if walkers.knees:
+        swing = {
+            "S_b": S_b / inertia,
+            "C_bb": C_bb / inertia,
+            "S_c": S_c / inertia,
+            "C_cc": C_cc / inertia,
+            "H": _aligned(H) / inertia,
+        }
+    else:
+        swing = {"S_b": S / inertia, "C_bb": leg.one}
+    return _in_parts(_of_stance(leg, S, eps, inertia) | swing)
+
+
+def _of_stance(leg: _Leg, S: Vector, eps: PerLane, inertia: PerLane) -> dict[str, Any]:
+    """Constants of the stance leg, m|il + p|^2 + I, and of hip and swing leg (the rest
+    of the unit mass) at |il|.
+    """
+    R, l = leg.R, leg.l
+    hips = R * R + l * l + leg.two * l * eps * S.y
+    return {
         "R": R,
         "l": l,
         "eps": eps * inertia,
-        **_pair("S_a", S * eps + Vector(zero, l)),
+        "S_a": S * eps + Vector(leg.zero, l),
+        "C_aa": hips + eps * inertia,
     }
-    # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
-    constants["C_aa"] = R * R + l * l + two * l * eps * S.y + eps * inertia
-    if knees:
-        constants |= {
-            **_pair("S_b", S_b / inertia),
-            "C_bb": C_bb / inertia,
-            **_pair("S_c", S_c / inertia),
-            "C_cc": C_cc / inertia,
-            **_pair("H", _aligned(H) / inertia),
-        }
-    else:
-        constants |= {**_pair("S_b", S / inertia), "C_bb": one}
-    return constants
+
+
+def _in_parts(constants: dict[str, Any]) -> dict[str, PerLane]:
+    """Constants, complex ones as `_re` and `_im`."""
+    parts = {}
+    for name, value in constants.items():
+        if isinstance(value, Vector):
+            parts[f"{name}_re"] = value.x
+            parts[f"{name}_im"] = value.y
+        else:
+            parts[name] = value
+    return parts
+
+
+def _square(leg: _Leg, centre: Vector, radius: PerLane) -> PerLane:
+    """Square of a link's radius of gyration about the hip, by that about its centre."""
+    about_centre = radius / leg.length
+    return centre.dot(centre) + _power(about_centre, leg.two)
+
+
+class _Leg:
+    """The legs of several walkers: their keys; whole lengths and masses; and over the
+    leg's length R, l and, in the frame of the leg, knee and centres of thigh and shank.
+    """
+
+    def __init__(self, walkers: WalkerArray, number: type):
+        n = len(walkers)
+        self.zero = np.full(n, number(0.0))
+        self.one = np.full(n, number(1.0))
+        self.two = np.full(n, number(2.0))
+        self.key = key = _keys(walkers, number)
+        below_knee = key.l_s - key.R
+        thigh_bend = np.sin(key.eps_T), np.cos(key.eps_T)
+        sine, cosine = self._bend_of_shank(thigh_bend[0], below_knee)
+        l = key.l_t * thigh_bend[1] + below_knee * cosine
+        length = l + key.R
+        self.length = length
+        self.mass = self.two * (key.m_t + key.m_s) + key.m_h
+        self.R = key.R / length
+        self.l = l / length
+
+        self.knee = _hanging(key.l_t, self.zero, *thigh_bend) / length
+        self.thigh = _hanging(key.c_t, key.w_t, *thigh_bend) / length
+        self.shank = _hanging(key.c_s, key.w_s, -sine, cosine) / length
+
+    def _bend_of_shank(
+        self, thigh_sine: PerLane, below_knee: PerLane
+    ) -> tuple[PerLane, PerLane]:
+        """Sine and cosine of eps_S: l_t sin eps_T = (l_s - R) sin eps_S closes the leg."""
+        is_bent = self.key.eps_T != 0
+        divisor = np.where(is_bent, below_knee, self.one)
+        bent = self.key.l_t * thigh_sine / divisor
+        sine = np.where(is_bent, bent, self.zero)
+        half = self.one / self.two
+        cosine = _power(self.one - sine * sine, half)
+        return sine, cosine
+
+
+def _keys(walkers: WalkerArray, number: type) -> SimpleNamespace:
+    """The keys of walkers as arrays (n,) of a type."""
+    key = SimpleNamespace()
+    for name in NUMBERS:
+        values: Any = np.asarray(getattr(walkers, name), number)
+        setattr(key, name, np.broadcast_to(values, len(walkers)))
+    return key
+
+
+def _hanging(along: PerLane, across: PerLane, sine: PerLane, cosine: PerLane) -> Vector:
+    """A point of a link at an angle to the leg, by its distances from the joint."""
+    x = -along * sine - across * cosine
+    y = -along * cosine + across * sine
+    return Vector(x, y)
 
 
 def _power(x: np.ndarray, exponent: np.ndarray) -> np.ndarray:
     """Powers; of doubles as C has them, which numpy's own may miss by a bit."""
-    return (
-        np.array(list(map(pow, x.tolist(), exponent.tolist())))
-        if x.dtype == float
-        else np.power(x, exponent)
-    )
+    if x.dtype != float:
+        return np.power(x, exponent)
+    powers = map(pow, x.tolist(), exponent.tolist())
+    return np.array(list(powers))
 
 
 def _aligned(v: Vector) -> Vector:
     """Vector with parts that are only rounding set to zero: tuned to within doubles is
     tuned.
     """
-    return Vector(
-        np.where(lies_on_line(v.x, v.y), v.x - v.x, v.x),
-        np.where(lies_on_line(v.y, v.x), v.y - v.y, v.y),
-    )
-
-
-def _pair(name: str, v: Vector) -> dict[str, Any]:
-    """A complex constant as `_re` and `_im`."""
-    return {f"{name}_re": v.x, f"{name}_im": v.y}
+    is_along_y = lies_on_line(v.x, v.y)
+    is_along_x = lies_on_line(v.y, v.x)
+    x = np.where(is_along_y, v.x - v.x, v.x)
+    y = np.where(is_along_x, v.y - v.y, v.y)
+    return Vector(x, y)
 
 
 @dataclass(frozen=True)
@@ -190,7 +236,8 @@ def general_structure(kneed: bool) -> Structure:
     """Return the structure of all walkers with or without knees: every constant is a
     parameter.
     """
-    return Structure(kneed, False, _CONSTANTS + (_OF_KNEES if kneed else ()), ())
+    constants = (*_CONSTANTS, *_OF_KNEES) if kneed else _CONSTANTS
+    return Structure(kneed, False, constants, ())
 
 
 def locked(parameters: np.ndarray) -> np.ndarray:
@@ -206,13 +253,10 @@ def locked(parameters: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (slope, scale and the constants of straight legs, ...)
     """
-    common, (S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _) = (
-        parameters[:8],
-        parameters[8:],
-    )
-    return np.concatenate(
-        [common, [S_b_re + S_c_re, S_b_im + S_c_im, C_bb + C_cc + 2 * H_re]]
-    )
+    S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _ = parameters[8:]
+    inertia = C_bb + C_cc + 2 * H_re
+    of_leg = [S_b_re + S_c_re, S_b_im + S_c_im, inertia]
+    return np.concatenate([parameters[:8], of_leg])
 
 
 def structure_of(walker: Walker) -> Structure:
@@ -230,14 +274,14 @@ def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     """Return the structures of several walkers, as `structure_of` does."""
     structures = [general_structure(walker.knees) for walker in walkers]
     special = [i for i, walker in enumerate(walkers) if _is_special(walker)]
-    if special:
-        constants = _lump_all(WalkerArray.of([walkers[i] for i in special]), float)
-        for i, row in zip(
-            special, np.array(list(constants.values())).T.tolist(), strict=True
-        ):
-            structures[i] = _structure(
-                walkers[i], dict(zip(constants, row, strict=True))
-            )
+    if not special:
+        return structures
+
+    of_special = WalkerArray.of([walkers[i] for i in special])
+    constants = _lump_all(of_special, float)
+    for row, i in enumerate(special):
+        of_walker = {name: float(values[row]) for name, values in constants.items()}
+        structures[i] = _structure(walkers[i], of_walker)
     return structures
 
 
@@ -255,11 +299,11 @@ def common_structure(walkers: WalkerArray) -> Structure:
     """
     if not _is_special(walkers):
         return general_structure(walkers.knees)
-    constants = _lump_all(walkers, float)
-    return _structure(
-        walkers,
-        {k: v[0] if (v == v[0]).all() else np.nan for k, v in constants.items()},
-    )
+    shared = {}
+    for name, values in _lump_all(walkers, float).items():
+        is_one = (values == values[0]).all()
+        shared[name] = values[0] if is_one else np.nan
+    return _structure(walkers, shared)
 
 
 def _is_special(walker: Walker | WalkerArray) -> bool:
@@ -269,13 +313,12 @@ def _is_special(walker: Walker | WalkerArray) -> bool:
 
 def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Structure:
     """Structure in which constants that are 0 or +-1 are code, all others parameters."""
-    units = tuple((k, float(v)) for k, v in constants.items() if v in (0.0, 1.0, -1.0))
-    return Structure(
-        False,
-        walker.point_foot,
-        tuple(k for k in constants if k not in dict(units)),
-        units,
-    )
+    units = {}
+    for name, value in constants.items():
+        if value in (0.0, 1.0, -1.0):
+            units[name] = float(value)
+    others = tuple(name for name in constants if name not in units)
+    return Structure(False, walker.point_foot, others, tuple(units.items()))
 
 
 def constants_of(walkers: WalkerArray, structure: Structure) -> np.ndarray:
@@ -294,21 +337,21 @@ def constants_of(walkers: WalkerArray, structure: Structure) -> np.ndarray:
         In units of each walker's leg, its mass and g.
     """
     constants = _lump_all(walkers, np.longdouble)
-    values = np.array([constants[k] for k in structure.constants], float).reshape(
-        -1, len(walkers)
-    )
+    values = np.empty((len(structure.constants), len(walkers)))
+    for row, name in enumerate(structure.constants):
+        values[row] = constants[name]
+
     # Offsets of nearly tuned legs are differences, of which long double leaves too few
     # digits.
     near = np.zeros(len(walkers), bool)
-    for name in ("S_a", "S_b", "S_c", "H") if walkers.knees else ("S_a", "S_b"):
-        small, large = np.sort(
-            np.abs([constants[f"{name}_re"], constants[f"{name}_im"]]), axis=0
-        )
+    names = ("S_a", "S_b", "S_c", "H") if walkers.knees else ("S_a", "S_b")
+    for name in names:
+        parts = np.abs([constants[f"{name}_re"], constants[f"{name}_im"]])
+        small, large = np.sort(parts, axis=0)
         near |= (small > 0) & (small < _NEARLY_TUNED * large)
-    lanes = np.flatnonzero(near).tolist()
-    if lanes:
-        constants = _lump_all(walkers.some(np.array(lanes)), real128)
-        values[:, lanes] = np.array(
-            [constants[k] for k in structure.constants], real128
-        ).astype(float)
+    if near.any():
+        lanes = np.flatnonzero(near)
+        constants = _lump_all(walkers.some(lanes), real128)
+        for row, name in enumerate(structure.constants):
+            values[row, near] = constants[name].astype(float)
     return values
