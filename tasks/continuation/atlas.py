@@ -44,7 +44,7 @@ from gaitsweep.tasks.continuation.refine import (
     without_jumps,
 )
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
-from gaitsweep.tasks.fixed_points.search import periods, search_lines, starts
+from gaitsweep.tasks.fixed_points.search import lattice_size, periods, search_lines
 from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import norm
@@ -317,18 +317,19 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     return branch
 
 
-#: Initial guesses of a survey, by whether there are knees and the number of periods.
+#: Guesses on the lattices of a survey, by whether there are knees and the number of
+#: periods.
 _GUESSES: dict[tuple[bool, int], int] = {}
 
 
 def searched(walker: Walker) -> str:
-    """Describe how many initial guesses a survey of the walker's line uses, and how far
-    they reach.
+    """Describe how many initial guesses a survey of the walker's line takes from its
+    lattice, and how far they reach.
     """
     times = periods(walker) * walker.time_unit
     kind = (walker.knees, len(times))
     if kind not in _GUESSES:
-        _GUESSES[kind] = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
+        _GUESSES[kind] = lattice_size(walker, ANCHORS, _SHARES)
     slopes = f"{len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
     reach = f"periods from {times[0]:.3g} to {times[-1]:.3g}{' s' * walker.si}"
     return f"{_GUESSES[kind]} initial guesses at {slopes}, with {reach}"

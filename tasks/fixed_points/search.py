@@ -1,5 +1,5 @@
-"""Fixed points without a known gait to begin with: a lattice of initial guesses over
-the section.
+"""Fixed points without a known gait to begin with: from a lattice of initial guesses
+over the section, and from the gaits of small angles.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from gaitsweep.tasks.fixed_points.newton import newton
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
+from gaitsweep.tasks.mechanics.small_gaits import small_gaits
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.verify_step import StepCheck
@@ -53,7 +54,7 @@ def starts(
     walker: Walker, slopes: Sequence[float], shares: int = 1
 ) -> list[np.ndarray]:
     """Return the initial guesses at some slopes, from a lattice over step length and
-    period.
+    period and, for straight legs, from the gaits of small angles.
 
     Parameters
     ----------
@@ -76,26 +77,60 @@ def starts(
     does so always, but for the rate of an inverted pendulum on steep slopes. With point
     feet heelstrike fixes the ratio of the rates, so that both legs exchange places in
     certain periods only: the two shortest take the place of two of the lattice.
+
+    Knees whose return small angles do not tell have a second guess each, with another
+    time of kneestrike (`SmallAngles.kneed_exchange`).
     """
     linear = SmallAngles(walker)
-    angles, others = (_ANGLES_KNEED, [_RATIOS]) if walker.knees else (_ANGLES, [])
+    lattices = _lattices(linear, slopes, shares)
+    counts = [lattice.shape[1] for lattice in lattices]
+    number = np.repeat(np.arange(len(slopes)), counts)
+    log_angle, period, *ratio = np.hstack(lattices)
+    at_slope = np.asarray(slopes)[number]
+
+    if walker.knees:
+        w, chosen = _kneed_guesses(linear, log_angle, period, ratio[0], at_slope)
+        number = number[chosen]
+        return [w[:, number == i] for i in range(len(slopes))]
+
+    rows = _straight_guesses(linear, np.exp(log_angle), period, at_slope)
+    w = np.vstack([log_angle, *rows])
+    small = _small_guesses(linear, slopes)
+    return [np.hstack([w[:, number == i], small[i]]) for i in range(len(slopes))]
+
+
+def _lattices(
+    linear: SmallAngles,
+    slopes: Sequence[float],
+    shares: int,
+) -> list[np.ndarray]:
+    """The slopes' shares of the lattice: ln angles, periods and, with knees, ratios of
+    rates, shape (2 or 3, n).
+    """
+    periods = _periods(linear)
+    angles = _ANGLES_KNEED if linear.has_knees else _ANGLES
+    ratios = [_RATIOS] if linear.has_knees else []
     lattices = []
     for i, slope in enumerate(slopes):
-        top = np.log(min(2.0 * slope ** (1 / 3), 1.2))
-        bottom = np.log(max(0.7 * slope, 0.02 * slope ** (1 / 3)))
-        grid = np.meshgrid(
-            np.linspace(bottom, top, angles), _periods(linear), *others, indexing="ij"
-        )
-        lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))
+        top = _largest_angle(slope)
+        bottom = max(0.7 * slope, 0.01 * top)
+        log_angles = np.linspace(np.log(bottom), np.log(min(top, 1.2)), angles)
 
-    counts = [lattice.shape[1] for lattice in lattices]
-    log_angle, period, *ratio = np.hstack(lattices)
-    at_slope = np.repeat(slopes, counts)
-    if walker.knees:
-        rows = _kneed_guesses(linear, np.exp(log_angle), period, ratio[0], at_slope)
-    else:
-        rows = _straight_guesses(linear, np.exp(log_angle), period, at_slope)
-    return np.split(np.vstack([log_angle, *rows]), np.cumsum(counts)[:-1], axis=1)
+        grid = np.meshgrid(log_angles, periods, *ratios, indexing="ij")
+        whole = np.array([axis.ravel() for axis in grid])
+        lattices.append(whole[:, i % shares :: shares])
+    return lattices
+
+
+def _largest_angle(slope: float) -> float:
+    """Angle of steps that lose more energy than a gentle slope gives [rad]."""
+    return float(2.0 * slope ** (1 / 3))
+
+
+def lattice_size(walker: Walker, slopes: Sequence[float], shares: int) -> int:
+    """Number of guesses on the lattice, as for `starts`."""
+    lattices = _lattices(SmallAngles(walker), slopes, shares)
+    return sum(lattice.shape[1] for lattice in lattices)
 
 
 def periods(walker: Walker) -> np.ndarray:
@@ -141,21 +176,45 @@ def _straight_guesses(
     return [*(rates[:1] if linear.point_foot else rates), period]
 
 
+def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray]:
+    """Guesses that are gaits of straight legs to first order, for each slope."""
+    fastest = _MAX_RATE * max(1.0, np.pi / linear.swing)
+    found = []
+    for slope, gaits in zip(slopes, small_gaits(linear, slopes), strict=True):
+        angle, *rates, period = gaits
+        used = rates[:1] if linear.point_foot else rates
+        w = np.array([np.log(angle), *used, period])
+
+        # Larger angles lose more energy than the slope gives; to first order none is
+        # lost.
+        is_small = angle < _largest_angle(slope)
+        is_slow = (np.abs(used) < fastest).all(axis=0)
+        found.append(w[:, is_small & is_slow])
+    return found
+
+
 def _kneed_guesses(
     linear: SmallAngles,
-    angle: np.ndarray,
+    log_angle: np.ndarray,
     period: np.ndarray,
     ratio: np.ndarray,
     slope: np.ndarray,
-) -> list[np.ndarray]:
-    """Rates over the angle just before heelstrike, times of kneestrike and periods of
-    guesses for legs with knees.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Guesses for legs with knees, with rates over the angle just before heelstrike,
+    and which of the lattice each belongs to.
     """
+    angle = np.exp(log_angle)
     rate, kneestrike = linear.kneed_exchange(angle, period, ratio, slope)
     is_linear = np.abs(rate) <= _LINEAR_UP_TO
     plain = -1.0 / np.tanh(period / 2)
     rate = np.where(is_linear, np.clip(rate / angle, -_MAX_RATE, _MAX_RATE), plain)
-    return [rate, ratio * rate, kneestrike, period]
+
+    guessed = np.isfinite(kneestrike)
+    at = np.nonzero(guessed)[1]
+    rate, kneestrike = rate[guessed], kneestrike[guessed]
+    swing_rate = ratio[at] * rate
+    w = np.array([log_angle[at], rate, swing_rate, kneestrike, period[at]])
+    return w, at
 
 
 def search(

@@ -20,11 +20,20 @@ _PERIODS = np.linspace(1.0, 6.0, 51)
 #: Shortest and longest time taken for a swing of the leg [sqrt(leg/g)]: a leg that is
 #: balanced about the hip has none.
 _SWINGS = (0.02, 7.0)
+#: Longest time taken for it of a leg that stands above the hip, over pi times that in
+#: which its fall grows e-fold.
+_FALLING = 10.0
 #: Times at which the flexion of the knee is looked at, over a swing of the leg, and the
 #: largest for its return.
 _KNEE_TIMES, _KNEE_UP_TO = 200, 1.6
 #: Time of kneestrike over the period, where it is not known, and at most.
 _KNEE_GUESS, _KNEE_LATEST = 0.65, 0.93
+#: Largest overextension of a knee over its flexion before that may vanish beyond small
+#: angles.
+_SHALLOW = 0.5
+#: Angle between links that hang freely from which the knee may return earlier, and then
+#: the time over that of small angles.
+_BENT, _EARLIER = 0.3, 0.7
 
 
 class SmallAngles:
@@ -68,9 +77,7 @@ class SmallAngles:
         self.free = _Linear(rolling, R, self.eps, stance, swing, inertia, between)
 
         S, J = self.locked.G[1], self.locked.M[1, 1]
-        # A leg whose centre of mass lies at the hip, or above, has no swing of its own.
-        longest = (np.pi / _SWINGS[1]) ** 2
-        self.swing = max(float(np.pi / np.sqrt(max(-S / J, longest))), _SWINGS[0])
+        self.swing = _swing(S, J)
 
         # Heelstrike with both legs along the normal (tasks.mechanics.impacts).
         momentum = np.zeros((len(self.free.M), 2))
@@ -99,9 +106,12 @@ class SmallAngles:
         if self.point_foot:
             along = _rates_along(angle)
             return along * lack[0] / total(by_rates[0] * along)
-        return np.linalg.solve(by_rates.transpose(2, 0, 1), lack.T[:, :, None])[
-            :, :, 0
-        ].T
+        # By Cramer's rule, since both rates may do the same to all digits where a leg
+        # falls fast.
+        (a, b), (c, d) = by_rates
+        rates = np.stack([d * lack[0] - b * lack[1], a * lack[1] - c * lack[0]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(rates / (a * d - b * c))
 
     def stance_rate(
         self,
@@ -166,7 +176,7 @@ class SmallAngles:
         ratio: np.ndarray,
         slope: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Stance rate and time of kneestrike with which the stance leg reaches the
+        """Stance rates and times of kneestrike with which the stance leg reaches the
         other's place in a given time.
 
         Parameters
@@ -177,31 +187,59 @@ class SmallAngles:
 
         Returns
         -------
-        rate : ndarray, shape (n,) [rad/sqrt(leg/g)]
+        rate : ndarray, shape (2, n) [rad/sqrt(leg/g)]
             Of the old stance leg, just before heelstrike.
-        kneestrike : ndarray, shape (n,) [sqrt(leg/g)]
+        kneestrike : ndarray, shape (2, n) [sqrt(leg/g)]
+            The second is NaN where the first will do.
 
         Notes
         -----
-        When the knee returns depends little on the rates. First it is taken to do so after `_KNEE_GUESS` of the period,
-        which gives the rates without gravity's moment about the stance foot, and these
-        the time.
-        """
-        rate, kneestrike = np.empty(len(angle)), np.empty(len(angle))
-        pairs, place = np.unique([period, ratio], axis=1, return_inverse=True)
-        for i, (T, own_ratio) in enumerate(pairs.T):
-            by_angle, by_rate, by_swing, *_ = self._kneed_end(_KNEE_GUESS * T, T)[0]
-            time = self._knee_return(
-                -(by_angle + 1) / (by_rate + by_swing * own_ratio), own_ratio
-            )
-            time = min(time, _KNEE_LATEST * T) if np.isfinite(time) else _KNEE_GUESS * T
+        When the knee returns depends little on the rates. First it is taken to do so
+        after `_KNEE_GUESS` of the period, which gives the rates, and these the time;
+        that gravity bends links which are no line is left out, since large flexions
+        undo much of it.
 
-            lanes = place.ravel() == i
-            by_angle, by_rate, by_swing, rest, by_slope = self._kneed_end(time, T)[0]
-            lack = -(by_angle + 1) * angle[lanes] - rest - by_slope * slope[lanes]
-            rate[lanes] = lack / (by_rate + by_swing * own_ratio)
-            kneestrike[lanes] = time
-        return rate, kneestrike
+        A knee that overextends but little before it flexes again may, beyond small
+        angles, become straight only after that. Links that hang far from a line are
+        thrown so far that the knee may return earlier.
+        """
+        guess = _KNEE_GUESS * period
+        latest = _KNEE_LATEST * period
+        asked = angle, period, ratio, slope
+        rate = self._rate_before(guess, *asked)
+        first, second = self._knee_returns(angle, rate, ratio * rate)
+
+        first = np.where(np.isnan(first), guess, np.minimum(first, latest))
+        if self._hangs_bent():
+            second = _EARLIER * first
+        second = np.where(second < latest, second, np.nan)
+
+        kneestrike = np.stack([first, second])
+        rates = [self._rate_before(time, *asked) for time in kneestrike]
+        return np.stack(rates), kneestrike
+
+    def _rate_before(
+        self,
+        kneestrike: np.ndarray,
+        angle: np.ndarray,
+        period: np.ndarray,
+        ratio: np.ndarray,
+        slope: np.ndarray,
+    ) -> np.ndarray:
+        """Stance rate just before heelstrike with which the stance leg reaches the
+        other's place, by the time of kneestrike, shape (n,).
+        """
+        end = self._kneed_end(kneestrike, period)
+        by_angle, by_rate, by_swing_rate, rest, by_slope = end
+        reached = by_angle * angle + rest + by_slope * slope
+        return -(angle + reached) / (by_rate + by_swing_rate * ratio)
+
+    def _hangs_bent(self) -> bool:
+        """Whether the swing leg's links, its knee free, hang far from a line."""
+        moments = self.free.c[:, 0] + 1j * self.free.G
+        _, thigh, shank = moments.tolist()
+        between = thigh * shank.conjugate()
+        return abs(between.imag) > np.tan(_BENT) * abs(between.real)
 
     def _exchange(
         self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
@@ -224,32 +262,61 @@ class SmallAngles:
         start[n:, 1:3] = self.heelstrike
         return start
 
-    def _knee_return(self, rate: float, ratio: float) -> float:
-        """Time at which the knee is straight again after it has flexed, for rates over
-        the angle; NaN if it is not.
+    def _knee_returns(
+        self, angle: np.ndarray, rate: np.ndarray, swing_rate: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Times at which the knee, once flexed, is straight again and for the second
+        time; NaN where it is not, the second also where it overextends much before.
         """
-        step = _KNEE_UP_TO * self.swing / _KNEE_TIMES
-        state = self._start() @ [1.0, rate, ratio * rate, 0.0, 0.0]
-        advance, before = self.free.after(np.array([step]))[0, :, :-2], 0.0
-        for k in range(_KNEE_TIMES):
-            state = advance @ state
-            flexion = state[1] - state[2]
-            if before > 0 >= flexion:
-                return float((k + before / (before - flexion)) * step)
-            before = flexion
-        return np.nan
+        times = np.linspace(0.0, _KNEE_UP_TO * self.swing, _KNEE_TIMES + 1)
+        moved = self.free.moved(self._start(), times)
+        by_known = moved[:, 1] - moved[:, 2]
+        by_angle, by_rate, by_swing_rate, *_ = by_known.T[:, :, None]
+        flexion = by_angle * angle
+        flexion += by_rate * rate
+        flexion += by_swing_rate * swing_rate
+        # Straight at the start, but for rounding.
+        flexion[0] = 0.0
 
-    def _kneed_end(self, kneestrike: float, period: float) -> np.ndarray:
-        """Angles at the end of a kneed step by (angle, old stance rate, old swing rate,
-        1, slope), shape (2, 5).
+        returns = (flexion[:-1] > 0) & (flexion[1:] <= 0)
+        count = np.cumsum(returns, axis=0)
+        first = _crossing(times, flexion, returns & (count == 1))
+        second = _crossing(times, flexion, returns & (count == 2))
+
+        before = np.where(count == 0, flexion[1:], 0.0)
+        between = np.where(count == 1, flexion[1:], 0.0)
+        overextended = -between.min(axis=0)
+        is_shallow = overextended < _SHALLOW * before.max(axis=0)
+        return first, np.where(is_shallow, second, np.nan)
+
+    def _kneed_end(self, kneestrike: np.ndarray, period: np.ndarray) -> np.ndarray:
+        """The stance leg's angle at the end of kneed steps by (angle, old stance rate,
+        old swing rate, 1, slope), shape (5, n).
         """
-        struck = self.free.moved(self._start(), kneestrike)
+        struck = self.free.moved(self._start(), kneestrike).transpose(1, 2, 0)
         # The impulse is a torque in the knee.
-        momentum = self.free.M @ struck[3:]
-        rates = np.linalg.solve(self.locked.M, [momentum[0], momentum[1] + momentum[2]])
-        return self.locked.moved(np.vstack([struck[:2], rates]), period - kneestrike)[
-            :2
-        ]
+        stance, thigh, shank = self.free.M
+        momentum = np.stack([stance, thigh + shank])
+        by_rates = np.linalg.solve(self.locked.M, momentum)
+        rates = matvec(by_rates[:, :, None, None], struck[3:])
+        locked = np.concatenate([struck[:2], rates])
+
+        by_locked = self.locked.after(period - kneestrike)[:, 0].T
+        end = total(by_locked[:4, None] * locked)
+        end[3:] += by_locked[4:]
+        return end
+
+
+def _swing(S: float, J: float) -> float:
+    """Time in which a leg of first moment S and inertia J swings from one side to the
+    other.
+
+    A leg whose centre of mass lies at the hip, or above, has none of its own; beyond
+    its fall there is nothing to search for.
+    """
+    longest = (np.pi / _SWINGS[1]) ** 2
+    square = max(-S / J, S / J / _FALLING**2, longest)
+    return max(float(np.pi / np.sqrt(square)), _SWINGS[0])
 
 
 def _arms(walker: Walker) -> str:
@@ -277,7 +344,7 @@ class _Linear:
         if len(swing) > 1:
             self.M[1, 2] = self.M[2, 1] = between
         self.c = np.stack([arms.real, arms.imag], axis=1)
-        self.c[0, 1] -= R
+        self.c[0, 1] += R
 
     def after(self, times: np.ndarray) -> np.ndarray:
         """States (angles, rates) after k times by those at the start, then by (1,
@@ -290,11 +357,10 @@ class _Linear:
         )
         growth = np.sqrt(squares)[:, None]
         is_free = growth == 0
+        own = np.where(is_free, 1, growth)
         by_angle = np.cosh(growth * times)
-        by_rate = np.where(
-            is_free, times, np.sinh(growth * times) / np.where(is_free, 1, growth)
-        )
-        fallen = np.sinh(growth * times / 2) / np.where(is_free, 1, growth)
+        by_rate = np.where(is_free, times, np.sinh(growth * times) / own)
+        fallen = np.sinh(growth * times / 2) / own
         by_force = -2 * np.where(is_free, times / 2, fallen) ** 2
 
         back = np.linalg.inv(modes)
@@ -313,12 +379,30 @@ class _Linear:
             [np.concatenate(angles, axis=2), np.concatenate(rates, axis=2)], axis=1
         )
 
-    def moved(self, states: np.ndarray, time: float) -> np.ndarray:
-        """States by (angle, two rates, 1, slope), shape (2 n, 5), after some time."""
-        motion = self.after(np.array([time]))[0]
-        moved = motion[:, :-2] @ states
+    def moved(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """States by (angle, two rates, 1, slope), shape (2 n, 5), after k times, shape
+        (k, 2 n, 5).
+        """
+        motion = self.after(times).transpose(1, 2, 0)
+        by_state = motion[:, :-2, None]
+        moved = matvec(by_state, states[:, :, None])
         moved[:, 3:] += motion[:, -2:]
-        return moved
+        return moved.transpose(2, 0, 1)
+
+
+def _crossing(times: np.ndarray, values: np.ndarray, is_it: np.ndarray) -> np.ndarray:
+    """Times at which values (k, n) vanish after the time marked in `is_it` (k - 1, n),
+    by linear interpolation; NaN where none is marked.
+    """
+    at = is_it.argmax(axis=0)
+    lane = np.arange(values.shape[1])
+    before = values[at, lane]
+    after = values[at + 1, lane]
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = before / (before - after)
+    time = times[at] + share * times[1]
+    return np.where(is_it.any(axis=0), time, np.nan)
 
 
 def _known(angle: np.ndarray, slope: np.ndarray) -> np.ndarray:

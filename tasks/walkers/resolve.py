@@ -61,7 +61,24 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         raise WalkerError(
             missing[0], ", ".join(values) or "no key", "is missing from the walker"
         )
-    return Walker(**values)
+    try:
+        return Walker(**values)
+    except WalkerError as error:
+        if "l" not in table:
+            raise
+        raise _of_one_link(error, table) from None
+
+
+def _of_one_link(error: WalkerError, table: Mapping[str, Any]) -> WalkerError:
+    """The error of a leg of one link, in its own keys."""
+    if error.key == "m_s":
+        bound = "must lie off the hip, or `r` be > 0: the leg has no inertia"
+        return WalkerError("c", table["c"], bound)
+    own = {link: key for key, links in _OF_LINKS.items() for link in links}
+    if error.key not in own:
+        return error
+    key = own[error.key]
+    return WalkerError(key, table[key], error.bound.replace("m_t, m_s", "m"))
 
 
 #: Keys of straight legs that are zero unless they are given.

@@ -198,6 +198,29 @@ class Walker:
         self._refuse(
             "must leave the leg some inertia about the hip", {"m_s": too_light}
         )
+        self._refuse(
+            "must be > 0 where the thigh has no inertia about the hip: the knee of a "
+            "straight leg has none",
+            {"r_s": self.knees and self._knee_without_inertia()},
+        )
+        self._refuse(
+            "must be > 0 where the legs are points at feet without a radius: a walker "
+            "that stands has no inertia",
+            {"m_h": self._stands_without_inertia()},
+        )
+
+    def _knee_without_inertia(self) -> bool:
+        """Whether the knee of a straight leg can move while all masses rest."""
+        thigh = self.m_t * (abs(self.thigh_centre) + self.r_t)
+        across = (self.knee * self.shank_centre.conjugate()).imag
+        return not (thigh or self.r_s or across)
+
+    def _stands_without_inertia(self) -> bool:
+        """Whether a walker with its legs together can turn while all masses rest."""
+        foot = -1j * self.leg
+        thigh = self.m_t * (abs(self.thigh_centre - foot) + self.r_t)
+        shank = self.m_s * (abs(self.knee + self.shank_centre - foot) + self.r_s)
+        return not (self.m_h or self.R or thigh or shank)
 
     @property
     def total_mass(self) -> float:

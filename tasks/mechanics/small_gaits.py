@@ -1,0 +1,105 @@
+"""Gaits of straight legs to first order in the angles and the slope.
+
+That a step repeats itself takes four equations, that both legs exchange places and keep
+their rates. They are linear in the angle, two rates, 1 and the slope, with coefficients
+that depend on the period: periods of gaits are those at which the determinant vanishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
+
+#: Periods looked at, over the time in which the leg swings by itself.
+_PERIODS = np.linspace(0.1, 2.2, 85)
+
+
+def small_gaits(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray]:
+    """Find gaits of straight legs to first order.
+
+    Parameters
+    ----------
+    linear : SmallAngles
+    slopes : sequence of float [rad]
+
+    Returns
+    -------
+    list of ndarray, shape (4, k)
+        For each slope, angles [rad], rates of the stance and of the swing leg over them
+        [1/sqrt(leg/g)], and periods [sqrt(leg/g)]. Legs whose masses lie on a line have
+        the same gaits on all slopes, with angles in proportion: they are those of the
+        smallest alone.
+    """
+    periods = _PERIODS * linear.swing
+    off_rest, off_slope = _determinants(linear, periods)
+
+    is_aligned = not linear.locked.c[:, 0].any()
+    smallest = min(slopes)
+    found = []
+    for slope in slopes:
+        off = off_rest + slope * off_slope
+        period = _roots(periods, off)
+        if is_aligned and slope != smallest:
+            period = period[:0]
+        found.append(_gaits(linear, period, slope))
+    return found
+
+
+def _determinants(
+    linear: SmallAngles,
+    periods: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Determinants of the equations with what is by 1, and with what is by the slope."""
+    by_unknown, rest = _repetition(linear, periods)
+    with_rest = np.dstack([by_unknown, rest[:, :, :1]])
+    with_slope = np.dstack([by_unknown, rest[:, :, 1:]])
+    return np.linalg.det(with_rest), np.linalg.det(with_slope)
+
+
+def _roots(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Roots of a function known at x, by linear interpolation."""
+    at = np.flatnonzero(y[:-1] * y[1:] < 0)
+    before = y[at]
+    after = y[at + 1]
+    share = before / (before - after)
+    return x[at] + share * np.diff(x)[at]
+
+
+def _gaits(linear: SmallAngles, period: np.ndarray, slope: float) -> np.ndarray:
+    """Those of some periods whose angle is positive, as `small_gaits` returns them."""
+    by_unknown, rest = _repetition(linear, period)
+    lack = -rest @ [[1.0], [slope]]
+    solved = np.linalg.pinv(by_unknown) @ lack
+
+    gaits = np.vstack([solved[:, :, 0].T, period])
+    gaits = gaits[:, gaits[0] > 0]
+    gaits[1:3] /= gaits[0]
+    return gaits
+
+
+def _repetition(
+    linear: SmallAngles,
+    periods: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much steps fail to repeat themselves: by the angle and both rates, shape
+    (k, 4, 3), and by (1, slope), shape (k, 4, 2).
+    """
+    end = linear.locked.after(periods)
+    end[:, 2:] = linear.heelstrike @ end[:, 2:]
+    # At the start the swing leg's angle is that of the stance leg, reversed.
+    end[:, :, 1] = end[:, :, 0] - end[:, :, 1]
+    by_unknown = end[:, :, 1:4]
+
+    # At the end the legs have exchanged their places, and each has the other's rate.
+    repeated = np.array(
+        [
+            [-1.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    return by_unknown - repeated, end[:, :, 4:]
