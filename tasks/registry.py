@@ -56,7 +56,7 @@ TASKS = {
         Task(
             "atlas",
             "gaitsweep.tasks.solve_points:atlas",
-            32,
+            33,
             side_by_side="gaitsweep.tasks.solve_points:lines",
             over_plane="gaitsweep.tasks.solve_planes:lines",
         ),

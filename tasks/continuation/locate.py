@@ -18,7 +18,12 @@ from gaitsweep.tasks.continuation.lockstep import Call, Procedure, run
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.continuation.root import root_search
 from gaitsweep.tasks.continuation.tracking import check_steps, correct_and_evaluate
-from gaitsweep.tasks.fixed_points.polish import Guesses, Polished, settle
+from gaitsweep.tasks.fixed_points.polish import (
+    Guesses,
+    Polished,
+    are_same,
+    settle,
+)
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Unknowns
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step import extended_precision
@@ -44,6 +49,8 @@ _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 #: the first angle, that of rounding: nearer ones are those of a gait of fewer steps,
 #: beside whose flip it lies.
 _LEAST_SHARE, _LEAST_APART = 0.5, 1e-10
+#: Distance in ln slope from a fold within which both pieces may lead to one gait.
+_BESIDE_FOLD = 1e-10
 #: Error of a fold's ln slope up to which doubles locate it well enough.
 _SHARP = 1e-13
 
@@ -144,6 +151,7 @@ def settle_on_branches(
     settled = gaits.converged & _is_near(problem, gaits, guesses.w)
     lost = np.flatnonzero(~settled)
     if not len(lost):
+        _lose_twins(gaits, guesses, places)
         return gaits
 
     again = lanes_of(guesses, lost)
@@ -161,7 +169,41 @@ def settle_on_branches(
     located = settle(problem.some(lost), again, accuracy=accuracy)
     located.converged &= _is_near(problem, located, again.w)
     replace_lanes(gaits, lost, located)
+    _lose_twins(gaits, guesses, places)
     return gaits
+
+
+def _lose_twins(
+    gaits: Polished,
+    guesses: Guesses,
+    places: Sequence[tuple[Problem, Branch, ndarray]],
+) -> None:
+    """Count as lost what Newton's method led to twice: within rounding of a fold the
+    guesses of the two pieces that meet there may lead to one gait. The other one, whose
+    guess was farther from it, is not found.
+    """
+    begin = 0
+    beside: dict[tuple[int, float], list[int]] = {}
+    for _, branch, segments in places:
+        lanes = np.arange(begin, begin + len(segments))
+        begin += len(segments)
+        folds = branch.q[branch.folds()]
+        apart = np.abs(np.log(guesses.slope[lanes])[:, None] - folds)
+        near = lanes[(apart < _BESIDE_FOLD).any(axis=1)]
+        for lane in near[gaits.converged[near]].tolist():
+            key = id(branch), float(guesses.slope[lane])
+            beside.setdefault(key, []).append(lane)
+
+    for twins in beside.values():
+        moved = np.abs(gaits.w[:, twins] - guesses.w[:, twins]).max(axis=0)
+        by_distance = [twins[i] for i in np.argsort(moved, kind="stable")]
+        kept: list[int] = []
+        for lane in by_distance:
+            one = lanes_of(gaits, np.array([lane]))
+            if kept and are_same(one, lanes_of(gaits, np.array(kept))).any():
+                gaits.converged[lane] = False
+            else:
+                kept.append(lane)
 
 
 def _point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point | None]:
