@@ -19,7 +19,7 @@ from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
-from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.memory import Results
 from gaitsweep.pipeline.store.record import Points, has_multipliers, joined
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
@@ -29,7 +29,7 @@ from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
 
 #: Atlases, charts and points of short lines kept for later calls [byte]: other points
 #: are cheaper to compute again.
-_REMEMBERED = Memory(512 << 20)
+_REMEMBERED = Results(512 << 20)
 _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
 _CHARACTERS = {"dtype": "S1"}
@@ -336,7 +336,7 @@ def _result(graph: Graph, node: Node) -> Any:
         return result
     line = int(node.chunk.numbers[0]) if node.chunk else node.line or 0
     names = (
-        [name for name, own in graph.line_keys(line).items() if own.key in node.needs]
+        [name for name, own in graph.line_keys(line).items() if own in node.needs]
         if node.needs
         else []
     )
@@ -364,7 +364,7 @@ def _result(graph: Graph, node: Node) -> Any:
 
 def _key(graph: Graph, node: Node) -> Hashable:
     """What a result is remembered by: points of other variables are others."""
-    return (node.key.key, graph.variables) if node.chunk else node.key.key
+    return (node.key, graph.variables) if node.chunk else node.key
 
 
 def _remember(key: Hashable, result: Points | Arrays) -> None:

@@ -13,7 +13,7 @@ import gaitsweep
 from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.statuses import ALL_STATUSES
-from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.memory import Results
 from gaitsweep.tasks import solve_points
 from gaitsweep.tasks.registry import TASKS
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
@@ -391,7 +391,7 @@ def test_points_whose_walker_or_slope_is_wrong_are_all_refused_if_none_is_left()
 
 
 def forget(monkeypatch, bound=1 << 30):
-    monkeypatch.setattr(in_memory, "_REMEMBERED", memory := Memory(bound))
+    monkeypatch.setattr(in_memory, "_REMEMBERED", memory := Results(bound))
     return memory
 
 
@@ -467,7 +467,7 @@ def test_a_question_ends_a_sentence():
 
 
 def test_what_was_used_last_is_kept():
-    memory = Memory(20)
+    memory = Results(20)
     for key in "ab":
         memory.put(key, key.upper(), 10)
     assert memory.get("a") == "A"
