@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from gaitsweep.pipeline.engine.account import Account
-from gaitsweep.pipeline.engine.places import Place, Workers
+from gaitsweep.pipeline.engine.places import Inline, Place, Workers
 
 
 @dataclass
@@ -33,3 +33,22 @@ class Engine:
 
         with cluster.connect(self.address, self.check) as client:
             yield cluster.Cluster(cluster.Team(client, self.check), say)
+
+
+class InProcess(Engine):
+    """Computes in this process.
+
+    Parameters
+    ----------
+    room : int
+        Requests that are taken at a time.
+    """
+
+    def __init__(self, room: int):
+        super().__init__(jobs=1)
+        self.room = room
+
+    @contextlib.contextmanager
+    def open(self, say: Callable[[str], None]) -> Iterator[Place]:
+        """Open the place."""
+        yield Inline(self.room)

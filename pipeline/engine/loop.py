@@ -5,6 +5,7 @@ as they come; a signal is looked for between them.
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -44,10 +45,12 @@ class Loop:
     check : callable
         Called between answers; what it raises ends the loop.
     begin : callable
-        Called while fewer than `MOST_OPEN` studies are open; returns the work of
-        another, None if none is left.
+        Called while there may be another study open; returns its work, None if none is
+        left.
     finish : callable
         Called with the work of a study when nothing of it is left.
+    most_open : int
+        Studies that may be open at a time.
     """
 
     def __init__(
@@ -56,9 +59,11 @@ class Loop:
         check: Callable[[], None],
         begin: Callable[[], Work | None],
         finish: Callable[[Work], None] = lambda work: None,
+        most_open: int = MOST_OPEN,
     ):
         self.engine, self.check = engine, check
         self.begin, self.finish = begin, finish
+        self.most_open = most_open
         self.works: list[Work] = []
         self._running: dict[Ticket, Job] = {}
         self._by_key: dict[str, Job] = {}  # jobs over lines
@@ -94,8 +99,10 @@ class Loop:
     def _turn(self, place: Place) -> int:
         """Submit what there is room for, and record what has come; returns how much."""
         self.check()
-        while place.has_room() and self._submit(place):
-            pass
+        while place.has_room() and (ready := self._ready()):
+            for work in ready:
+                if place.has_room():
+                    self._submit(place, work)
         recorded = 0
         if self._running:
             for ticket, answer in place.completed(_WAIT):
@@ -105,14 +112,16 @@ class Loop:
         self._open_and_close()
         return recorded
 
-    def _submit(self, place: Place) -> bool:
-        """Submit the most urgent node: that before the longest chain of others; False
-        if none is ready.
+    def _ready(self) -> list[Work]:
+        """Studies with a node that is ready; the first is that whose node, with the
+        longest chain of others that wait for it, takes longest.
         """
         ready = [(work, node) for work in self.works if (node := work.next())]
-        if not ready:
-            return False
-        work, _ = max(ready, key=lambda pair: pair[0].seconds(pair[1]))
+        ready.sort(key=lambda pair: -pair[0].seconds(pair[1]))
+        return [work for work, _ in ready]
+
+    def _submit(self, place: Place, work: Work) -> None:
+        """Submit the next node of a study, unless its result is there, or to come."""
         node = work.take()
         if job := self._by_key.get(node.key):
             job.owners.append((work, node))
@@ -120,7 +129,6 @@ class Loop:
             work.copy(node, Answer(data=self._found.get(node.key).payload))
         else:
             self._ask(place, work, node)
-        return True
 
     def _ask(self, place: Place, work: Work, node: Node) -> None:
         try:
@@ -149,11 +157,12 @@ class Loop:
         is_shared = node.chunk is None and node.line is not None
         if self._are_several and is_shared and answer.status == "ok":
             self._found.put(node.key, Record(b"", answer.data))
+            self._found.trim()
 
     def _open_and_close(self) -> None:
         """Finish studies of which nothing is left, and begin others in their place."""
         self._close()
-        while len(self.works) < MOST_OPEN and (work := self.begin()):
+        while len(self.works) < self.most_open and (work := self.begin()):
             self._are_several |= bool(self.works)
             self.works.append(work)
             self._close()
@@ -188,6 +197,12 @@ class Loop:
 
 
 def run_all(works: Sequence[Work], engine: Engine) -> None:
-    """Compute what some studies lack, whose stores stay open."""
-    waiting = list(works)
-    Loop(engine, lambda: None, lambda: waiting.pop(0) if waiting else None).run()
+    """Compute what some studies lack, all open at once; their stores stay open."""
+    waiting = deque(works)
+    loop = Loop(
+        engine,
+        check=lambda: None,
+        begin=lambda: waiting.popleft() if waiting else None,
+        most_open=len(works),
+    )
+    loop.run()

@@ -7,16 +7,16 @@ import itertools
 import queue
 import threading
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from gaitsweep.pipeline import dispatch, serialize
-from gaitsweep.pipeline.engine import worker_process
-from gaitsweep.pipeline.engine.request import Answer, AtlasAnswer, Request
+from gaitsweep.pipeline.engine import division, worker_process
+from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.engine.worker_main import packed
 from gaitsweep.pipeline.errors import described
-from gaitsweep.pipeline.store.record import Points, Record
 
 MAX_JOBS = 1000  # worker processes on one computer
 #: Requests that wait for a worker, so that none waits while the parent stores results.
@@ -50,17 +50,24 @@ class Place(Protocol):
 
 
 class Inline:
-    """Computes in this thread, when answers are asked for; nothing guards it."""
+    """Computes in this thread, when answers are asked for; nothing guards it.
+
+    Parameters
+    ----------
+    room : int
+        Requests that are taken at a time; those that can be are computed together.
+    """
 
     slots = 1
 
-    def __init__(self) -> None:
+    def __init__(self, room: int = 1) -> None:
+        self.room = room
         self._tickets = itertools.count()
-        self._submitted: deque[tuple[Ticket, Request]] = deque()
+        self._submitted: list[tuple[Ticket, Request]] = []
 
     def has_room(self) -> bool:
-        """Whether nothing is submitted."""
-        return not self._submitted
+        """Whether another request is taken."""
+        return len(self._submitted) < self.room
 
     def submit(self, request: Request) -> Ticket:
         """Note a request."""
@@ -70,29 +77,39 @@ class Inline:
 
     def completed(self, timeout: float) -> Iterator[tuple[Ticket, Answer]]:
         """Compute what was submitted."""
-        while self._submitted:
-            ticket, request = self._submitted.popleft()
-            yield ticket, compute(request)
+        submitted, self._submitted = self._submitted, []
+        together = [pair for pair in submitted if pair[1].together]
+        answers = _computed_together([request for _, request in together])
+        found = dict(zip((ticket for ticket, _ in together), answers, strict=False))
+        for ticket, request in submitted:
+            yield ticket, found.get(ticket) or division.answer(request, compute)
 
 
-def compute(request: Request) -> Answer:
-    """Compute a request in this process; an error of the task is its answer."""
+def compute(request: Request, *_: str) -> tuple[str, Any]:
+    """Compute a request in this process: "ok" and the parts of its answer, or how it
+    ended and a sentence.
+    """
     inputs = [serialize.load(data) for data in request.inputs]
     try:
         returned = dispatch.resolve(request.function)(request.params, inputs)
-        parts = packed(returned, request.params, request.codec)
+        return "ok", packed(returned, request.params, request.codec)
     except Exception as error:
-        reason = f"It raised {described(error)}."
-        if request.codec is None:
-            return Answer("raised", reason)
-        points = len(request.params.get("lines", [None])) * len(request.params["slope"])
-        ending = Points.of_ending(points, "raised", reason, request.params["want"])
-        return Answer(record=request.codec.encode(ending))
-    if request.codec is None:
-        return Answer(data=parts[0])
-    head, payload, *atlases = parts
-    of_lines = [AtlasAnswer(k, "ok", "", atlas) for k, atlas in enumerate(atlases)]
-    return Answer(record=Record(head, payload), atlases=of_lines)
+        return "raised", f"It raised {described(error)}."
+
+
+def _computed_together(requests: list[Request]) -> list[Answer]:
+    """Answers of atlases that are computed by one call; none if it fails: each is tried
+    by itself then.
+    """
+    if len(requests) < 2:
+        return []
+    lines = [request.params["line"] for request in requests]
+    params = {"lines": lines, "slope": np.empty(0), "want": ()}
+    try:
+        results = dispatch.resolve(requests[0].together)(params, [])
+    except Exception:
+        return []
+    return [Answer(data=serialize.dump(dict(atlas))) for atlas, _ in results]
 
 
 class Workers:

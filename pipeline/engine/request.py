@@ -18,6 +18,7 @@ class Request:
     points of one line, unless the points of lines need no atlases, and `most` how many
     points are computed at a time. `seconds` and `memory` [byte] limit one point, or a
     whole task. The process ends after waiting `idle` seconds for another request.
+    `together` names a function that computes such atlases of several lines at once.
     """
 
     function: str
@@ -29,6 +30,7 @@ class Request:
     codec: ChunkCodec | None = None
     alone: tuple[str, str] | None = None
     most: int | None = None
+    together: str = ""
 
     @property
     def time_limit(self) -> float:

@@ -173,7 +173,10 @@ class Work:
         codec, alone, most = None, None, self.most
         if node.chunk:
             codec = ChunkCodec(
-                node.chunk.shape, graph.grid.multipliers, self.plan.study.gaits
+                node.chunk.shape,
+                graph.grid.multipliers,
+                self.plan.study.gaits,
+                is_archived=not graph.in_memory,
             )
             tasks = (graph.layers[name].task for name in ("atlas", "points"))
             atlas, points = (task.function for task in tasks)
@@ -190,7 +193,14 @@ class Work:
             codec=codec,
             alone=alone,
             most=most,
+            together=self._together(node),
         )
+
+    def _together(self, node: Node) -> str:
+        """Function that computes such an atlas beside others."""
+        graph = self.plan.graph
+        is_beside = node.task == "atlas" and graph.method is Method.ALONE
+        return graph.layers["atlas"].task.side_by_side if is_beside else ""
 
     def _inputs(self, node: Node) -> Iterator[bytes]:
         """Packed inputs of a node."""

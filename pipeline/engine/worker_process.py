@@ -7,8 +7,6 @@ responsible.
 """
 
 import contextlib
-import itertools
-import math
 import os
 import platform
 import resource
@@ -17,23 +15,13 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from multiprocessing import Pipe
 from typing import Any
 
-import numpy as np
-
-from gaitsweep.pipeline.engine.request import Answer, AtlasAnswer, Request
+from gaitsweep.pipeline.engine import division
+from gaitsweep.pipeline.engine.division import size_of
+from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import WorkerError
-from gaitsweep.pipeline.grid.grid import Shape
-from gaitsweep.pipeline.statuses import of_atlas
-from gaitsweep.pipeline.store.record import (
-    Points,
-    Record,
-    decode,
-    joined,
-)
-from gaitsweep.pipeline.store.store import MAX_PAYLOAD
 
 _POLL_INTERVAL, _MAX_CHARGED = (
     0.1,
@@ -48,11 +36,6 @@ _THREADS = (
     "BLIS_NUM_THREADS",
 )
 _PROGRAM = "gaitsweep.pipeline.engine.worker_main"
-_PIECES = 16  # parts of a chunk that failed
-_EXTERNAL = (
-    "worker_died",
-    "out_of_memory",
-)  # what may have a cause outside; a second time it has none
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
 # An event has a lock, which a signal handler may find taken by its own thread.
@@ -114,7 +97,7 @@ class WorkerProcess:
         self.used = 0.0, 0.0
         too_much = (
             "out_of_memory",
-            f"It needed more than {_size(request.memory)} of memory.",
+            f"It needed more than {size_of(request.memory)} of memory.",
         )
         try:
             self._connection.send(request)
@@ -172,13 +155,6 @@ def resident(process: int | str) -> int:
             return int(file.read().split()[1]) * resource.getpagesize()
     except (OSError, IndexError):
         return 0
-
-
-def _size(memory: int) -> str:
-    for unit, name in ((1 << 30, "GiB"), (1 << 20, "MiB")):
-        if memory >= unit:
-            return f"{memory / unit:.4g} {name}"
-    return f"{memory} B"
 
 
 def stop() -> None:
@@ -242,150 +218,10 @@ def run(request: Request) -> Answer:
     """
     start = time.perf_counter()
     _local.used = [0.0, 0.0]
-    if request.codec:
-        lines = request.params.get("lines")
-        places = None if lines is None else np.arange(len(lines))
-        record, atlases = _run_part(request, places)
-        answer = Answer(record=record, atlases=atlases)
-    else:
-        answer = _run_task(request)
-
+    answer = division.answer(request, _ask)
     if worker := getattr(_local, "worker", None):
         answer.worker = _member(worker)
     answer.cpu, answer.integrating = _local.used
     answer.seconds = time.perf_counter() - start
     answer.pid = os.getpid()
     return answer
-
-
-def _run_task(request: Request) -> Answer:
-    """Run a task that is no chunk."""
-    status, result = _ask(request, *_EXTERNAL)
-    if status != "ok":
-        return Answer(status, result)
-    (data,) = result
-    if len(data) > MAX_PAYLOAD:
-        size = f"Its result of {_size(len(data))}"
-        return Answer("raised", f"{size} is larger than a journal can hold.")
-    return Answer(data=data)
-
-
-def _run_part(
-    request: Request, places: np.ndarray | None
-) -> tuple[Record, list[AtlasAnswer]]:
-    """Record of the points of a part of a chunk: of its line, or of the lines side by
-    side at some `places` in it.
-
-    If they fail together, they are run in smaller parts, down to the point responsible.
-    """
-    params, slopes, codec = request.params, request.params["slope"], request.codec
-    assert codec
-    lines = 1 if places is None else len(places)
-    has_atlases = places is not None and request.alone is not None
-    is_point = lines * len(slopes) == 1 and not has_atlases
-
-    outcome, parts = "", list[bytes]()
-    if lines * len(slopes) <= (request.most or math.inf):
-        again = ("timed_out", *_EXTERNAL) if is_point else ()
-        outcome, parts = _ask(request, *again)
-    if outcome == "ok":
-        head, payload, *atlases = parts
-        of_lines = [] if places is None else places.tolist()
-        pairs = zip(of_lines, atlases, strict=False)
-        return Record(head, payload), [AtlasAnswer(k, "ok", "", a) for k, a in pairs]
-
-    if is_point:
-        reason = str(parts)
-        return codec.encode(Points.of_ending(1, outcome, reason, params["want"])), []
-    if places is not None and lines == 1 and has_atlases:
-        return _run_alone(request, int(places[0]))
-    if outcome:
-        sizes = _fewer(lines, len(slopes))
-    else:
-        assert request.most
-        sizes = _at_most(request.most, lines, len(slopes), has_atlases)
-    return _run_divided(request, places, sizes)
-
-
-def _run_divided(
-    request: Request, places: np.ndarray | None, sizes: tuple[int, int]
-) -> tuple[Record, list[AtlasAnswer]]:
-    """Record of a part of a chunk that is computed in parts of so many lines and
-    slopes.
-    """
-    params, slopes, codec = request.params, request.params["slope"], request.codec
-    assert codec
-    lines = 1 if places is None else len(places)
-    found, rows = list[Points](), list[np.ndarray]()
-    atlases: list[AtlasAnswer] = []
-    for some, at in itertools.product(
-        _ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])
-    ):
-        part = {**params, "slope": slopes[at]}
-        if places is not None:
-            part["lines"] = [params["lines"][k] for k in some.tolist()]
-        smaller = replace(codec, shape=Shape.of_rows(len(some), len(at)))
-        record, atlases_of_part = _run_part(
-            replace(request, params=part, codec=smaller),
-            None if places is None else places[some],
-        )
-        found.append(decode(record))
-        rows.append((some[:, None] * len(slopes) + at).ravel())
-        atlases += atlases_of_part
-    order = np.argsort(np.concatenate(rows))
-    return codec.encode(joined(found).take(order)), atlases
-
-
-def _fewer(lines: int, slopes: int) -> tuple[int, int]:
-    """Lines and slopes of each smaller part of one that failed: the lines are divided,
-    or the slopes of one.
-    """
-    return (
-        (math.ceil(lines / _PIECES), slopes)
-        if lines > 1
-        else (1, math.ceil(slopes / _PIECES))
-    )
-
-
-def _at_most(most: int, lines: int, slopes: int, has_atlases: bool) -> tuple[int, int]:
-    """Lines and slopes of parts with so many points, or of single lines that have
-    atlases.
-
-    A plane's lines remain side by side, if only at a few slopes: those without charts
-    are followed together, by a worker that remembers their branches for the next
-    slopes.
-    """
-    if most >= slopes or has_atlases:
-        return max(1, most // slopes), slopes
-    together = min(lines, most)
-    return together, most // together
-
-
-def _ranges(n: int, size: int) -> list[np.ndarray]:
-    """Places of n things in parts of a size, the last perhaps smaller."""
-    return [np.arange(k, min(k + size, n)) for k in range(0, n, size)]
-
-
-def _run_alone(request: Request, place: int) -> tuple[Record, list[AtlasAnswer]]:
-    """A line that failed beside others, or whose points are wanted a few at a time: its
-    atlas, then its points.
-    """
-    shared = ("lines", "atlases")
-    params = {k: value for k, value in request.params.items() if k not in shared}
-    (line,) = request.params["lines"]
-    assert request.alone and request.codec
-    atlas, points = request.alone
-    alone = replace(
-        request, function=atlas, params={"line": line, "coarse": True}, codec=None
-    )
-    outcome, result = _ask(alone, *_EXTERNAL)
-    if outcome != "ok":
-        ending = Points.of_ending(
-            len(params["slope"]), outcome, of_atlas(result), params["want"]
-        )
-        return request.codec.encode(ending), [AtlasAnswer(place, outcome, result, b"")]
-    of_points = replace(
-        request, function=points, params={**params, "line": line}, inputs=result
-    )
-    record, _ = _run_part(of_points, None)
-    return record, [AtlasAnswer(place, "ok", "", result[0])]

@@ -79,7 +79,7 @@ class Graph:
     """
 
     def __init__(self, study: Study, in_memory: bool = False):
-        self.study = study
+        self.study, self.in_memory = study, in_memory
         self.grid = Grid(study, in_memory)
         self.variables = variables(study)
         self.method = self.grid.method
@@ -88,6 +88,11 @@ class Graph:
         #: keys of their chunks share. In the order of the grid, chunks of a line may
         #: come after those of all others.
         self.line_keys = functools.lru_cache(1024)(self._line_keys)
+        #: Expected processor time of a task over one line, or over the study; of
+        #: `points`, of one [s].
+        self.seconds = functools.cache(
+            lambda name: costs.seconds(study, name, self.method)
+        )
         # All lines are cut at the same slopes.
         self._slopes_digest = functools.cache(
             lambda *ends: digest(study.slope[slice(*ends)].tobytes())
@@ -198,12 +203,6 @@ class Graph:
         """Number of lines that charts are for."""
         plane = self.study.plane
         return plane.lines_in(charts.box or plane.region) if plane else 0
-
-    def seconds(self, name: str) -> float:
-        """Expected processor time of a task over one line, or over the study; of
-        `points`, of one [s].
-        """
-        return costs.seconds(self.study, name, self.method)
 
     def size(self, node: Node) -> int:
         """What plans and progress count of a node: points of a chunk, lines that charts

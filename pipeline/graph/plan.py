@@ -29,6 +29,8 @@ class Plan:
     check : callable
         Called for each line or chunk, and by who writes an archive of the plan; what it
         raises ends that.
+    in_memory : bool
+        Whether results are kept in memory.
     """
 
     def __init__(
@@ -37,10 +39,11 @@ class Plan:
         store: Store,
         retry: bool = False,
         check: Callable[[], None] = lambda: None,
+        in_memory: bool = False,
     ):
         self.study, self.store = study, store
         self.retry, self.check = retry, check
-        self.graph = Graph(study)
+        self.graph = Graph(study, in_memory)
         self.columns = [GAITS.index(gait) for gait in study.gaits]
         # Boxes of charts, by the keys of these.
         self._boxes: dict[str, dict[str, list[dict[str, Any]]]] = {}

@@ -1,9 +1,8 @@
-"""What is kept in memory, within a bound: records, or results as they are."""
+"""A store in memory."""
 
 import itertools
 from collections import OrderedDict
-from collections.abc import Hashable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.store.record import Record
@@ -11,13 +10,17 @@ from gaitsweep.pipeline.store.store import Store
 
 
 class Memory(Store):
-    """Records in a dictionary; beyond a bound of bytes those least recently used are
-    dropped.
+    """Records in a dictionary.
 
     Parameters
     ----------
     bound : int, optional
-        Without it nothing is dropped.
+        Bytes down to which `trim` drops records.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of all records.
     """
 
     def __init__(self, bound: float = float("inf")):
@@ -50,14 +53,18 @@ class Memory(Store):
     def put(self, key: str, record: Record) -> None:
         """Store a record, instead of an earlier one with its key."""
         if key in self._records:
-            self._drop(key)
+            self.drop(key)
         self._last = next(self._numbers)
         self._records[key] = self._last, record
         self.size += sum(map(len, record))
-        while self.size > self.bound:
-            self._drop(next(iter(self._records)))
 
-    def _drop(self, key: str) -> None:
+    def trim(self) -> None:
+        """Drop records beyond the bound, those that were not used longest first."""
+        while self.size > self.bound:
+            self.drop(next(iter(self._records)))
+
+    def drop(self, key: str) -> None:
+        """Drop a record."""
         _, record = self._records.pop(key)
         self.size -= sum(map(len, record))
 
@@ -79,31 +86,3 @@ class Memory(Store):
     def set_note(self, name: str, text: str) -> None:
         """Keep a note beside the records."""
         self._notes[name] = text
-
-
-class Results:
-    """Results as they are, by their keys, the least recently used dropped beyond a
-    bound of bytes.
-    """
-
-    def __init__(self, bound: int):
-        self.bound = bound
-        self.size = 0
-        self._results: OrderedDict[Hashable, tuple[int, Any]] = OrderedDict()
-
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._results
-
-    def get(self, key: Hashable) -> Any:
-        """A result; None if it is not remembered."""
-        if key not in self._results:
-            return None
-        self._results.move_to_end(key)
-        return self._results[key][1]
-
-    def put(self, key: Hashable, result: Any, size: int) -> None:
-        """Remember a result that is not, of so many bytes."""
-        self._results[key] = size, result
-        self.size += size
-        while self.size > self.bound:
-            self.size -= self._results.popitem(last=False)[1][0]

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import hashlib
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -199,11 +200,14 @@ class ChunkCodec:
         Most of any walker of the study.
     gaits : sequence of str
         Labels that were solved.
+    is_archived : bool
+        Whether values are packed as an archive holds them; else they are as they are.
     """
 
     shape: Shape
     multipliers: int
     gaits: Sequence[str]
+    is_archived: bool = True
 
     def encode(self, points: Points) -> Record:
         """Pack points, without the last gaits that none of them has.
@@ -225,6 +229,7 @@ class ChunkCodec:
             "shape": dataclasses.astuple(self.shape),
             "multipliers": self.multipliers,
             "gaits": list(self.gaits),
+            "is_archived": self.is_archived,
             "names": list(columns),
             "columns": np.array(list(columns.values())),
             "sizes": np.array([len(piece.data) for piece in pieces]),
@@ -239,6 +244,8 @@ class ChunkCodec:
         if has_multipliers(name):
             array = _widened(name, array, (array.shape[1], self.multipliers))
         extent = _extent(name, self.shape, self.multipliers)
+        if not self.is_archived:
+            return [Packed(array[:, gait].tobytes(), 0) for gait in range(columns)]
         values = (self.shape.unfold(array[:, gait]) for gait in range(columns))
         return [pack_values(of_gait, extent) for of_gait in values]
 
@@ -279,6 +286,8 @@ class Head:
     multipliers : int
     gaits : frozenset of str
         Labels that were solved.
+    is_archived : bool
+        Whether values are packed as an archive holds them.
     columns : dict
         Number of gaits of each variable.
     statuses : ndarray of int, shape (n, gaits)
@@ -298,6 +307,7 @@ class Head:
     shape: Shape
     multipliers: int
     gaits: frozenset[str]
+    is_archived: bool
     columns: dict[str, int]
     statuses: np.ndarray
     occurrences: np.ndarray
@@ -334,6 +344,7 @@ class Head:
             Shape.of(*head["shape"]),
             head["multipliers"],
             frozenset(head["gaits"]),
+            head["is_archived"],
             columns,
             head["rows"],
             head["of_row"],
@@ -381,16 +392,20 @@ class Head:
             Line by line.
         """
         extent = _extent(name, self.shape, self.multipliers)
+        points, more = math.prod(self.shape.sizes), extent[len(self.shape.extent) :]
         dtype = _dtype_of(name)
-        columns = []
+        columns: list[np.ndarray] = []
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)
             assert piece
-            columns.append(self.shape.fold(unpack(piece.data, dtype.str, extent)))
+            if self.is_archived:
+                values = self.shape.fold(unpack(piece.data, dtype.str, extent))
+            else:
+                values = np.frombuffer(piece.data, dtype).reshape(points, *more)
+            columns.append(values)
         if columns:
             return np.stack(columns, axis=1)
-        points = int(np.prod(self.shape.sizes))
-        return np.empty((points, 0, *extent[len(self.shape.extent) :]), dtype)
+        return np.empty((points, 0, *more), dtype)
 
 
 def decode(record: Record, names: Iterable[str] | None = None) -> Points:

@@ -14,9 +14,6 @@ from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.statuses import ENDINGS
 from gaitsweep.pipeline.store.record import Head, Points, Record, decode
 
-#: Largest payload [byte]; SQLite has rows of at most 10^9 byte.
-MAX_PAYLOAD = 999_000_000
-
 
 class Outcome(NamedTuple):
     """How a task ended: "ok" or a name of `statuses.ENDINGS`, and the reason."""

@@ -10,7 +10,7 @@ import pytest
 
 from answering import Answering, ok, work_of
 from gaitsweep.pipeline import serialize
-from gaitsweep.pipeline.engine import loop, worker_process
+from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.engine import Engine
 from gaitsweep.pipeline.engine.listener import Listener
 from gaitsweep.pipeline.engine.loop import Loop, run_all
@@ -171,11 +171,10 @@ def test_what_failed_for_one_study_the_other_tries_itself():
     assert found == [5, 6]
 
 
-def test_a_result_is_kept_for_a_study_that_begins_later(monkeypatch):
+def test_a_result_is_kept_for_a_study_that_begins_later():
     """Few studies are open at a time: an atlas that the first has made is not made
     again.
     """
-    monkeypatch.setattr(loop, "MOST_OPEN", 2)
     place, opened = Answering(ok), []
     waiting = [work_of(LINES.format(n)) for n in range(6)]
 
@@ -183,7 +182,7 @@ def test_a_result_is_kept_for_a_study_that_begins_later(monkeypatch):
         opened.append(sum(not work.is_over for work in running.works))
         return waiting.pop() if waiting else None
 
-    running = Loop(place, lambda: None, begin)
+    running = Loop(place, lambda: None, begin, most_open=2)
     running.run()
 
     assert len(asked(place)) == len(set(asked(place))) == 6 and max(opened) < 2

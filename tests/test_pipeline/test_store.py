@@ -183,12 +183,15 @@ class TestMemory(StoreTests):
         store.get("a")
 
         store.put("c", record(2))
+        assert "b" in store and store.size > store.bound
+        store.trim()
 
         assert "a" in store and "c" in store and "b" not in store
         assert store.size == store.bound
         store.put("c", record(3))
         assert store.size == store.bound and store.get("c") == record(3)
         store.put("d", record(4, 5000))  # larger than the bound
+        store.trim()
         assert store.size == 0 and "d" not in store
 
 
@@ -555,6 +558,21 @@ def test_a_record_gives_back_what_went_in(name):
         np.ascontiguousarray(laid_out).tobytes()
     )
     assert contents.piece(memoryview(packed.payload), "stance_angle", 2) is None
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_values_that_are_not_packed_are_those_that_are(name):
+    shape = SHAPES[name]
+    slopes = shape.sizes[shape.slope]
+    own, _ = points(int(np.prod(shape.sizes)) // slopes, slopes)
+    packed, plain = (
+        decode(ChunkCodec(shape, 4, ["long"], is_archived).encode(own))
+        for is_archived in (True, False)
+    )
+    assert packed.sentences == plain.sentences
+    for variable, values in packed.values.items():
+        np.testing.assert_array_equal(plain.values[variable], values)
+        assert plain.values[variable].dtype == values.dtype
 
 
 def test_points_lie_in_the_grid_as_their_lines_and_slopes_say():
