@@ -1,9 +1,8 @@
 """Gaits of arrays of walkers and slopes, in memory: studies without files, computed in
-this process.
+this process by the loop of a run.
 """
 
-import functools
-from collections.abc import Generator, Hashable, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +13,13 @@ import xarray as xr
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.archive import attributes, parameters
 from gaitsweep.pipeline.archive.written import Sentences
-from gaitsweep.pipeline.errors import StudyError, described
-from gaitsweep.pipeline.graph.graph import Graph, Node, boxes
+from gaitsweep.pipeline.engine.engine import InProcess
+from gaitsweep.pipeline.engine.loop import run_all
+from gaitsweep.pipeline.engine.work import Work
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.grid.choose_method import method_of
+from gaitsweep.pipeline.grid.grid import Chunk
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory
@@ -25,7 +28,7 @@ from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
 from gaitsweep.pipeline.study.model import Axis, Definition, Study
 from gaitsweep.tasks.accuracy import always
-from gaitsweep.tasks.registry import GAITS, TASKS, VARIABLES
+from gaitsweep.tasks.registry import GAITS, VARIABLES
 
 #: Atlases, charts and points of short lines kept for later calls [byte]: other points
 #: are cheaper to compute again.
@@ -55,20 +58,11 @@ class _Line:
         self.slopes, self.row = np.unique(slope[at], return_inverse=True)
         self._base = base
 
-    @functools.cached_property
-    def graph(self) -> Graph:
-        """The graph of a study of this line alone."""
+    @property
+    def study(self) -> Study:
+        """A study of this line alone."""
         keys = {key: np.array([value]) for key, value in self.line["set"].items()}
-        return Graph(_over(self._base, self.slopes, keys, self.check), in_memory=True)
-
-    @functools.cached_property
-    def node(self) -> Node:
-        """The points of that study."""
-        return self.graph.chunk_node(self.graph.grid.chunk(0))
-
-
-class _RaisedError(Exception):
-    """The sentence of points that a task, or one that they need, has raised."""
+        return _over(self._base, self.slopes, keys, self.check)
 
 
 def _over(
@@ -271,18 +265,12 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
     left = yield from _solve_plane(base, lines)
     while left:
         block = left[:_BLOCK]
-        del left[:_BLOCK]  # with their graphs
-        _survey(block)
-        for one in block:
-            try:
-                points = _result(one.graph, one.node)
-            except (
-                _RaisedError
-            ) as reason:  # as in a run, this is the status of its points
-                points = Points.of_ending(
-                    one.node.points, "raised", str(reason), one.graph.variables
-                )
-            yield one.at, points.take(one.row)
+        del left[:_BLOCK]
+        plans = [_plan(one.study) for one in block]
+        _compute(plans)
+        for one, plan in zip(block, plans, strict=True):
+            yield one.at, _points(plan, plan.graph.grid.chunk(0)).take(one.row)
+        _REMEMBERED.trim()
 
 
 def _solve_plane(
@@ -306,97 +294,46 @@ def _solve_plane(
     study = _over(base, lines[0].slopes, keys, lines[by_number[-1]].check)
     if method_of(study) is not Method.PLANE:
         return lines
-    graph, left = Graph(study, in_memory=True), []
-    for k in range(graph.grid.chunks):
-        chunk = graph.grid.chunk(k)
+    plan = _plan(study)
+    _compute([plan])
+    for k in range(plan.graph.grid.chunks):
+        chunk = plan.graph.grid.chunk(k)
         own = [lines[number] for number in by_number[chunk.numbers].tolist()]
-        try:
-            points = _result(graph, graph.chunk_node(chunk))
-        except (
-            _RaisedError
-        ):  # as in a run, the lines of a chunk that fails are tried one by one
-            left += own
-            continue
         rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
-        yield np.concatenate([one.at for one in own]), points.take(np.concatenate(rows))
-    return left
+        at = np.concatenate([one.at for one in own])
+        yield at, _points(plan, chunk).take(np.concatenate(rows))
+    _REMEMBERED.trim()
+    return []
 
 
-def _result(graph: Graph, node: Node) -> Any:
-    """Result of a node, unless it is remembered, after those of the nodes that it
-    needs.
-
-    Raises
-    ------
-    _RaisedError
-        If its task, or one of theirs, raises.
-    """
-    key = _key(graph, node)
-    if (result := _REMEMBERED.get(key)) is not None:
-        return result
-    line = int(node.chunk.numbers[0]) if node.chunk else node.line or 0
-    names = (
-        [name for name, own in graph.line_keys(line).items() if own.key in node.needs]
-        if node.needs
-        else []
-    )
-    inputs = [_result(graph, graph.node(name, line)) for name in names]
-    for made in (
-        graph.charts_of(node.chunk, lambda _: boxes(inputs[-1], "halves"))
-        if node.chunk
-        else ()
-    ):
-        try:
-            inputs.append(_result(graph, made))
-        except _RaisedError:  # as in a run, a chunk does without charts that failed
-            inputs.append({})
-    try:
-        function, params = dispatch.resolve(graph.function(node)), graph.params(node)
-        result = function(params, inputs)
-        result = Points.of_task(result, params) if node.chunk else result
-    except Exception as error:
-        reason = f"It raised {described(error)}."
-        raise _RaisedError(reason if node.chunk else of_atlas(reason)) from error
-    if node.chunk is None or graph.method is Method.ALONE:
-        _remember(key, result)
-    return result
+def _plan(study: Study) -> Plan:
+    """Plan of a study in memory; what failed is tried again."""
+    return Plan(study, _REMEMBERED, retry=True, in_memory=True)
 
 
-def _key(graph: Graph, node: Node) -> Hashable:
-    """What a result is remembered by: points of other variables are others."""
-    return (node.key.key, graph.variables) if node.chunk else node.key.key
+def _compute(plans: list[Plan]) -> None:
+    """Compute what some studies lack."""
+    works = [Work(plan) for plan in plans]
+    run_all(works, InProcess(_BLOCK))
+    for work in works:
+        if work.error:
+            raise work.error
 
 
-def _remember(key: Hashable, result: Points | Arrays) -> None:
-    arrays = result.values if isinstance(result, Points) else result
-    _REMEMBERED.put(
-        key, result, sum(np.asarray(array).nbytes for array in arrays.values())
-    )
-
-
-def _survey(lines: list[_Line]) -> None:
-    """Find the branches of short lines that are not remembered, side by side, and
-    remember them.
-    """
-    alone = (one for one in lines if one.graph.method is Method.ALONE)
-    unknown = [
-        one
-        for one in alone
-        if not any(
-            key in _REMEMBERED for key in (_key(one.graph, one.node), *one.node.needs)
-        )
-    ]
-    if len(unknown) < 2:
-        return
-    params = {"lines": [one.line for one in unknown], "slope": np.empty(0), "want": ()}
-    try:
-        results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
-    except (
-        Exception
-    ):  # each is tried alone, and its own error becomes its points' reason
-        return
-    for one, (atlas, _) in zip(unknown, results, strict=True):
-        _remember(one.node.needs[0], dict(atlas))
+def _points(plan: Plan, chunk: Chunk) -> Points:
+    """Points of a chunk that was computed; of one whose atlas failed, why."""
+    store, graph = plan.store, plan.graph
+    key = graph.chunk_key(chunk)
+    if key not in store:
+        atlas = plan.outcome_of_line(int(chunk.numbers[0]))
+        assert atlas
+        reason = of_atlas(atlas.reason)
+        return Points.of_ending(chunk.points, atlas.status, reason, graph.variables)
+    points = store.points(key, graph.variables)
+    if graph.method is not Method.ALONE:
+        # They are cheaper to compute again than to keep.
+        _REMEMBERED.drop(key)
+    return points
 
 
 def _dataset(

@@ -17,7 +17,7 @@ from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.engine import runner
-from gaitsweep.pipeline.engine.executors import MAX_JOBS
+from gaitsweep.pipeline.engine.places import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.study import (
     broadcast,

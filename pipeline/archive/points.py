@@ -32,7 +32,13 @@ from gaitsweep.pipeline.statuses import (
     of_atlas,
 )
 from gaitsweep.pipeline.store.packing import Packed, pack_values
-from gaitsweep.pipeline.store.record import Head, Packing, Points, has_multipliers, pack
+from gaitsweep.pipeline.store.record import (
+    ChunkCodec,
+    Head,
+    Points,
+    Record,
+    has_multipliers,
+)
 from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.registry import GAITS, VARIABLES, Variable
 
@@ -81,7 +87,7 @@ class PointWriter:
         head = (
             self.plan.store.chunk(key)
             if key in self.plan.store
-            else Head(self._record(chunk, key)[0])
+            else Head.parse(self._record(chunk, key).head)
         )
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         self.written.counts += count(rows, STATUS_NAMES)
@@ -108,7 +114,7 @@ class PointWriter:
             own = rows[reasons == number]
             yield points.sentences[int(number)], len(own), int(own[0])
 
-    def _record(self, chunk: Chunk, key: str) -> tuple[bytes, bytes]:
+    def _record(self, chunk: Chunk, key: str) -> Record:
         """Record of a chunk; of one that is not stored, why it is not."""
         if key in self.plan.store:
             return self.plan.store.get(key)
@@ -121,13 +127,12 @@ class PointWriter:
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
 
-    def _pack_ending(
-        self, shape: Shape, ending: str, reason: str
-    ) -> tuple[bytes, bytes]:
-        points = Points.of_ending(
-            math.prod(shape.sizes), ending, reason, self.plan.graph.variables
+    def _pack_ending(self, shape: Shape, ending: str, reason: str) -> Record:
+        codec = ChunkCodec(shape, self.grid.multipliers, self.study.gaits)
+        variables = self.plan.graph.variables
+        return codec.encode(
+            Points.of_ending(math.prod(shape.sizes), ending, reason, variables)
         )
-        return pack(points, Packing(shape, self.grid.multipliers, self.study.gaits))
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
@@ -163,9 +168,10 @@ class PointWriter:
         with direct_chunks(draft) as write:
             for chunk, key in self._chunks():
                 start = tuple(span.start for span in chunk.spans.values())
-                data, payload = self._record(chunk, key)
+                record = self._record(chunk, key)
                 with self.plan.store.reading():
-                    pieces = self._pieces(chunk.shape, Head(data), memoryview(payload))
+                    head, payload = Head.parse(record.head), memoryview(record.payload)
+                    pieces = self._pieces(chunk.shape, head, payload)
                 for (name, g), piece in pieces.items():
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
                     write(name, corner, piece.data)

@@ -92,7 +92,7 @@ def _charts(plan: Plan) -> Iterable[str]:
     """Keys of all charts: a million lines of a plane share them."""
     chunks = map(plan.graph.grid.chunk, range(plan.graph.grid.chunks))
     return dict.fromkeys(
-        charts.key.key for chunk in chunks for charts in plan.charts_of(chunk)
+        charts.key for chunk in chunks for charts in plan.charts_of(chunk)
     )
 
 
@@ -103,7 +103,7 @@ def _task_runs(
     order of the grid.
     """
     if not per_line:
-        yield {}, plan.graph.study_keys[name].key, np.zeros(0, int)
+        yield {}, plan.graph.study_keys[name], np.zeros(0, int)
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
@@ -111,7 +111,7 @@ def _task_runs(
             "walker": plan.study.name_of(int(numbers[0])),
             **plan.study.batch_line(i)["set"],
         }
-        yield coordinates, plan.graph.line_keys(i)[name].key, numbers
+        yield coordinates, plan.graph.line_keys(i)[name], numbers
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:

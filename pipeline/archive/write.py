@@ -44,7 +44,7 @@ from gaitsweep.pipeline.errors import (
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.record import sentence_number
-from gaitsweep.pipeline.store.store import Key, Outcome
+from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import corners
 from gaitsweep.tasks.registry import VARIABLES
 
@@ -309,13 +309,13 @@ class _LineWriter:
             if ALL_STATUSES[status] not in ANSWERS:
                 self.written.add_failure(reason, 1, line_description(plan.study, i))
 
-    def _outcome(self, keys: dict[str, Key]) -> tuple[str, str]:
+    def _outcome(self, keys: dict[str, str]) -> tuple[str, str]:
         # Of a study whose own result is known, the atlas may be lost, or never have
         # been needed.
-        is_known = keys[self.study.kind].key in self.plan.store
+        is_known = keys[self.study.kind] in self.plan.store
         for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
             outcome = (
-                self.plan.store.outcome(keys[name].key)
+                self.plan.store.outcome(keys[name])
                 if name in keys
                 else Outcome("ok", "")
             )
@@ -325,7 +325,7 @@ class _LineWriter:
                 return outcome.status, of_atlas(
                     outcome.reason
                 ) if name == "atlas" else outcome.reason
-        result = self.plan.store.result(keys[self.study.kind].key)
+        result = self.plan.store.result(keys[self.study.kind])
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):
                 return "no_gait", str(reason)

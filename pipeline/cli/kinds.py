@@ -24,7 +24,7 @@ def count(text: str, most: int = 10**9) -> int:
 
 def jobs(text: str) -> int:
     """A number of processes on one computer."""
-    from gaitsweep.pipeline.engine.executors import MAX_JOBS
+    from gaitsweep.pipeline.engine.places import MAX_JOBS
 
     return count(text, MAX_JOBS)
 

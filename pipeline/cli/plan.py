@@ -11,7 +11,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import corners
 from gaitsweep.pipeline.terminal import counted, duration
 from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     """Print the plan of every study."""
     records, described = [], list[str]()
     for study, path in studies.archives(options):
-        store = Store(paths.sidecar_path(path, ".journal"), write=False)
+        store = Journal(paths.sidecar_path(path, ".journal"), write=False)
         planned = Plan(study, store, options.retry_failed)
         counts = summary(planned)
         records.append(_record(planned, counts, path))

@@ -3,7 +3,8 @@
 import resource
 import time
 from dataclasses import dataclass, field
-from typing import Any
+
+from gaitsweep.pipeline.engine.request import Answer
 
 
 @dataclass
@@ -27,12 +28,12 @@ class Account:
     integrating: float = 0.0
     memory: int = 0
 
-    def add(self, result: dict[str, Any]) -> None:
-        """Add the result of a job."""
-        self.occupied += result["seconds"]
-        self.cpu += result.get("cpu", 0.0)
-        self.integrating += result.get("integrating", 0.0)
-        self.memory = max(self.memory, (result.get("worker") or {}).get("memory", 0))
+    def add(self, answer: Answer) -> None:
+        """Add the answer for a job."""
+        self.occupied += answer.seconds
+        self.cpu += answer.cpu
+        self.integrating += answer.integrating
+        self.memory = max(self.memory, answer.worker.get("memory", 0))
 
     def record(self, whole: "Account", jobs: int) -> dict[str, float]:
         """Account of a study, and of the command until now.

@@ -1,18 +1,23 @@
 """Running jobs on a Dask cluster (extra `cluster`)."""
 
 import contextlib
+import itertools
 import logging
+import platform
 import re
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent import futures
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from gaitsweep.pipeline.archive.provenance import software
+from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import (
     StudyError,
     WorkerError,
@@ -27,6 +32,9 @@ RECOUNT = 5.0
 PATIENCE = 300.0
 _Result = TypeVar("_Result")
 _LOOK = 0.1  # interval of looking for a signal [s]
+# A worker process on a cluster ends after waiting this long [s]: it cannot see the end
+# of a run.
+_IDLE_TIMEOUT = 2.0
 # Time to find the scheduler and a first worker, and for which workers may take to load
 # gaitsweep [s].
 _TIMEOUT = 20
@@ -247,41 +255,88 @@ class Team:
             self._tried.add(address)
 
 
-def results(
-    team: Team, run: Callable[..., _Result], take: Callable[[], tuple[Any, ...] | None]
-) -> Generator[_Result | str, None, None]:
-    """Run jobs on the cluster and yield their results as they arrive; each worker has a
-    second one waiting.
-
-    Sentences come between them, for who waits.
+class Cluster:
+    """The guards of worker processes on the nodes of a cluster; each has a second
+    request waiting.
 
     Parameters
     ----------
     team : Team
+    say : callable
+        Receives sentences for who waits.
     run : callable
-        Called with the arguments of each job.
-    take : callable
-        Returns the arguments of the next job, None if none is ready.
+        Called with each request, on a node.
     """
-    import distributed
 
-    pending = distributed.as_completed(loop=team.client.loop, with_results=True)
-    while True:
-        if sentence := team.count():
-            yield sentence
-        # Jobs of workers that leave stay.
-        while pending.count() < 2 * team.slots and (job := take()):
-            pending.add(team.client.submit(run, *job, pure=False))
-        if not pending.count():
-            return
+    def __init__(
+        self,
+        team: Team,
+        say: Callable[[str], None] = lambda sentence: None,
+        run: Callable[[dict[str, str], Any], Any] | None = None,
+    ):
+        import distributed
 
-        with pending.thread_condition:
-            if not pending.has_ready():
-                pending.thread_condition.wait(_LOOK)
-        team.check()
-        for future, result in pending.next_batch(block=False):
+        self.team, self._say, self._run = team, say, run or _run_here
+        self._tickets = itertools.count()
+        self._by_future: dict[str, int] = {}
+        self._pending = distributed.as_completed(
+            loop=team.client.loop, with_results=True
+        )
+
+    @property
+    def slots(self) -> int:
+        """Jobs that the cluster runs at once."""
+        return self.team.slots
+
+    def has_room(self) -> bool:
+        """Whether a worker would wait for its second request; jobs of workers that
+        leave stay.
+        """
+        if sentence := self.team.count():
+            self._say(sentence)
+        return bool(self._pending.count() < 2 * self.team.slots)
+
+    def submit(self, request: Any) -> int:
+        """Send a request to the cluster."""
+        ticket = next(self._tickets)
+        future = self.team.client.submit(self._run, software(), request, pure=False)
+        self._by_future[future.key] = ticket
+        self._pending.add(future)
+        return ticket
+
+    def completed(self, timeout: float) -> Iterator[tuple[int, Any]]:
+        """Answers that have come.
+
+        Raises
+        ------
+        ConnectionError
+            If the cluster has lost a job.
+        """
+        with self._pending.thread_condition:
+            if not self._pending.has_ready():
+                self._pending.thread_condition.wait(timeout)
+        self.team.check()
+        for future, answer in self._pending.next_batch(block=False):
             if future.status == "error":
-                raise result[1]
+                raise answer[1]
             if future.status != "finished":
                 raise ConnectionError("the cluster lost a job")
-            yield result
+            yield self._by_future.pop(future.key), answer
+
+
+def _run_here(software_of_run: dict[str, str], request: Request) -> Answer:
+    """Run a request on a cluster node; numbers of other software must not be archived
+    as the run's own.
+
+    Raises
+    ------
+    WorkerError
+        If the node has other versions than the run.
+    """
+    for name, version in software().items():
+        if version != (wanted := software_of_run.get(name)):
+            raise WorkerError(
+                f"The cluster's worker on {platform.node()} has {name} {version};"
+                f" the run has {wanted}."
+            )
+    return worker_process.run(replace(request, idle=_IDLE_TIMEOUT))

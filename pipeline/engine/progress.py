@@ -9,22 +9,19 @@ import json
 import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.engine import worker_process
-from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.engine import Engine
+from gaitsweep.pipeline.engine.listener import Finished, Listener
 from gaitsweep.pipeline.errors import unread
+from gaitsweep.pipeline.graph.graph import Node
 from gaitsweep.pipeline.graph.plan import Plan, Summary
-from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import ANSWERS
-from gaitsweep.pipeline.study.model import Study
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
@@ -35,9 +32,9 @@ _LOG, _SLOW, _FAST = (
 )  # intervals of states in the log, of lines without a terminal, and with one [s]
 
 
-class Progress:
-    """Counts events of one study, writes them to `FILE.events.jsonl` and, unless
-    `quiet`, shows some on stderr.
+class Progress(Listener):
+    """Counts the nodes of one study, writes what becomes of them to `FILE.events.jsonl`
+    and, unless `quiet`, shows some on stderr.
     """
 
     def __init__(
@@ -55,33 +52,19 @@ class Progress:
         self.costs = {
             name: plan.graph.seconds(name) for name, n in self.todo.items() if n
         }
-        self.lines_alone: _LinesAlone | None = None
-        if plan.graph.method is Method.PLANE and plan.study.plane:
-            self.lines_alone = _LinesAlone(plan.study, plan.study.plane.lines // 2)
-        self.total, self.cached = (
-            plan.study.points if "points" in self.todo else 0,
-            todo.cached.get("points", 0),
-        )
-        self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
+        self.total = plan.study.points if "points" in self.todo else 0
+        self.cached = todo.cached.get("points", 0)
+        self.remote_workers: dict[tuple[str, int], tuple[float, Mapping[str, Any]]] = {}
         self.done: Counter[str] = Counter()
-        self.seconds: Counter[str] = Counter()
+        self.seconds: dict[str, float] = defaultdict(float)
         self.counts: Counter[str] = Counter()
-        self.measured: dict[
-            int, np.ndarray
-        ] = {}  # points and seconds by the first slope of their chunks
         self.file = open(log, "a", encoding="utf-8")  # noqa: SIM115 - open as long as the run
         self.lock = threading.Lock()
 
     def begin(self) -> None:
         """Write the first events."""
-        self(
-            "begin",
-            {
-                "study": self.plan.study.name,
-                "points": self.total,
-                "cached": self.cached,
-            },
-        )
+        study = {"study": self.plan.study.name}
+        self._tell("begin", {**study, "points": self.total, "cached": self.cached})
         self.log_state()
 
     def close(self, is_over: bool) -> None:
@@ -96,40 +79,49 @@ class Progress:
         """Write the state to the event log."""
         self._log("state", self.state())
 
-    def __call__(self, event: str, details: dict[str, Any]) -> None:
-        """Record an event."""
-        worker = details.pop("worker", None)
-        if worker and self.engine.address:
-            self.remote_workers[worker["host"], worker["pid"]] = (
-                time.monotonic(),
-                worker,
+    def finished(self, done: Finished) -> None:
+        """Count a node whose result is stored."""
+        node = done.node
+        if done.worker and self.engine.address:
+            member = done.worker["host"], done.worker["pid"]
+            self.remote_workers[member] = time.monotonic(), done.worker
+        self.done[node.task] += done.size
+        self.done["atlas"] += node.lines
+        self.seconds[node.task] += done.seconds
+        self.counts.update(done.counts)
+        self._lose(done.lost, done.status)
+
+        said: dict[str, Any] = {
+            "task": node.task,
+            "line": node.line,
+            "seconds": done.seconds,
+        }
+        if node.chunk:
+            said["line"] = int(node.chunk.numbers[0])
+            more: dict[str, Any] = {"lines": node.lines, "points": node.points}
+            self._tell(
+                "chunk", {**said, "pid": done.pid, **more, "counts": done.counts}
             )
-        if event in ("chunk", "task") and "seconds" in details:
-            n = details.get("points", details.get("charted", 1))
-            self.done[details["task"]] += n
-            self.seconds[details["task"]] += details["seconds"]
-            if self.lines_alone:
-                self.lines_alone.add(details)
-            if event == "chunk":
-                self.done["atlas"] += details.get("alone", details.get("lines", 0))
-                place = details.pop("place")
-                self.measured[place] = self.measured.get(place, np.zeros(2)) + np.array(
-                    [n, details["seconds"]]
-                )
-            self.counts.update(details.get("counts", {}))
-            if details.get("lost"):
-                self.done["points"] += details["lost"]
-                self.counts[details["outcome"]] += details["lost"]
-        self._log(event, details)
-        if event == "engine":
-            self.say(f"engine: {', '.join(details.values())}")
-        elif self.verbose:
-            shown = (
-                f"{key} {_format(value)}"
-                for key, value in details.items()
-                if value not in ("", 0, None)
-            )
-            self.say(f"{event}: " + ", ".join(shown))
+            return
+        more = {"outcome": done.status, "reason": done.reason, "lost": done.lost}
+        if node.task == "charts":
+            more["charted"] = done.size
+        self._tell("task", {**said, "pid": done.pid, **more})
+
+    def dropped(self, node: Node, points: int, status: str) -> None:
+        """Count a node that is not computed."""
+        self._lose(points, status)
+        self._tell("task", {"task": node.task, "outcome": status, "lost": points})
+
+    def said(self, kind: str, sentence: str) -> None:
+        """Show what concerns the workers."""
+        self._log("engine", {kind: sentence})
+        self.say(f"engine: {sentence}")
+
+    def _lose(self, points: int, status: str) -> None:
+        if points:
+            self.done["points"] += points
+            self.counts[status] += points
 
     def say(self, text: str) -> None:
         """Print a line on stderr."""
@@ -141,6 +133,7 @@ class Progress:
         memory [byte] and workers.
         """
         elapsed, stages = time.monotonic() - self.start, self._stages()
+        eta = sum(stage["eta"] for stage in stages.values())
         # On a cluster, those that answered in the last minute.
         remote = [
             worker
@@ -157,126 +150,48 @@ class Progress:
             "counts": dict(self.counts),
             "stages": stages,
             "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
-            "eta": round(sum(stage["eta"] for stage in stages.values()), 1),
+            "eta": round(eta, 1),
             # Nothing is measured yet, and the plan's estimate has passed.
-            "overdue": not any(self.done.values())
-            and elapsed > sum(stage["eta"] for stage in stages.values()) > 0,
+            "overdue": not any(self.done.values()) and elapsed > eta > 0,
             "memory": worker_process.resident("self"),
             "workers": worker_process.members() or remote,
         }
 
     def _stages(self) -> dict[str, dict[str, float]]:
-        """Progress of each task, and its remaining time on all workers [s]."""
+        """Progress of each task, and its remaining time on all workers [s]: what is
+        left takes as long as what was measured, before that as was planned.
+
+        Nodes sample a study evenly. Of charts, of which the first may be unlike the
+        others, half count as measured at their planned cost.
+        """
         stages = {}
         for name, cost in self.costs.items():
             done, todo = self.done[name], self.todo[name]
-            if self.lines_alone and name == "atlas":
-                todo = self.lines_alone.expected(todo)
-            if self.lines_alone and name in ("points", "atlas"):
-                mean_seconds = self.lines_alone.seconds(name)
-            elif name == "points" and self.measured:
-                mean_seconds = self._seconds_of_a_point()
-            else:
-                # How many count as measured at their planned cost: the first charts may
-                # be unlike the others.
-                expected = (
-                    self.lines_alone.half
-                    if self.lines_alone and name == "charts"
-                    else int(not done)
-                )
-                mean_seconds = (self.seconds[name] + expected * cost) / (
-                    done + expected
-                )
-            seconds_left = mean_seconds * max(0, todo - done)
-            stages[name] = {
-                "done": round(done),
-                "todo": todo,
-                "eta": round(seconds_left / self.engine.jobs, 1),
-            }
+            planned = todo / 2 if name == "charts" else int(not done)
+            mean = (self.seconds[name] + planned * cost) / (done + planned)
+            left = mean * max(0, todo - done) / self.engine.jobs
+            stages[name] = {"done": round(done), "todo": todo, "eta": round(left, 1)}
         return stages
 
-    def _seconds_of_a_point(self) -> float:
-        """Mean time of the points that are left [s]; near slopes where none was
-        measured, as at those beside them.
-        """
-        grid, slopes = self.plan.graph.grid, len(self.plan.study.slope)
-        starts = np.arange(0, slopes, grid.extent[list(grid.sizes).index("slope")])
-        places = sorted(self.measured)
-        points, seconds = np.array([self.measured[k] for k in places]).T
-        left = np.diff(starts, append=slopes) * self.plan.study.lines
-        left[np.isin(starts, places)] -= points.astype(int)
-        weights = np.maximum(left, 0) if (left > 0).any() else np.ones(len(starts))
-        # By its logarithm: a peak is narrow, and towards vanishing slopes times grow by
-        # powers.
-        time_of_each = np.exp(
-            np.interp(starts, places, np.log(np.maximum(seconds, 1e-9) / points))
-        )
-        return float(np.average(time_of_each, weights=weights))
+    def _tell(self, event: str, details: dict[str, Any]) -> None:
+        """Log an event, and show it if all are to be shown."""
+        self._log(event, details)
+        if self.verbose:
+            shown = (
+                f"{key} {_format(value)}"
+                for key, value in details.items()
+                if value not in ("", 0, None)
+            )
+            self.say(f"{event}: " + ", ".join(shown))
 
     def _log(self, event: str, details: dict[str, Any]) -> None:
+        entry = {"time": round(time.time(), 3), "event": event, **details}
         # On a full disk the run goes on as long as its results find room.
         with self.lock, contextlib.suppress(OSError):
             if self.file.closed:
                 return
-            self.file.write(
-                json.dumps({"time": round(time.time(), 3), "event": event, **details})
-                + "\n"
-            )
+            self.file.write(json.dumps(entry) + "\n")
             self.file.flush()
-
-
-class _LinesAlone:
-    """What is known of the lines that charts leave alone: how many they are, and their
-    time beside that of points.
-
-    Parameters
-    ----------
-    study : Study
-    half : int
-        Lines that count as seen, a usual share of them alone.
-    """
-
-    def __init__(self, study: Study, half: int):
-        self.half = half
-        self.charted, self.computed = (
-            np.zeros(2),
-            np.zeros(2),
-        )  # lines, and how many of them are alone
-        # Least squares over chunks for the times of a point and of a line alone, which
-        # begin with one of each.
-        planned = np.array(
-            [costs.of_point(study, Method.PLANE), costs.of_line_alone(study)]
-        )
-        self.usual = costs.seconds(study, "atlas", Method.PLANE) / planned[1]
-        weights = np.array([float(len(study.slope)), 1.0]) ** 2
-        self.least, self.matrix, self.moment = (
-            planned / 4,
-            np.diag(weights),
-            weights * planned,
-        )
-
-    def add(self, event: dict[str, Any]) -> None:
-        """Add the event of a chunk, or of charts."""
-        if "charted" in event:
-            self.charted += event["charted"], event["alone"]
-        elif "alone" in event:
-            self.computed += event["lines"], event["alone"]
-            of_each = np.array([event["points"], event["alone"]])
-            self.matrix += np.outer(of_each, of_each)
-            self.moment += of_each * event["seconds"]
-
-    def expected(self, lines: int) -> int:
-        """About how many of some lines are alone."""
-        seen, alone = np.maximum(self.charted, self.computed)
-        share = (self.usual * self.half + alone) / (self.half + seen)
-        return min(lines, round(float(alone + share * max(0.0, lines - seen))))
-
-    def seconds(self, name: str) -> float:
-        """Mean time of a point, or of a line alone [s]."""
-        points, lines = np.maximum(
-            np.linalg.solve(self.matrix, self.moment), self.least
-        ).tolist()
-        return float(lines if name == "atlas" else points)
 
 
 class Display:

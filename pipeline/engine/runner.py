@@ -22,12 +22,13 @@ from gaitsweep.pipeline.archive.provenance import (
     version,
 )
 from gaitsweep.pipeline.engine import worker_process
-from gaitsweep.pipeline.engine.executors import Engine
-from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine.engine import Engine
+from gaitsweep.pipeline.engine.listener import Finished, Listener
 from gaitsweep.pipeline.engine.locks import lock_archive
+from gaitsweep.pipeline.engine.loop import Loop
 from gaitsweep.pipeline.engine.progress import Display, Progress
-from gaitsweep.pipeline.engine.scheduler import Scheduler
 from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.engine.work import Work
 from gaitsweep.pipeline.errors import (
     ArchiveError,
     DiskFullError,
@@ -40,7 +41,7 @@ from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
@@ -122,7 +123,7 @@ def run(
 def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
     """Run what the studies lack, each opened when there is room for its jobs."""
     engine = Engine(options.jobs, options.cluster, signals.check)
-    waiting, by_jobs = deque(studies), dict[Jobs, StudyRun]()
+    waiting, by_work = deque(studies), dict[Work, StudyRun]()
     points = [
         study.study.points if study.study.kind == "grid" else 0 for study in studies
     ]
@@ -130,28 +131,28 @@ def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
         stack.callback(worker_process.close_all)
         display = stack.enter_context(Display(points, options.quiet))
 
-        def begin() -> Jobs | None:
+        def begin() -> Work | None:
             while waiting:
                 study = waiting.popleft()
-                jobs = study.begin(engine, signals)
-                if jobs and study.progress:
-                    by_jobs[jobs] = study
+                work = study.begin(engine, signals)
+                if work and study.progress:
+                    by_work[work] = study
                     display.begin(study.progress)
-                    return jobs
+                    return work
                 if not study.is_over:  # its journal is repaired
                     waiting.append(study)
             return None
 
-        def finish(jobs: Jobs) -> None:
-            study = by_jobs.pop(jobs)
+        def finish(work: Work) -> None:
+            study = by_work.pop(work)
             progress = study.progress
-            study.finish(jobs, signals)
+            study.finish(work, engine, signals)
             if progress:
                 display.end(progress, study.is_over)
             if not study.is_over:
                 waiting.append(study)
 
-        Scheduler([], engine, signals, finish, begin).run()
+        Loop(engine, signals.check, begin, finish).run()
 
 
 def _check_room(study: Study, path: Path) -> None:
@@ -204,7 +205,7 @@ class StudyRun:
         self.is_open, self.is_over = False, False
         self.code, self.counts = 1, Counter[str]()
         self.progress: Progress | None = None
-        self._store: Store | None = None
+        self._store: Journal | None = None
         self._resources = contextlib.ExitStack()
         self._repairs, self._clock = 0, 0.0
         self._record: dict[str, Any] = {
@@ -237,9 +238,8 @@ class StudyRun:
         if self.options.fresh:
             forget(sidecar_path(self.path, ".journal"))
 
-    def begin(self, engine: Engine, signals: Signals) -> Jobs | None:
-        """Open the study, compare it with its journal, and lay out the jobs that are
-        missing.
+    def begin(self, engine: Engine, signals: Signals) -> Work | None:
+        """Open the study, compare it with its journal, and lay out what is missing.
 
         None if this ends it, or its journal was damaged and is repaired.
         """
@@ -247,7 +247,7 @@ class StudyRun:
         with self._guarded():
             if not self.is_open:
                 self._open()
-            self._store = Store(sidecar_path(self.path, ".journal"))
+            self._store = Journal(sidecar_path(self.path, ".journal"))
             plan = Plan(
                 self.study, self._store, self.options.retry_failed, signals.check
             )
@@ -258,29 +258,32 @@ class StudyRun:
             )
             progress.begin()
             _warn_of_changed_code(plan, todo, progress)
-            listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
-            return Jobs(plan, engine, listen, self.options.chunk)
+            snapshots = _Snapshots(plan, self.path, self.options.snapshot, progress)
+            return Work(plan, [progress, snapshots], self.options.chunk)
         return None
 
-    def finish(self, jobs: Jobs, signals: Signals) -> None:
-        """Write the archive of a study whose jobs are done, or report what ended it."""
+    def finish(self, work: Work, engine: Engine, signals: Signals) -> None:
+        """Write the archive of a study of which nothing is left, or report what ended
+        it.
+        """
+        plan = work.plan
         with self._guarded():
             signals.check()
-            if jobs.error:
-                raise jobs.error
+            if work.error:
+                raise work.error
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = write.update(jobs.plan, self.path)
+            written = write.update(plan, self.path)
             self.counts = written.counts
             if written.counts["not_attempted"]:  # stored results are missing
-                raise CorruptStoreError(jobs.store.path)
-            failures = result_tables.failed(jobs.plan)
+                raise plan.store.damage()
+            failures = result_tables.failed(plan)
             failed = [
                 f"{name}: {outcome}; {reason}"
                 for name, outcome, reason in failures
                 if name != self.study.kind
             ]
             self._record |= {
-                "account": jobs.account.record(jobs.engine.account, jobs.engine.jobs),
+                "account": work.account.record(engine.account, engine.jobs),
                 "points": sum(written.counts.values()),
                 "counts": dict(written.counts),
                 "failed": sum(written.failures.values()),
@@ -288,7 +291,7 @@ class StudyRun:
                 "failed_tasks": failed,
             }
             if self.progress:
-                _summarise(jobs.plan, self.progress, written, failed, self.path)
+                _summarise(plan, self.progress, written, failed, self.path)
             self.code = 1 if written.failures or failed else 0
             self.pause(is_over=True)
             self.end(None)
@@ -363,34 +366,27 @@ class StudyRun:
 def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None:
     """Warn if the code of `tasks` changed since results were stored and no version did."""
     stored_digest, digest = plan.store.note("code"), code_digest()
-    versions = json.dumps(
-        {name: layer.task.version for name, layer in plan.graph.layers.items()},
-        sort_keys=True,
-    )
-    has_changed = (
-        stored_digest not in (None, digest) and plan.store.note("versions") == versions
-    )
+    is_same_version = plan.store.note("versions") == plan.versions
+    has_changed = stored_digest not in (None, digest) and is_same_version
     if has_changed and any(todo.cached.values()):
         progress.say(
             "The code of `tasks` has changed since some of these results were stored, its versions have not; "
             "if numbers may change, increase the task's version or run with --fresh."
         )
     plan.store.set_note("code", digest)
-    plan.store.set_note("versions", versions)
+    plan.set_notes()
 
 
-class _Snapshots:
-    """Passes events on to the progress, and publishes the archive of a long run from
-    time to time.
-    """
+class _Snapshots(Listener):
+    """Publishes the archive of a long run from time to time."""
 
     def __init__(self, plan: Plan, path: Path, every: float, progress: Progress):
         self.plan, self.path, self.progress = plan, path, progress
         self.every, self.next = every, time.monotonic() + every
 
-    def __call__(self, event: str, details: dict[str, Any]) -> None:
-        self.progress(event, details)
-        if event != "chunk" or time.monotonic() < self.next:
+    def finished(self, done: Finished) -> None:
+        """Publish the archive, if it is time."""
+        if not done.node.chunk or time.monotonic() < self.next:
             return
         began = time.monotonic()
         # A partial archive does not replace a complete one.
@@ -401,8 +397,8 @@ class _Snapshots:
                 self.progress.say(
                     f"The archive is not published before the end: {error}"
                 )
-        duration = time.monotonic() - began
-        self.next = time.monotonic() + max(self.every, _SNAPSHOT_PAUSE * duration)
+        ended = time.monotonic()
+        self.next = ended + max(self.every, _SNAPSHOT_PAUSE * (ended - began))
 
 
 def _summarise(

@@ -21,7 +21,7 @@ from gaitsweep.pipeline.errors import described
 from gaitsweep.tasks.registry import CLOCK
 
 if TYPE_CHECKING:  # a worker imports what its first request needs
-    from gaitsweep.pipeline.store.record import Packing
+    from gaitsweep.pipeline.store.record import ChunkCodec
 
 _PR_SET_PDEATHSIG = 1
 _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
@@ -56,7 +56,7 @@ def serve(parent: int, number: int) -> None:
             continue
         params, inputs = request.params, [serialize.load(i) for i in request.inputs]
         line = repr(params.get("line"))
-        if "line" in params and request.packing and line not in warm:
+        if "line" in params and request.codec and line not in warm:
             # The time to load compiled code does not count for the first point.
             _answer(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
@@ -66,7 +66,7 @@ def serve(parent: int, number: int) -> None:
             connection.send(("broken", described(error)))
             continue
         connection.send(("started", memory))
-        outcome, result = _answer(function, params, inputs, request.packing)
+        outcome, result = _answer(function, params, inputs, request.codec)
         before, used = used, (time.process_time(), _integrating())
         connection.send(
             (
@@ -106,30 +106,35 @@ def _answer(
     function: Callable[..., Any],
     params: dict[str, Any],
     inputs: list[Any],
-    packing: Packing | None = None,
+    codec: ChunkCodec | None = None,
 ) -> tuple[str, Any]:
     """How a task ended, and its result; of a chunk head and payload of its record, and
     the atlases of its lines.
     """
-    from gaitsweep.pipeline import serialize
-
     try:
-        returned = function(params, inputs)
-        if packing is None:
-            return "ok", [serialize.dump(returned)]
-        from gaitsweep.pipeline.store.record import Points, pack
-
-        atlases = [atlas for atlas, _ in returned] if params.get("atlases") else []
-        return "ok", [
-            *pack(Points.of_task(returned, params), packing),
-            *map(serialize.dump, atlases),
-        ]
+        return "ok", packed(function(params, inputs), params, codec)
     except MemoryError:
         return "out_of_memory", ""
-    except (
-        BaseException
-    ) as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
+    except BaseException as error:
+        # sys.exit and KeyboardInterrupt too: no task ends the worker.
         return "raised", described(error)
+
+
+def packed(
+    returned: Any, params: dict[str, Any], codec: ChunkCodec | None
+) -> list[bytes]:
+    """What a task with these parameters has returned, packed: one result, or head and
+    payload of a chunk's record, then the atlases of its lines, if they are wanted.
+    """
+    from gaitsweep.pipeline import serialize
+
+    if codec is None:
+        return [serialize.dump(returned)]
+    from gaitsweep.pipeline.store.record import Points
+
+    record = codec.encode(Points.of_task(returned, params))
+    atlases = [atlas for atlas, _ in returned] if params.get("atlases") else []
+    return [*record, *map(serialize.dump, atlases)]
 
 
 if __name__ == "__main__":

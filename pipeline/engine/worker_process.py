@@ -7,8 +7,6 @@ responsible.
 """
 
 import contextlib
-import itertools
-import math
 import os
 import platform
 import resource
@@ -17,18 +15,13 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from multiprocessing import Pipe
 from typing import Any
 
-import numpy as np
-
-from gaitsweep.pipeline.engine.request import Request
+from gaitsweep.pipeline.engine import division
+from gaitsweep.pipeline.engine.division import size_of
+from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import WorkerError
-from gaitsweep.pipeline.grid.grid import Shape
-from gaitsweep.pipeline.statuses import of_atlas
-from gaitsweep.pipeline.store.record import Packing, Points, joined, pack, unpacked
-from gaitsweep.pipeline.store.store import MAX_PAYLOAD
 
 _POLL_INTERVAL, _MAX_CHARGED = (
     0.1,
@@ -43,14 +36,6 @@ _THREADS = (
     "BLIS_NUM_THREADS",
 )
 _PROGRAM = "gaitsweep.pipeline.engine.worker_main"
-_PIECES = 16  # parts of a chunk that failed
-_EXTERNAL = (
-    "worker_died",
-    "out_of_memory",
-)  # what may have a cause outside; a second time it has none
-#: Place of a line in its chunk, and outcome, reason and data of its atlas.
-Atlas = tuple[int, str, str, bytes]
-Record = tuple[bytes, bytes]
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
 # An event has a lock, which a signal handler may find taken by its own thread.
@@ -112,7 +97,7 @@ class WorkerProcess:
         self.used = 0.0, 0.0
         too_much = (
             "out_of_memory",
-            f"It needed more than {_size(request.memory)} of memory.",
+            f"It needed more than {size_of(request.memory)} of memory.",
         )
         try:
             self._connection.send(request)
@@ -172,13 +157,6 @@ def resident(process: int | str) -> int:
         return 0
 
 
-def _size(memory: int) -> str:
-    for unit, name in ((1 << 30, "GiB"), (1 << 20, "MiB")):
-        if memory >= unit:
-            return f"{memory / unit:.4g} {name}"
-    return f"{memory} B"
-
-
 def stop() -> None:
     """Kill every worker process and end all waits; may be called from a signal handler."""
     global _is_closing
@@ -229,23 +207,9 @@ def _ask(request: Request, *again: str) -> tuple[str, Any]:
     return outcome, parts
 
 
-def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
-    """Run a numbered request in the worker process of this thread; errors of the task
-    are returned, not raised.
-
-    Parameters
-    ----------
-    number : int
-    request : Request
-
-    Returns
-    -------
-    number : int
-    answer : dict
-        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in
-        compiled integrators; of a chunk its `record`, and the `atlases` of lines side
-        by side, each its place, outcome, reason and data; of another task `outcome`,
-        and `data` (packed result) or `reason`; `worker`, the process that ran it.
+def run(request: Request) -> Answer:
+    """Run a request in the worker process of this thread; errors of the task are
+    returned, not raised.
 
     Raises
     ------
@@ -253,148 +217,11 @@ def run(number: int, request: Request) -> tuple[int, dict[str, Any]]:
         If the worker cannot load the task, or the run is being stopped.
     """
     start = time.perf_counter()
-    answer: dict[str, Any]
     _local.used = [0.0, 0.0]
-    if request.packing:
-        lines = request.params.get("lines")
-        record, atlases = _run_part(
-            request, None if lines is None else np.arange(len(lines))
-        )
-        answer = {"record": record, "atlases": atlases}
-    else:
-        outcome, result = _ask(request, *_EXTERNAL)
-        if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
-            outcome, result = (
-                "raised",
-                f"Its result of {_size(len(result[0]))} is larger than a journal can hold.",
-            )
-        is_ok = outcome == "ok"
-        answer = {
-            "outcome": outcome,
-            "data": result[0] if is_ok else b"",
-            "reason": "" if is_ok else result,
-        }
-    worker = getattr(_local, "worker", None)
-    if worker:
-        answer["worker"] = _member(worker)
-    used = dict(zip(("cpu", "integrating"), _local.used, strict=True))
-    return number, {
-        **answer,
-        **used,
-        "seconds": time.perf_counter() - start,
-        "pid": os.getpid(),
-    }
-
-
-def _run_part(
-    request: Request, places: np.ndarray | None
-) -> tuple[Record, list[Atlas]]:
-    """Record of the points of a part of a chunk: of its line, or of the lines side by
-    side at some `places` in it.
-
-    If they fail together, they are run in smaller parts, down to the point responsible.
-    """
-    params, slopes, packing = request.params, request.params["slope"], request.packing
-    assert packing
-    lines, outcome = 1 if places is None else len(places), ""
-    has_atlases = places is not None and request.alone is not None
-    is_point = lines * len(slopes) == 1 and not has_atlases
-    parts: Any = None
-
-    if lines * len(slopes) <= (request.most or math.inf):
-        outcome, parts = _ask(request, *(("timed_out", *_EXTERNAL) if is_point else ()))
-    if outcome == "ok":
-        head, payload, *atlases = parts
-        of_lines = [] if places is None else places.tolist()
-        return (head, payload), [
-            (k, "ok", "", atlas) for k, atlas in zip(of_lines, atlases, strict=False)
-        ]
-    if is_point:
-        return pack(Points.of_ending(1, outcome, parts, params["want"]), packing), []
-    if places is not None and lines == 1 and has_atlases:
-        return _run_alone(request, packing, int(places[0]))
-
-    if outcome:
-        sizes = _fewer(lines, len(slopes))
-    else:
-        assert request.most
-        sizes = _at_most(request.most, lines, len(slopes), has_atlases)
-    found, rows, found_atlases = list[Points](), list[np.ndarray](), list[Atlas]()
-    for some, at in itertools.product(
-        _ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])
-    ):
-        part = {**params, "slope": slopes[at]}
-        if places is not None:
-            part["lines"] = [params["lines"][k] for k in some.tolist()]
-        smaller = replace(
-            packing, shape=Shape.of_rows(len(some), len(at)), digests=None
-        )
-        own = None if places is None else places[some]
-        record, atlases_of_part = _run_part(
-            replace(request, params=part, packing=smaller), own
-        )
-        found.append(unpacked(*record))
-        rows.append((some[:, None] * len(slopes) + at).ravel())
-        found_atlases += atlases_of_part
-    return pack(
-        joined(found).take(np.argsort(np.concatenate(rows))), packing
-    ), found_atlases
-
-
-def _fewer(lines: int, slopes: int) -> tuple[int, int]:
-    """Lines and slopes of each smaller part of one that failed: the lines are divided,
-    or the slopes of one.
-    """
-    return (
-        (math.ceil(lines / _PIECES), slopes)
-        if lines > 1
-        else (1, math.ceil(slopes / _PIECES))
-    )
-
-
-def _at_most(most: int, lines: int, slopes: int, has_atlases: bool) -> tuple[int, int]:
-    """Lines and slopes of parts with so many points, or of single lines that have
-    atlases.
-
-    A plane's lines remain side by side, if only at a few slopes: those without charts
-    are followed together, by a worker that remembers their branches for the next
-    slopes.
-    """
-    if most >= slopes or has_atlases:
-        return max(1, most // slopes), slopes
-    together = min(lines, most)
-    return together, most // together
-
-
-def _ranges(n: int, size: int) -> list[np.ndarray]:
-    """Places of n things in parts of a size, the last perhaps smaller."""
-    return [np.arange(k, min(k + size, n)) for k in range(0, n, size)]
-
-
-def _run_alone(
-    request: Request, packing: Packing, place: int
-) -> tuple[Record, list[Atlas]]:
-    """A line that failed beside others, or whose points are wanted a few at a time: its
-    atlas, then its points.
-    """
-    params = {
-        key: value
-        for key, value in request.params.items()
-        if key not in ("lines", "atlases")
-    }
-    (line,) = request.params["lines"]
-    assert request.alone
-    atlas, points = request.alone
-    alone = replace(
-        request, function=atlas, params={"line": line, "coarse": True}, packing=None
-    )
-    outcome, result = _ask(alone, *_EXTERNAL)
-    if outcome != "ok":
-        ending = Points.of_ending(
-            len(params["slope"]), outcome, of_atlas(result), params["want"]
-        )
-        return pack(ending, packing), [(place, outcome, result, b"")]
-    of_points = replace(
-        request, function=points, params={**params, "line": line}, inputs=result
-    )
-    return _run_part(of_points, None)[0], [(place, "ok", "", result[0])]
+    answer = division.answer(request, _ask)
+    if worker := getattr(_local, "worker", None):
+        answer.worker = _member(worker)
+    answer.cpu, answer.integrating = _local.used
+    answer.seconds = time.perf_counter() - start
+    answer.pid = os.getpid()
+    return answer

@@ -35,11 +35,11 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     for number in range(plan.study.batches):
         columns = lines.line(number) if "points" in needs else {}
         for need in per_line:
-            columns |= store.result(graph.line_keys(number)[need].key) or {}
+            columns |= store.result(graph.line_keys(number)[need]) or {}
         yield serialize.dump(columns)
     for need in needs:
         if not graph.layers[need].per_line:
-            yield serialize.dump(store.result(graph.study_keys[need].key) or {})
+            yield serialize.dump(store.result(graph.study_keys[need]) or {})
 
 
 class _Lines:

@@ -40,7 +40,7 @@ def seconds(study: Study, name: str, method: Method) -> float:
     if name == "points":
         return of_point(study, method)
     if name == "atlas" and method is Method.PLANE:
-        return ALONE * of_line_alone(study)
+        return ALONE * _of_line_alone(study)
     if name == "charts" and study.plane:
         return (
             len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
@@ -81,7 +81,7 @@ def of_point(study: Study, method: Method) -> float:
     return _total(study, [POINTS[group] for group in (way, *sorted(dear))])
 
 
-def of_line_alone(study: Study) -> float:
+def _of_line_alone(study: Study) -> float:
     """Processor time of a line of a plane that charts do not describe [s], with its
     points.
     """

@@ -19,11 +19,11 @@ from gaitsweep.pipeline.errors import (
     unwritten,
 )
 
-_APPLICATION_ID = 0x67735734  # in the header of a store
+_APPLICATION_ID = 0x67735735  # in the header of a store
 _PAGE = 8192  # size of its pages [byte]
 _SCHEMA = (
-    "CREATE TABLE records (id INTEGER PRIMARY KEY, key TEXT, kin TEXT, sum INTEGER, payload_sum INTEGER, head BLOB,"
-    " payload BLOB)",
+    "CREATE TABLE records (id INTEGER PRIMARY KEY, key TEXT, sum INTEGER,"
+    " payload_sum INTEGER, head BLOB, payload BLOB)",
     "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
 )
 #: SQLite errors that do not mean a damaged file; others but those of a full disk do.
@@ -176,7 +176,7 @@ def repair(path: Path) -> None:
                     old.execute(f"PRAGMA {pragma}")
             for row in _readable(old):
                 new.execute(
-                    "INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", row
+                    "INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?)", row
                 )
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         _remove(path, "-wal", "-shm")
@@ -207,25 +207,19 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
         number += 1
 
 
-def sums(
-    number: int, key: str, kin: str, head: bytes, payload: bytes
-) -> tuple[int, int]:
+def sums(number: int, key: str, head: bytes, payload: bytes) -> tuple[int, int]:
     """Checksums of a record: of all but its payload, and of this."""
-    return zlib.crc32(head, zlib.crc32(repr((number, key, kin)).encode())), zlib.crc32(
-        payload
-    )
+    named = zlib.crc32(repr((number, key)).encode())
+    return zlib.crc32(head, named), zlib.crc32(payload)
 
 
 def is_whole(row: tuple[Any, ...]) -> bool:
     """Whether a row holds a record as it was written."""
-    number, key, kin, own, payload_sum, head, payload = row
+    number, key, head_sum, payload_sum, head, payload = row
     is_typed = (
-        isinstance(key, str)
-        and isinstance(kin, str)
-        and isinstance(head, bytes)
-        and isinstance(payload, bytes)
+        isinstance(key, str) and isinstance(head, bytes) and isinstance(payload, bytes)
     )
-    return is_typed and sums(number, key, kin, head, payload) == (own, payload_sum)
+    return is_typed and sums(number, key, head, payload) == (head_sum, payload_sum)
 
 
 def raise_for(error: Exception, path: Path) -> NoReturn:

@@ -1,30 +1,88 @@
-"""Finished results in memory, within a bound."""
+"""A store in memory."""
 
+import itertools
 from collections import OrderedDict
-from collections.abc import Hashable
-from typing import Any
+from collections.abc import Iterator
+
+from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.store.record import Record
+from gaitsweep.pipeline.store.store import Store
 
 
-class Memory:
-    """Results by their keys, the least recently used dropped beyond a bound of bytes."""
+class Memory(Store):
+    """Records in a dictionary.
 
-    def __init__(self, bound: int):
-        self.bound, self.size = bound, 0
-        self._results: OrderedDict[Hashable, tuple[int, Any]] = OrderedDict()
+    Parameters
+    ----------
+    bound : int, optional
+        Bytes down to which `trim` drops records.
 
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._results
+    Attributes
+    ----------
+    size : int
+        Bytes of all records.
+    """
 
-    def get(self, key: Hashable) -> Any:
-        """A result; None if it is not remembered."""
-        if key not in self._results:
-            return None
-        self._results.move_to_end(key)
-        return self._results[key][1]
+    def __init__(self, bound: float = float("inf")):
+        self.bound = bound
+        self.size = 0
+        self._records: OrderedDict[str, tuple[int, Record]] = OrderedDict()
+        self._notes: dict[str, str] = {}
+        self._numbers = itertools.count(1)
+        self._last = 0
 
-    def put(self, key: Hashable, result: Any, size: int) -> None:
-        """Remember a result that is not, of so many bytes."""
-        self._results[key] = size, result
-        self.size += size
+    @property
+    def last(self) -> int:
+        """Number of the latest record."""
+        return self._last
+
+    def damage(self) -> ArchiveError:
+        """Error that says that a record is not there."""
+        return ArchiveError("A result is not in memory any more.")
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._records
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._records, key=self.number))
+
+    def number(self, key: str) -> int:
+        """Number of the record with that key; 0 if there is none."""
+        return self._records[key][0] if key in self._records else 0
+
+    def put(self, key: str, record: Record) -> None:
+        """Store a record, instead of an earlier one with its key."""
+        if key in self._records:
+            self.drop(key)
+        self._last = next(self._numbers)
+        self._records[key] = self._last, record
+        self.size += sum(map(len, record))
+
+    def trim(self) -> None:
+        """Drop records beyond the bound, those that were not used longest first."""
         while self.size > self.bound:
-            self.size -= self._results.popitem(last=False)[1][0]
+            self.drop(next(iter(self._records)))
+
+    def drop(self, key: str) -> None:
+        """Drop a record."""
+        _, record = self._records.pop(key)
+        self.size -= sum(map(len, record))
+
+    def get(self, key: str) -> Record:
+        """A record, which counts as used."""
+        if key not in self._records:
+            raise self.damage()
+        self._records.move_to_end(key)
+        return self._records[key][1]
+
+    def head(self, key: str) -> bytes:
+        """Head of a record."""
+        return self.get(key).head
+
+    def note(self, name: str) -> str | None:
+        """A note beside the records; None if there is none."""
+        return self._notes.get(name)
+
+    def set_note(self, name: str, text: str) -> None:
+        """Keep a note beside the records."""
+        self._notes[name] = text

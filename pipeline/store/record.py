@@ -10,9 +10,10 @@ import dataclasses
 import functools
 import hashlib
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -180,9 +181,16 @@ def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarra
     return whole
 
 
+class Record(NamedTuple):
+    """What a store keeps under a key."""
+
+    head: bytes
+    payload: bytes
+
+
 @dataclass(frozen=True)
-class Packing:
-    """How the points of a chunk are packed.
+class ChunkCodec:
+    """Packs the points of a chunk.
 
     Attributes
     ----------
@@ -190,66 +198,73 @@ class Packing:
         Of the chunk.
     multipliers : int
         Most of any walker of the study.
-    gaits : iterable of str
+    gaits : sequence of str
         Labels that were solved.
-    digests : ndarray of uint64, shape (m, 2), optional
-        Those of its lines, if it holds several.
+    is_archived : bool
+        Whether values are packed as an archive holds them; else they are as they are.
     """
 
     shape: Shape
     multipliers: int
     gaits: Sequence[str]
-    digests: np.ndarray | None = None
+    is_archived: bool = True
+
+    def encode(self, points: Points) -> Record:
+        """Pack points, without the last gaits that none of them has.
+
+        `status` and `reason` are of all gaits.
+        """
+        status = points.values["status"]
+        there = np.isin(status, OF_GAITS).any(axis=0)
+        gaits = 1 + int(np.flatnonzero(there).max(initial=-1))
+
+        columns: dict[str, int] = {}
+        pieces: list[Packed] = []
+        for name, array in points.values.items():
+            is_whole = name in ("status", "reason")
+            columns[name] = array.shape[1] if is_whole else min(gaits, array.shape[1])
+            pieces += self._pieces(name, array, columns[name])
+
+        head = {
+            "shape": dataclasses.astuple(self.shape),
+            "multipliers": self.multipliers,
+            "gaits": list(self.gaits),
+            "is_archived": self.is_archived,
+            "names": list(columns),
+            "columns": np.array(list(columns.values())),
+            "sizes": np.array([len(piece.data) for piece in pieces]),
+            "checksums": np.array([piece.checksum for piece in pieces]),
+            **_counted(points),
+        }
+        payload = b"".join(piece.data for piece in pieces)
+        return Record(serialize.dump(head), payload)
+
+    def _pieces(self, name: str, array: np.ndarray, columns: int) -> list[Packed]:
+        """Pack a variable, gait by gait."""
+        if has_multipliers(name):
+            array = _widened(name, array, (array.shape[1], self.multipliers))
+        extent = _extent(name, self.shape, self.multipliers)
+        if not self.is_archived:
+            return [Packed(array[:, gait].tobytes(), 0) for gait in range(columns)]
+        values = (self.shape.unfold(array[:, gait]) for gait in range(columns))
+        return [pack_values(of_gait, extent) for of_gait in values]
 
 
-def pack(points: Points, packing: Packing) -> tuple[bytes, bytes]:
-    """Pack the points of a chunk, as head and payload, without the last gaits that no
-    point has.
-
-    `status` and `reason` are of all gaits.
+def _counted(points: Points) -> dict[str, np.ndarray]:
+    """What the head of a record says of its points: how many have which statuses, and
+    which sentences their gaits have.
     """
-    shape, multipliers = packing.shape, packing.multipliers
-    status, reason = points.values["status"], points.values["reason"]
-    gaits = 1 + int(
-        np.flatnonzero(np.isin(status, OF_GAITS).any(axis=0)).max(initial=-1)
-    )
-    pieces, columns = list[Packed](), dict[str, int]()
-    for name, array in points.values.items():
-        extent = _extent(name, shape, multipliers)
-        columns[name] = (
-            array.shape[1]
-            if name in ("status", "reason")
-            else min(gaits, array.shape[1])
-        )
-        whole = (
-            _widened(name, array, (array.shape[1], multipliers))
-            if has_multipliers(name)
-            else array
-        )
-        pieces += [
-            pack_values(shape.unfold(whole[:, g]), extent) for g in range(columns[name])
-        ]
-    rows, numbers = count_rows(status), sorted(points.sentences)
-    head = {
-        "shape": dataclasses.astuple(shape),
-        "multipliers": multipliers,
-        "gaits": list(packing.gaits),
-        "lines": np.empty((0, 2), np.uint64)
-        if packing.digests is None
-        else packing.digests,
-        "names": list(columns),
-        "columns": np.array(list(columns.values())),
-        "sizes": np.array([len(piece.data) for piece in pieces]),
-        "checksums": np.array([piece.checksum for piece in pieces]),
+    rows = count_rows(points.values["status"])
+    numbers = np.array(sorted(points.sentences), _REASON)
+    sentences = [points.sentences[number] for number in numbers.tolist()]
+    used = [np.isin(numbers, column) for column in points.values["reason"].T]
+    return {
         "rows": np.array(list(rows)),
         "of_row": np.array(list(rows.values())),
-        "numbers": np.array(numbers, _REASON),
-        "sentences": np.array([points.sentences[number] for number in numbers], "U"),
-        "used": np.stack(
-            [np.isin(np.array(numbers, _REASON), column) for column in reason.T], axis=1
-        ),
+        "numbers": numbers,
+        "sentences": np.array(sentences, "U"),
+        "used": np.stack(used, axis=1),
     }
-    return serialize.dump(head), b"".join(piece.data for piece in pieces)
 
 
 def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
@@ -261,57 +276,94 @@ def has_multipliers(name: str) -> bool:
     return "multiplier" in VARIABLES[name].dims
 
 
+@dataclass(frozen=True)
 class Head:
-    """What a record holds.
+    """What a record of a chunk holds.
 
     Attributes
     ----------
     shape : Shape
     multipliers : int
-    digests : ndarray of uint64, shape (m, 2)
-        Those of its lines; none if it is part of one line.
+    gaits : frozenset of str
+        Labels that were solved.
+    is_archived : bool
+        Whether values are packed as an archive holds them.
     columns : dict
         Number of gaits of each variable.
+    statuses : ndarray of int, shape (n, gaits)
+        Distinct rows of `status`.
+    occurrences : ndarray of int, shape (n,)
+        How many points have each.
+    numbers : ndarray of int, shape (m,)
+        Numbers of its sentences.
+    texts : ndarray of str, shape (m,)
+    used : ndarray of bool, shape (m, gaits)
+        Which gaits have each.
+    places : dict
+        Of each piece, by variable and gait, where it begins and ends in the payload,
+        and its checksum.
     """
 
-    def __init__(self, data: bytes):
+    shape: Shape
+    multipliers: int
+    gaits: frozenset[str]
+    is_archived: bool
+    columns: dict[str, int]
+    statuses: np.ndarray
+    occurrences: np.ndarray
+    numbers: np.ndarray
+    texts: np.ndarray
+    used: np.ndarray
+    places: dict[tuple[str, int], tuple[int, int, int]]
+
+    @staticmethod
+    @functools.lru_cache(256)
+    def parse(data: bytes) -> "Head":
+        """Read the head of a record.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError
+            If it is none.
+        """
         head: dict[str, Any] = serialize.load(data)
-        if (head["columns"] < 0).any() or head["columns"].sum() != len(head["sizes"]):
+        sizes, counts = head["sizes"], head["columns"]
+        if (counts < 0).any() or counts.sum() != len(sizes):
             raise ValueError("not the head of a record")
-        self.shape = Shape.of(*head["shape"])
-        self.multipliers, self.digests = head["multipliers"], head["lines"]
-        self.columns: dict[str, int] = dict(
-            zip(head["names"], head["columns"].tolist(), strict=True)
-        )
-        self._gaits = frozenset(head["gaits"])
-        self._rows = head["rows"], head["of_row"]
-        self._numbers, self._sentences, self._used = (
-            head["numbers"],
-            head["sentences"],
-            head["used"],
-        )
-        ends = np.cumsum(head["sizes"])
+
+        columns: dict[str, int] = dict(zip(head["names"], counts.tolist(), strict=True))
+        names = [(name, gait) for name, n in columns.items() for gait in range(n)]
+        ends = np.cumsum(sizes)
         places = zip(
-            (ends - head["sizes"]).tolist(),
+            (ends - sizes).tolist(),
             ends.tolist(),
             head["checksums"].tolist(),
             strict=True,
         )
-        names = [(name, g) for name, n in self.columns.items() for g in range(n)]
-        self._places = dict(zip(names, places, strict=True))
+        return Head(
+            Shape.of(*head["shape"]),
+            head["multipliers"],
+            frozenset(head["gaits"]),
+            head["is_archived"],
+            columns,
+            head["rows"],
+            head["of_row"],
+            head["numbers"],
+            head["sentences"],
+            head["used"],
+            dict(zip(names, places, strict=True)),
+        )
 
     def holds(self, variables: Iterable[str], gaits: Iterable[str]) -> bool:
         """Whether these variables and gaits were solved."""
-        return self.columns.keys() >= set(variables) and self._gaits >= set(gaits)
+        return self.columns.keys() >= set(variables) and self.gaits >= set(gaits)
 
     def rows(self, columns: Iterable[int]) -> dict[tuple[int, ...], int]:
         """Count the points by their row of `status` of some gaits."""
-        states, n = self._rows
         counts: dict[tuple[int, ...], int] = {}
-        for row, k in zip(
-            map(tuple, states[:, list(columns)].tolist()), n.tolist(), strict=True
-        ):
-            counts[row] = counts.get(row, 0) + k
+        rows = map(tuple, self.statuses[:, list(columns)].tolist())
+        for row, n in zip(rows, self.occurrences.tolist(), strict=True):
+            counts[row] = counts.get(row, 0) + n
         return counts
 
     def has_failed(self, columns: Iterable[int]) -> bool:
@@ -320,17 +372,15 @@ class Head:
 
     def sentences(self, columns: Iterable[int] | None = None) -> dict[int, str]:
         """Sentences by their numbers, those that occur for some gaits or for any."""
-        used = self._used if columns is None else self._used[:, list(columns)]
-        return {
-            int(self._numbers[k]): str(self._sentences[k])
-            for k in np.flatnonzero(used.any(axis=1))
-        }
+        used = self.used if columns is None else self.used[:, list(columns)]
+        there = np.flatnonzero(used.any(axis=1)).tolist()
+        return {int(self.numbers[k]): str(self.texts[k]) for k in there}
 
     def piece(self, payload: memoryview, name: str, gait: int) -> Packed | None:
         """Piece of a variable and gait; None if there is no such gait."""
-        if (name, gait) not in self._places:
+        if (name, gait) not in self.places:
             return None
-        start, end, checksum = self._places[name, gait]
+        start, end, checksum = self.places[name, gait]
         return Packed(bytes(payload[start:end]), checksum)
 
     def unpack(self, payload: memoryview, name: str) -> np.ndarray:
@@ -341,23 +391,25 @@ class Head:
         ndarray, shape (points, gaits) or (points, gaits, multipliers)
             Line by line.
         """
-        extent, dtype, columns = (
-            _extent(name, self.shape, self.multipliers),
-            _dtype_of(name),
-            [],
-        )
-        for g in range(self.columns[name]):
-            piece = self.piece(payload, name, g)
+        extent = _extent(name, self.shape, self.multipliers)
+        points, more = math.prod(self.shape.sizes), extent[len(self.shape.extent) :]
+        dtype = _dtype_of(name)
+        columns: list[np.ndarray] = []
+        for gait in range(self.columns[name]):
+            piece = self.piece(payload, name, gait)
             assert piece
-            columns.append(self.shape.fold(unpack(piece.data, dtype.str, extent)))
-        shape = (int(np.prod(self.shape.sizes)), 0, *extent[len(self.shape.extent) :])
-        return np.stack(columns, axis=1) if columns else np.empty(shape, dtype)
+            if self.is_archived:
+                values = self.shape.fold(unpack(piece.data, dtype.str, extent))
+            else:
+                values = np.frombuffer(piece.data, dtype).reshape(points, *more)
+            columns.append(values)
+        if columns:
+            return np.stack(columns, axis=1)
+        return np.empty((points, 0, *more), dtype)
 
 
-def unpacked(head: bytes, payload: bytes, names: Iterable[str] | None = None) -> Points:
+def decode(record: Record, names: Iterable[str] | None = None) -> Points:
     """Points of a record, with all variables that it holds or some of them."""
-    contents, view = Head(head), memoryview(payload)
-    return Points(
-        {name: contents.unpack(view, name) for name in names or contents.columns},
-        contents.sentences(),
-    )
+    head, payload = Head.parse(record.head), memoryview(record.payload)
+    values = {name: head.unpack(payload, name) for name in names or head.columns}
+    return Points(values, head.sentences())

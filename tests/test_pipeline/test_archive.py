@@ -49,8 +49,8 @@ from gaitsweep.pipeline.grid.boxes import boxes
 from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.statuses import ALL_STATUSES as STATUS
 from gaitsweep.pipeline.store.file import CorruptStoreError
-from gaitsweep.pipeline.store.record import Head
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
+from gaitsweep.pipeline.store.record import Head, Record
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.accuracy import OF_INTEGRATION
 from gaitsweep.tasks.registry import ALWAYS
@@ -314,7 +314,7 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
             (file[place] if place else file).delncattr(name)
 
     study = parse.read(tmp_path / "s.toml")
-    with contextlib.closing(Store(tmp_path / "s.journal", write=False)) as journal:
+    with contextlib.closing(Journal(tmp_path / "s.journal", write=False)) as journal:
         for attribute in (
             ("", "title"),
             ("status", "units"),
@@ -339,12 +339,13 @@ def never_packed(folder, name):
     (folder / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     command = ["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1"]
     assert commands.main([*command, "--quiet"]) == 0
-    with contextlib.closing(Store(folder / "s.journal")) as journal:
+    with contextlib.closing(Journal(folder / "s.journal")) as journal:
         graph = Graph(parse.read(folder / "s.toml"))
         key = graph.chunk_node(graph.grid.chunk(0)).key
         head, payload = journal.get(key.key)
-        piece = Head(head).piece(memoryview(payload), name, 0).data
-        journal.put(key, head, payload.replace(piece, b"\xff" * len(piece)))
+        piece = Head.parse(head).piece(memoryview(payload), name, 0).data
+        damaged = payload.replace(piece, b"\xff" * len(piece))
+        journal.put(key, Record(head, damaged))
     return command
 
 
@@ -356,7 +357,7 @@ def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
     command, archive = never_packed(tmp_path, name), tmp_path / "s.nc"
     before = archive.read_bytes()
     with (
-        contextlib.closing(Store(tmp_path / "s.journal")) as journal,
+        contextlib.closing(Journal(tmp_path / "s.journal")) as journal,
         pytest.raises(CorruptStoreError),
     ):
         write.write(Plan(parse.read(tmp_path / "s.toml"), journal), archive)

@@ -32,8 +32,8 @@ from conftest import ROOT, STUDY, TOYS, Toy
 from gaitsweep import load
 from gaitsweep.pipeline.archive import read, write
 from gaitsweep.pipeline.cli import commands
-from gaitsweep.pipeline.engine import jobs as engine_jobs
 from gaitsweep.pipeline.engine import locks
+from gaitsweep.pipeline.engine import work as engine_work
 from gaitsweep.pipeline.engine.progress import last_state
 from gaitsweep.pipeline.errors import (
     ArchiveError,
@@ -942,14 +942,14 @@ def test_one_study_whose_results_cannot_be_read_does_not_end_the_others(
             f'name = "{name}"\nwalker = "D"\n[axes]\nslope = [0.001, 0.002, 0.005, 0.01]{fitted}',
             f"{name}.toml",
         )
-    read = engine_jobs.study_inputs
+    read = engine_work.study_inputs
 
     def fail(plan, name):
         if plan.study.name == "a":
             raise ArchiveError("It cannot be read.")
         return read(plan, name)
 
-    monkeypatch.setattr(engine_jobs, "study_inputs", fail)
+    monkeypatch.setattr(engine_work, "study_inputs", fail)
     assert commands.main(["run", "a.toml", "b.toml", "--jobs", "2"]) == 2
     said = capsys.readouterr().err
     assert said.count("It cannot be read.") == 1 and "1 of 2 studies in" in said

@@ -212,19 +212,22 @@ def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
     waiting.
     """
     monkeypatch.setattr(cluster_executor, "RECOUNT", 0.0)
-    jobs = iter([(n,) for n in range(40)])
+    submitted, found, end = {}, {}, time.monotonic() + 60
 
     with connect("local:1") as client:
         one = client.nthreads()
         counts = iter([dict.fromkeys(one, 8)])
         monkeypatch.setattr(client, "nthreads", lambda: next(counts, one))
-        found = list(
-            cluster_executor.results(
-                cluster_executor.Team(client), abs, lambda: next(jobs, None)
-            )
+        place = cluster_executor.Cluster(
+            cluster_executor.Team(client), run=lambda software, request: -request
         )
+        while len(found) < 40 and time.monotonic() < end:
+            while len(submitted) < 40 and place.has_room():
+                number = len(submitted)
+                submitted[place.submit(number)] = number
+            found.update(place.completed(0.1))
 
-    assert sorted(found) == list(range(40))
+    assert {ticket: -answer for ticket, answer in found.items()} == submitted
 
 
 @pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP address")
@@ -232,17 +235,19 @@ def test_a_run_without_workers_ends_after_a_time_that_it_has_told(monkeypatch):
     """The scheduler knows of none, or does not answer."""
     monkeypatch.setattr(cluster_executor, "RECOUNT", 0.1)
     monkeypatch.setattr(cluster_executor, "PATIENCE", 0.5)
-    jobs, told = iter([(1.5,)]), []
+    told = []
 
     with connect("local:1") as client:
         monkeypatch.setattr(client, "nthreads", dict)
-        found = cluster_executor.results(
-            cluster_executor.Team(client), time.sleep, lambda: next(jobs, None)
+        place = cluster_executor.Cluster(
+            cluster_executor.Team(client), told.append, lambda software, _: None
         )
         with pytest.raises(
             WorkerError, match=r"The cluster has had no worker for 0.5 s\."
         ) as ended:
-            told.extend(found)
+            while True:
+                place.has_room()
+                time.sleep(0.05)
 
     assert (
         told == ["The cluster has no worker; the run waits 0.5 s for one."]

@@ -16,7 +16,7 @@ from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study.parse import read
 from gaitsweep.tasks.continuation.atlas import to_arrays
 from gaitsweep.tasks.follow_branches import branch
@@ -112,7 +112,7 @@ def test_archives_do_not_depend_on_chunks_and_resume(archives, tmp_path):
     assert (tmp_path / "s.nc").read_bytes() == (archives["grid"] / "s.nc").read_bytes()
     wider = GRID.replace("n = 6", "n = 11")
     (tmp_path / "s.toml").write_text(wider)
-    with contextlib.closing(Store(tmp_path / "s.journal")) as journal:
+    with contextlib.closing(Journal(tmp_path / "s.journal")) as journal:
         todo = summary(Plan(read(tmp_path / "s.toml"), journal)).todo
     # Other slopes are other chunks, but the branches are known.
     assert todo["points"] == {"new": 11} and not todo["atlas"]

@@ -15,7 +15,7 @@ from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.method import Method
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study.parse import read
 
 STUDY = """
@@ -91,7 +91,7 @@ def test_a_plan_tells_what_designs_cost(tmp_path):
         for study in (few, many)
     ]
     assert each[1] < 0.1 * each[0]
-    planned = Plan(many, Store(tmp_path / "journal"))
+    planned = Plan(many, Journal(tmp_path / "journal"))
     todo = summary(planned)
     # The slopes are a window, of which each design is one answer.
     assert next(plan.lines(planned, todo, many.path)).startswith(

@@ -26,7 +26,7 @@ from gaitsweep.pipeline.engine.locks import lock_archive
 from gaitsweep.pipeline.engine.progress import last_state
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, shortage
 from gaitsweep.pipeline.report import folder, pages
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.registry import TASKS
 
@@ -94,7 +94,7 @@ def test_what_stands_beside_an_archive_is_named_and_left_alone(
         said = opened(tmp_path / "s.nc")
     else:
         with pytest.raises(ArchiveError) as raised:
-            Store(path.with_name("s.journal"))
+            Journal(path.with_name("s.journal"))
         said = str(raised.value)
     assert (
         said.startswith(f"{path} is")
@@ -227,7 +227,7 @@ def test_a_limit_of_the_size_of_files_is_named(tmp_path):
             DiskFullError, match="s.journal cannot be written: File too large"
         ),
     ):
-        Store(tmp_path / "s.journal")
+        Journal(tmp_path / "s.journal")
     assert not list(tmp_path.iterdir())
     (large := tmp_path / "large").write_bytes(bytes(3 << 20))
     error = sqlite3.OperationalError("disk I/O error")

@@ -31,7 +31,7 @@ from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.store import file
 from gaitsweep.pipeline.store.file import CorruptStoreError, repair
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import files, parse
 from processes import damaged
 
@@ -160,7 +160,7 @@ def planned(folder, dice):
         files.walker("w.toml", folder)
     study = parse.read(folder / "s.toml")
     if study.points <= 100_000:
-        summary(Plan(study, Store(folder / "none", write=False)))
+        summary(Plan(study, Journal(folder / "none", write=False)))
 
 
 def read_all(folder):
@@ -169,7 +169,7 @@ def read_all(folder):
     for text in STUDIES:
         (folder / "s.toml").write_text(text)
         summary(
-            Plan(parse.read(folder / "s.toml"), Store(folder / "none", write=False))
+            Plan(parse.read(folder / "s.toml"), Journal(folder / "none", write=False))
         )
 
 
@@ -344,7 +344,7 @@ def stored(folder, dice):
     for _ in range(3):
         journal = None
         try:
-            journal = Store(path)
+            journal = Journal(path)
             plan = Plan(study, journal)
             summary(plan)
             write.write(plan, folder / "stored.nc")

@@ -11,7 +11,7 @@ import xarray as xr
 
 from conftest import STUDY
 from gaitsweep.pipeline.cli import commands
-from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine import division
 from gaitsweep.pipeline.store import file
 from processes import suspend, wait_for_points
 
@@ -199,7 +199,7 @@ def test_a_result_that_no_journal_can_hold_costs_its_line(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(file, "connect", limited)
-    monkeypatch.setattr(worker_process, "MAX_PAYLOAD", 299_000)
+    monkeypatch.setattr(division, "MAX_PAYLOAD", 299_000)
     orbit = (
         "[axes]\nslope = [0.01]\n[options]\nsteps = 1000\nshown = 1000\nstarts = 8\n"
     )

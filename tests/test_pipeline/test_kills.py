@@ -23,7 +23,7 @@ from conftest import GAITSWEEP, ROOT, STUDY
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.graph.plan import Plan
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
 from processes import alive, descendants, sidecar_path, wait_for_points
 
@@ -231,7 +231,7 @@ def test_a_signal_that_comes_twice_leaves_a_line_and_a_record(toy, when):
 
 def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text(STUDY)
-    journal, steps = Store(tmp_path / "j"), []
+    journal, steps = Journal(tmp_path / "j"), []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(
         os,
@@ -251,7 +251,7 @@ def test_an_archive_that_is_a_link_stays_one(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     (tmp_path / "far").mkdir()
     (tmp_path / "s.nc").symlink_to(tmp_path / "far" / "away.nc")
-    with contextlib.closing(Store(tmp_path / "j")) as journal:
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
         write.write(Plan(parse.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
     assert (tmp_path / "s.nc").is_symlink() and [
         f.name for f in (tmp_path / "far").iterdir()

@@ -22,7 +22,8 @@ from conftest import ROOT
 from gaitsweep.pipeline.api import studies
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.engine import progress
-from gaitsweep.pipeline.engine.executors import Engine
+from gaitsweep.pipeline.engine.engine import Engine
+from gaitsweep.pipeline.engine.listener import Finished
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.graph.layers import Layer
 from gaitsweep.pipeline.graph.plan import Summary
@@ -506,61 +507,47 @@ def test_a_state_tells_rate_and_one_time_to_go():
     )
 
 
-def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
+@pytest.fixture
+def shown(tmp_path):
+    """Progress of 8 atlases and 900 points, of 2 s each, on three workers."""
     layers = {name: Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
-    grid = types.SimpleNamespace(extent=(300,), sizes={"slope": 900})
-    study = types.SimpleNamespace(points=900, slope=np.arange(900), lines=1)
-    graph = types.SimpleNamespace(
-        layers=layers, grid=grid, method="long", seconds=lambda name: 2.0
-    )
+    graph = types.SimpleNamespace(layers=layers, seconds=lambda name: 2.0)
+    study = types.SimpleNamespace(points=900)
     plan = types.SimpleNamespace(study=study, graph=graph)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
-    shown = progress.Progress(
-        plan, todo, tmp_path / "log", quiet=True, engine=Engine(3)
-    )
-    assert progress.sentence(shown.state()).endswith(
-        ", 10.1 min to go"
-    )  # (8 + 900) x 2 s / 3
+    found = progress.Progress(plan, todo, tmp_path / "log", Engine(3), quiet=True)
+    yield found
+    found.file.close()
+
+
+def test_the_time_to_go_is_planned_before_it_is_measured(shown):
+    assert progress.sentence(shown.state()).endswith(", 10.1 min to go")
     shown.start -= 1000  # seconds without a first result: the plan's estimate is wrong
-    assert progress.sentence(progress.total([shown.state()])).endswith(
-        ", longer than planned"
+    said = progress.sentence(progress.total([shown.state()]))
+    assert said.endswith(", longer than planned")
+
+
+def test_the_time_to_go_is_the_sum_of_its_stages(shown):
+    cell = types.SimpleNamespace(numbers=[0])
+    atlas = types.SimpleNamespace(task="atlas", chunk=None, line=0, lines=0)
+    orbit = types.SimpleNamespace(task="orbit", chunk=None, line=0, lines=0)
+    points = types.SimpleNamespace(
+        task="points", chunk=cell, line=0, lines=0, points=100
     )
+
     for _ in range(2):
-        shown("task", {"task": "atlas", "seconds": 5.25})
-    shown(
-        "chunk",
-        {
-            "task": "points",
-            "seconds": 1.0,
-            "points": 100,
-            "place": 0,
-            "counts": {"converged": 90},
-        },
-    )
-    shown(
-        "chunk",
-        {
-            "task": "points",
-            "seconds": 5.0,
-            "points": 100,
-            "place": 600,
-            "counts": {"converged": 100},
-        },
-    )
-    shown("task", {"task": "orbit", "seconds": 1.0, "lost": 10, "outcome": "timed_out"})
+        shown.finished(Finished(atlas, 1, seconds=5.25))
+    shown.finished(Finished(points, 100, counts={"converged": 90}, seconds=1.0))
+    shown.finished(Finished(points, 100, counts={"converged": 100}, seconds=5.0))
+    shown.finished(Finished(orbit, 1, "timed_out", lost=10, seconds=1.0))
+
     state = shown.state()
-    shown.file.close()
-    assert (state["done"], state["counts"]) == (
-        210,
-        {"converged": 190, "timed_out": 10},
-    )
-    # A point takes 0.01, sqrt(0.01 x 0.05) and 0.05 s; 200, 300 and 200 of them are
-    # left, and 690 altogether.
-    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {
-        "atlas": 10.5,
-        "points": 6.1,
-    }
-    assert state["eta"] == 16.6
+    assert state["done"] == 210
+    assert state["counts"] == {"converged": 190, "timed_out": 10}
+    # 210 points, those that were lost too, took 6 s, and 690 are left.
+    stages = {name: stage["eta"] for name, stage in state["stages"].items()}
+    assert stages == {"atlas": 10.5, "points": 6.6}
+    assert state["eta"] == pytest.approx(17.1, abs=0.1)
 
 
 def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):

@@ -9,15 +9,14 @@ import time
 
 import pytest
 
+from answering import Answering
 from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.engine import worker_process
-from gaitsweep.pipeline.engine.executors import Engine
-from gaitsweep.pipeline.engine.jobs import Jobs
-from gaitsweep.pipeline.engine.scheduler import Scheduler
-from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.engine.loop import run_all
+from gaitsweep.pipeline.engine.work import Work
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.store.file import forget
-from gaitsweep.pipeline.store.store import Store
+from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
 
 #: Walker, axes and the least number of workers.
@@ -36,27 +35,18 @@ STUDIES = {
 }
 
 
-class Recording(Engine):
-    """64 workers, one after the other in one process; keeps their results."""
+class Recording:
+    """A worker whose answers are kept, and given again."""
 
-    results = None
+    def __init__(self):
+        self.answers = {}
 
-    @contextlib.contextmanager
-    def parallel(self):
-        self.results = {} if self.results is None else self.results
-
-        def parallel(is_there, take):
-            while is_there() and (taken := take()):
-                number, request = taken
-                place = [
-                    request.params.get(name) for name in ("line", "lines", "slope")
-                ]
-                key = request.function, pickle.dumps(place)  # as joblib sends it
-                if key not in self.results:
-                    self.results[key] = worker_process.run(0, request)[1]
-                yield number, self.results[key]
-
-        yield parallel
+    def __call__(self, request):
+        place = [request.params.get(name) for name in ("line", "lines", "slope")]
+        key = request.function, pickle.dumps(place)
+        if key not in self.answers:
+            self.answers[key] = worker_process.run(request)
+        return self.answers[key]
 
 
 @pytest.mark.soak
@@ -69,20 +59,20 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
     )
     study, served = parse.read(tmp_path / "s.toml"), []
     for _ in range(3):
-        engine, spent = Recording(64), []
+        workers, spent = Recording(), []
         for run in range(4):
-            with contextlib.closing(Store(tmp_path / f"{run}")) as store:
-                jobs = Jobs(Plan(study, store), engine, lambda *_: None)
+            with contextlib.closing(Journal(tmp_path / f"{run}")) as store:
+                work = Work(Plan(study, store))
                 clock = time.process_time()
-                Scheduler([jobs], engine, Signals()).run()
+                run_all([work], Answering(workers, 64))
                 recorded = time.process_time()
-                write.write(jobs.plan, tmp_path / f"{run}.nc")
+                write.write(work.plan, tmp_path / f"{run}.nc")
                 spent.append((recorded - clock, time.process_time() - recorded))
             bytes_a_point = (tmp_path / f"{run}").stat().st_size / study.points
             forget(tmp_path / f"{run}")
         worker_process.close_all()
         assert len({(tmp_path / f"{run}.nc").read_bytes() for run in range(4)}) == 1
-        worker = sum(result["cpu"] for result in engine.results.values())
+        worker = sum(answer.cpu for answer in workers.answers.values())
         replay = sorted(spent[1:], key=sum)[1]  # the first run computes
         served.append(
             (

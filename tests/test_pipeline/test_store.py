@@ -16,18 +16,20 @@ from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count, count_rows
 from gaitsweep.pipeline.statuses import STATUS_NAMES
-from gaitsweep.pipeline.store import file, store
+from gaitsweep.pipeline.store import file, journal
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
+from gaitsweep.pipeline.store.journal import Journal
+from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.record import (
+    ChunkCodec,
     Head,
-    Packing,
     Points,
+    Record,
+    decode,
     joined,
-    pack,
     sentence_number,
-    unpacked,
 )
-from gaitsweep.pipeline.store.store import Key, Outcome, Store
+from gaitsweep.pipeline.store.store import Outcome
 from processes import damaged
 
 N = 40  # records in a store of the tests
@@ -35,23 +37,24 @@ PACKED = serialize.dump({"x": 1})
 
 
 def filled(path, n=N, size=500):
-    with contextlib.closing(Store(path)) as found:
+    with contextlib.closing(Journal(path)) as found:
         for k in range(n):
-            found.put(
-                Key(f"points-{k}", f"kin-{k}"),
-                bytes([k]) * 9,
-                np.full(size, k, "f8").tobytes(),
-            )
+            found.put(f"points-{k}", record(k, size))
     return path
+
+
+def record(k, size=500):
+    """Record of a number."""
+    return Record(bytes([k]) * 9, np.full(size, k, "f8").tobytes())
 
 
 def reopened(path):
     """A store as the next run has it."""
     try:
-        return Store(path)
+        return Journal(path)
     except CorruptStoreError:
         repair(path)
-        return Store(path)
+        return Journal(path)
 
 
 def whole(found, n=N, size=500):
@@ -74,30 +77,129 @@ def sql(path, *statements):
         db.commit()
 
 
-def test_records_are_found_by_their_keys_and_the_latest_counts(tmp_path):
-    filled(tmp_path / "j")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
-        assert (
-            whole(found) == list(range(N))
-            and found.knows("kin-3")
-            and not found.knows("points-3")
-        )
-        found.put(Key("points-3", "kin-3"), b"head", b"later")
-        assert found.get("points-3") == (b"head", b"later") and len(list(found)) == N
-        assert found.number("points-3") > found.number("points-39")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
-        assert (
-            found.get("points-3") == (b"head", b"later")
-            and found.number("points-3") == N + 1
-        )
-        assert found._execute("SELECT count(*) FROM records") == [(N,)]
+class StoreTests:
+    """What every store does; `store` is an empty one."""
+
+    def test_a_record_is_found_by_its_key(self, store):
+        for k in range(5):
+            store.put(f"points-{k}", record(k))
+
+        assert "points-3" in store and "points-5" not in store
+        assert store.get("points-3") == record(3)
+        assert store.head("points-3") == record(3).head
+
+    def test_the_latest_record_of_a_key_counts(self, store):
+        for k in range(5):
+            store.put(f"points-{k}", record(k))
+
+        store.put("points-3", Record(b"head", b"later"))
+
+        assert store.get("points-3") == (b"head", b"later")
+        assert store.head("points-3") == b"head" and len(list(store)) == 5
+
+    def test_keys_come_in_the_order_of_their_records(self, store):
+        for key in "abca":
+            store.put(key, record(1))
+
+        assert list(store) == ["b", "c", "a"]
+        assert store.number("b") < store.number("c") < store.number("a") == store.last
+        assert store.number("d") == 0
+
+    def test_an_empty_store_holds_nothing(self, store):
+        assert not store and not list(store) and store.last == 0
+        with pytest.raises(ArchiveError):
+            store.get("a")
+        with pytest.raises(ArchiveError):
+            store.head("a")
+        store.put("a", Record(b"", b""))
+        assert store and store.get("a") == (b"", b"")
+
+    def test_results_are_kept_with_how_they_ended(self, store):
+        store.put_result("a", Outcome("ok", ""), PACKED)
+        store.put_result("b", Outcome("raised", "It raised."), b"")
+
+        assert store.outcome("a") == ("ok", "") and store.result("a") == {"x": 1}
+        assert store.outcome("b") == ("raised", "It raised.")
+        assert store.result("b") is None
+        assert store.outcome("none") is None and store.result("none") is None
+
+    def test_what_was_never_packed_is_damage(self, store):
+        store.put("c", Record(serialize.dump(["other", ""]), b""))
+        store.put("d", Record(b"junk", b""))
+        store.put_result("e", Outcome("ok", ""), b"no packed result")
+
+        for key in "cde":
+            with pytest.raises(type(store.damage())):
+                store.result(key)
+        for read in (store.chunk, store.points):
+            with pytest.raises(type(store.damage())):
+                read("d")
+
+    def test_points_are_read_with_all_variables_or_some(self, store):
+        own, result = points(1, 4)
+        shape = Shape((4,), (4,), 0)
+        store.put("points", ChunkCodec(shape, 3, ["long"]).encode(own))
+
+        some = store.points("points", ["branch"])
+
+        assert list(some.values) == ["branch"] and store.chunk("points").shape == shape
+        np.testing.assert_array_equal(some.values["branch"], result["branch"][:, :2])
+        assert store.points("points").values.keys() == own.values.keys()
+
+    def test_notes_are_kept_beside_records(self, store):
+        assert store.note("code") is None
+        store.set_note("code", "one")
+        store.set_note("code", "other")
+        assert store.note("code") == "other" and not store
+
+
+class TestJournal(StoreTests):
+    @pytest.fixture
+    def store(self, tmp_path):
+        with contextlib.closing(Journal(tmp_path / "j")) as found:
+            yield found
+
+    def test_what_was_stored_is_there_when_it_is_opened_again(self, store):
+        store.put("a", record(1))
+        store.put("a", record(2))
+        store.set_note("code", "one")
+
+        with contextlib.closing(Journal(store.path)) as again:
+            assert again.get("a") == record(2) and again.number("a") == 2
+            assert again.note("code") == "one"
+            assert again._execute("SELECT count(*) FROM records") == [(1,)]
+
+
+class TestMemory(StoreTests):
+    @pytest.fixture
+    def store(self):
+        return Memory()
+
+    def test_what_was_not_used_longest_is_dropped(self):
+        one = sum(map(len, record(1)))
+        store = Memory(2 * one)
+        for key in "ab":
+            store.put(key, record(1))
+        store.get("a")
+
+        store.put("c", record(2))
+        assert "b" in store and store.size > store.bound
+        store.trim()
+
+        assert "a" in store and "c" in store and "b" not in store
+        assert store.size == store.bound
+        store.put("c", record(3))
+        assert store.size == store.bound and store.get("c") == record(3)
+        store.put("d", record(4, 5000))  # larger than the bound
+        store.trim()
+        assert store.size == 0 and "d" not in store
 
 
 def test_a_repair_finds_records_beyond_the_numbers_that_others_left(tmp_path):
     """As a thousand chunks leave them that are computed again, with one more variable."""
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         for k in 2 * [*range(file._MAX_GAP + 1)]:
-            found.put(Key(f"points-{k}", "kin"), b"head", b"payload")
+            found.put(f"points-{k}", Record(b"head", b"payload"))
     for number in (None, 2**63 - 1):  # the last that there can be, too
         if number:
             sql(
@@ -105,42 +207,24 @@ def test_a_repair_finds_records_beyond_the_numbers_that_others_left(tmp_path):
                 f"UPDATE records SET id = {number} WHERE key = 'points-0'",
             )
         repair(tmp_path / "j")
-        with contextlib.closing(Store(tmp_path / "j")) as found:
+        with contextlib.closing(Journal(tmp_path / "j")) as found:
             assert len([*found]) == file._MAX_GAP + (number is None)
 
 
 def test_of_two_records_that_a_kill_left_the_later_counts(tmp_path):
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         for number, data in ((1, b"earlier"), (2, b"later")):
-            sums = file.sums(number, "k", "kin", b"", data)
+            sums = file.sums(number, "k", b"", data)
             found._execute(
-                "INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)",
+                "INSERT INTO records VALUES (?, ?, ?, ?, ?, ?)",
                 number,
                 "k",
-                "kin",
                 *sums,
                 b"",
                 data,
             )
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         assert found.get("k") == (b"", b"later")
-
-
-def test_results_are_kept_with_how_they_ended(tmp_path):
-    with contextlib.closing(Store(tmp_path / "j")) as found:
-        found.put_result(Key("a", "a"), Outcome("ok", ""), PACKED)
-        found.put_result(Key("b", "b"), Outcome("raised", "It raised."), b"")
-        found.put(Key("c", "c"), serialize.dump(["other", ""]), b"")
-        found.put(Key("d", "d"), b"junk", b"")
-        assert found.outcome("a") == ("ok", "") and found.result("a") == {"x": 1}
-        assert (
-            found.outcome("b") == ("raised", "It raised.") and found.result("b") is None
-        )
-        assert found.outcome("none") is None and found.result("none") is None
-        found.put_result(Key("e", "e"), Outcome("ok", ""), b"no packed result")
-        for key in "cde":
-            with pytest.raises(CorruptStoreError):
-                found.result(key)
 
 
 def test_a_store_is_forgotten_with_all_its_files_and_another_file_is_not(tmp_path):
@@ -165,7 +249,6 @@ def test_a_store_cut_anywhere_keeps_its_beginning(tmp_path, part):
 OTHER = {
     "id": "id + 400",
     "key": "'other'",
-    "kin": "CAST(x'ff' AS TEXT)",
     "sum": "sum + 1",
     "payload_sum": "NULL",
     "head": "x'00'",
@@ -179,12 +262,12 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, column):
     sql(tmp_path / "j", f"UPDATE records SET {column} = {OTHER[column]} WHERE id = 2")
     with (
         contextlib.suppress(CorruptStoreError),
-        contextlib.closing(Store(tmp_path / "j")) as found,
+        contextlib.closing(Journal(tmp_path / "j")) as found,
     ):
         whole(found, 3)
         assert column == "key"  # it is not found, and so not read
     repair(tmp_path / "j")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         assert whole(found, 3) == [0, 2]
 
 
@@ -198,9 +281,9 @@ def test_a_store_with_other_columns_is_repaired(tmp_path, new, left):
     assert data.count(b"head BLOB, payload BLOB") == 1
     (tmp_path / "j").write_bytes(data.replace(b"head BLOB, payload BLOB", new))
     with pytest.raises(CorruptStoreError):
-        Store(tmp_path / "j")
+        Journal(tmp_path / "j")
     repair(tmp_path / "j")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         assert whole(found, 3) == left
 
 
@@ -208,13 +291,9 @@ def test_a_store_with_other_columns_is_repaired(tmp_path, new, left):
 def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
     """At a random place, in the file or the log beside it."""
     dice, lost = random.Random(seed), 0
-    with contextlib.closing(Store(filled(tmp_path / "whole", 20))) as found:
+    with contextlib.closing(Journal(filled(tmp_path / "whole", 20))) as found:
         for k in range(20, N):
-            found.put(
-                Key(f"points-{k}", f"kin-{k}"),
-                bytes([k]) * 9,
-                np.full(500, k, "f8").tobytes(),
-            )
+            found.put(f"points-{k}", record(k))
         files = {
             suffix: (tmp_path / f"whole{suffix}").read_bytes()
             for suffix in ("", "-wal")
@@ -228,11 +307,11 @@ def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
                 damaged(data, dice) if suffix == hurt else data
             )
         try:
-            with contextlib.closing(Store(tmp_path / "j")) as found:
+            with contextlib.closing(Journal(tmp_path / "j")) as found:
                 there = whole(found)
         except CorruptStoreError:
             repair(tmp_path / "j")
-            with contextlib.closing(Store(tmp_path / "j")) as found:
+            with contextlib.closing(Journal(tmp_path / "j")) as found:
                 there = whole(found)
         except ArchiveError as error:  # the mark by which it is known
             assert "move it away" in str(error)
@@ -251,14 +330,14 @@ def test_a_repaired_store_is_not_overwritten_by_the_log_of_the_damaged_one(tmp_p
     """
     crashed = tmp_path / "crashed"
     crashed.mkdir()
-    with contextlib.closing(Store(tmp_path / "j")) as found:
-        found.put(Key("points-0", "kin-0"), bytes(9), np.zeros(500).tobytes())
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
+        found.put("points-0", record(0))
         for path in tmp_path.glob("j*"):
             shutil.copy(path, crashed)
     assert (crashed / "j-wal").stat().st_size
     repair(crashed / "j")
     assert [path.name for path in crashed.iterdir()] == ["j"]
-    with contextlib.closing(Store(crashed / "j")) as found:
+    with contextlib.closing(Journal(crashed / "j")) as found:
         assert whole(found) == [0]
 
 
@@ -274,7 +353,7 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
     ):
         patch.setattr(os, "replace", full)
         repair(tmp_path / "j")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         assert whole(found) == list(range(N))
 
 
@@ -291,7 +370,7 @@ def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(
         file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None
     )
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
-        Store(tmp_path / "j")
+        Journal(tmp_path / "j")
     assert raised.type is error
 
 
@@ -308,7 +387,7 @@ def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
             ArchiveError,
             match="not a journal of this version of gaitsweep; move it away",
         ):
-            Store(tmp_path / "j", write)
+            Journal(tmp_path / "j", write)
     assert (tmp_path / "j").read_bytes() == before and [
         f.name for f in tmp_path.iterdir()
     ] == ["j"]
@@ -343,16 +422,12 @@ def test_somebody_else_reads_a_store_while_it_is_written(tmp_path):
     readable_by_others(folder)
 
     def known():
-        with contextlib.closing(Store(folder / "j", write=False)) as other:
+        with contextlib.closing(Journal(folder / "j", write=False)) as other:
             return len(whole(other))
 
-    with contextlib.closing(Store(folder / "j")) as found:
+    with contextlib.closing(Journal(folder / "j")) as found:
         for k in range(20):
-            found.put(
-                Key(f"points-{k}", f"kin-{k}"),
-                bytes([k]) * 9,
-                np.full(500, k, "f8").tobytes(),
-            )
+            found.put(f"points-{k}", record(k))
             assert k % 5 or as_somebody_else(known) == k + 1
 
 
@@ -369,14 +444,14 @@ def test_who_may_not_write_a_store_leaves_nothing_in_the_way_of_who_may(
     readable_by_others(folder)
     folder.chmod(0o777)
     filled(folder / "j")
-    assert as_somebody_else(lambda: Store(folder / "j", write).close() or 0) == (
+    assert as_somebody_else(lambda: Journal(folder / "j", write).close() or 0) == (
         101 if write else 0
     )
     assert [path.name for path in folder.iterdir()] == ["j"]
 
 
 def test_reading_a_store_that_is_not_there_makes_none(tmp_path):
-    found = Store(tmp_path / "j", write=False)
+    found = Journal(tmp_path / "j", write=False)
     assert not found
     found.close()
     assert not (tmp_path / "j").exists()
@@ -385,14 +460,14 @@ def test_reading_a_store_that_is_not_there_makes_none(tmp_path):
 def test_a_record_that_no_longer_fits_on_the_disk_is_told_and_the_next_is_kept(
     tmp_path,
 ):
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         (pages,) = found._execute("PRAGMA page_count")[0]
         found._execute(f"PRAGMA max_page_count={pages + 3}")
         with pytest.raises(DiskFullError, match="The disk is full"):
-            found.put(Key("big", "big"), b"", bytes(1 << 20))
+            found.put("big", Record(b"", bytes(1 << 20)))
         assert "big" not in found
-        found.put(Key("small", "small"), b"head", b"payload")
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+        found.put("small", Record(b"head", b"payload"))
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         assert list(found) == ["small"] and found.get("small") == (b"head", b"payload")
 
 
@@ -400,8 +475,8 @@ def test_what_is_stored_reaches_the_disk_at_least_every_half_second(
     tmp_path, monkeypatch
 ):
     times, asked = iter([10.0, 10.1, 10.6, 10.7]), []
-    monkeypatch.setattr(store.time, "monotonic", lambda: next(times))
-    with contextlib.closing(Store(tmp_path / "j")) as found:
+    monkeypatch.setattr(journal.time, "monotonic", lambda: next(times))
+    with contextlib.closing(Journal(tmp_path / "j")) as found:
         execute = found._execute
         monkeypatch.setattr(
             found,
@@ -409,7 +484,7 @@ def test_what_is_stored_reaches_the_disk_at_least_every_half_second(
             lambda sql, *values: asked.append(sql) or execute(sql, *values),
         )
         for k in range(4):
-            found.put(Key(str(k), ""), b"", b"")
+            found.put(str(k), Record(b"", b""))
     assert [sql[-6:] for sql in asked if "synchronous" in sql] == [
         "s=FULL",
         "NORMAL",
@@ -453,9 +528,8 @@ def test_a_record_gives_back_what_went_in(name):
     slopes = shape.sizes[shape.slope]
     lines = int(np.prod(shape.sizes)) // slopes
     own, result = points(lines, slopes)
-    digests = np.arange(2 * lines, dtype=np.uint64).reshape(lines, 2)
-    head, payload = pack(own, Packing(shape, 4, ["long", "short"], digests))
-    found, contents = unpacked(head, payload), Head(head)
+    packed = ChunkCodec(shape, 4, ["long", "short"]).encode(own)
+    found, contents = decode(packed), Head.parse(packed.head)
     for key in ("status", "stance_angle", "branch"):
         expected = (
             result[key] if key == "status" else result[key][:, :2]
@@ -474,17 +548,31 @@ def test_a_record_gives_back_what_went_in(name):
         list(contents.sentences([0]).values()) == ["It converged."]
         and len(contents.sentences()) == 2
     )
-    np.testing.assert_array_equal(contents.digests, digests)
     assert contents.holds(["branch"], ["long"]) and not contents.holds(
         ["period"], ["long"]
     )
     assert not contents.holds(["branch"], ["other1"])
-    piece = contents.piece(memoryview(payload), "stance_angle", 1)
+    piece = contents.piece(memoryview(packed.payload), "stance_angle", 1)
     laid_out = shape.unfold(result["stance_angle"][:, 1].copy())
     assert laid_out.shape == shape.sizes and piece.checksum == zlib.crc32(
         np.ascontiguousarray(laid_out).tobytes()
     )
-    assert contents.piece(memoryview(payload), "stance_angle", 2) is None
+    assert contents.piece(memoryview(packed.payload), "stance_angle", 2) is None
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_values_that_are_not_packed_are_those_that_are(name):
+    shape = SHAPES[name]
+    slopes = shape.sizes[shape.slope]
+    own, _ = points(int(np.prod(shape.sizes)) // slopes, slopes)
+    packed, plain = (
+        decode(ChunkCodec(shape, 4, ["long"], is_archived).encode(own))
+        for is_archived in (True, False)
+    )
+    assert packed.sentences == plain.sentences
+    for variable, values in packed.values.items():
+        np.testing.assert_array_equal(plain.values[variable], values)
+        assert plain.values[variable].dtype == values.dtype
 
 
 def test_points_lie_in_the_grid_as_their_lines_and_slopes_say():
@@ -500,7 +588,7 @@ def test_parts_are_joined_with_what_each_of_them_has():
     one, two = points(1, 4)[0], points(1, 3, gaits=3, seed=1)[0]
     lost = Points.of_ending(2, "worker_died", "The worker died of SIGSEGV.", one.values)
     whole_points = joined([one, lost, two])
-    packed = unpacked(*pack(whole_points, Packing(Shape((9,), (9,), 0), 3, ["long"])))
+    packed = decode(ChunkCodec(Shape((9,), (9,), 0), 3, ["long"]).encode(whole_points))
     assert packed.values["stance_angle"].shape == (
         9,
         3,
@@ -529,8 +617,8 @@ def test_parts_are_joined_with_what_each_of_them_has():
 def test_joined_points_have_the_record_of_points_computed_together():
     own, _ = points(1, 20)
     parts = [own.take(np.arange(a, b)) for a, b in ((0, 3), (3, 11), (11, 20))]
-    packing = Packing(Shape((20,), (20,), 0), 3, ["long"])
-    assert pack(joined(parts), packing) == pack(own, packing)
+    codec = ChunkCodec(Shape((20,), (20,), 0), 3, ["long"])
+    assert codec.encode(joined(parts)) == codec.encode(own)
 
 
 @pytest.mark.parametrize(
@@ -550,7 +638,7 @@ def test_a_gait_that_no_point_has_found_keeps_its_branch():
     own = Points.of_task(
         result, {"want": ("stance_angle", "branch"), "slope": np.empty(4)}
     )
-    kept = unpacked(*pack(own, Packing(Shape((4,), (4,), 0), 3, ["long"])))
+    kept = decode(ChunkCodec(Shape((4,), (4,), 0), 3, ["long"]).encode(own))
     assert kept.values["branch"].shape == (4, 3) and kept.values["branch"][2, 2] == 7
 
 

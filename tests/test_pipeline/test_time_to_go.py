@@ -1,24 +1,26 @@
 """How long a run will take is told from what its parts took, which sample it evenly."""
 
-import contextlib
 import json
+import os
+import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from answering import Answering, study_of
 from conftest import STUDY
-from gaitsweep.pipeline.engine.executors import Engine
-from gaitsweep.pipeline.engine.jobs import Jobs
+from gaitsweep.pipeline.engine import progress
+from gaitsweep.pipeline.engine.loop import run_all
 from gaitsweep.pipeline.engine.progress import Progress
-from gaitsweep.pipeline.engine.scheduler import Scheduler
-from gaitsweep.pipeline.engine.signals import Signals
+from gaitsweep.pipeline.engine.request import Answer
+from gaitsweep.pipeline.engine.work import Work
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid import grid
-from gaitsweep.pipeline.store.record import Points, pack
-from gaitsweep.pipeline.store.store import Store
-from gaitsweep.pipeline.study import parse
+from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.record import Points
 from processes import sidecar_path
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
@@ -40,30 +42,23 @@ UNEVEN = {
 }
 
 
-class Simulated(Engine):
-    """An engine of two workers whose time is counted, not spent."""
+class Simulated:
+    """Answers as two workers would, whose time is counted, not spent."""
 
     def __init__(self, cost):
-        super().__init__()
         self.cost, self.spent = cost, 0.0
 
-    @contextlib.contextmanager
-    def parallel(self):
-        def parallel(_, take):
-            for number, job in iter(take, None):
-                took, result = 0.01, {"outcome": "ok", "reason": "", "data": b""}
-                if job.packing:
-                    slope = job.params["slope"]
-                    line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 23)
-                    took += float(np.sum(self.cost(line, slope)))
-                    points = Points.of_ending(
-                        len(slope), "raised", "", job.params["want"]
-                    )
-                    result = {"record": pack(points, job.packing), "atlases": []}
-                self.spent += took
-                yield number, {**result, "seconds": took, "pid": 0}
-
-        yield parallel
+    def __call__(self, request):
+        answer = Answer(seconds=0.01)
+        if request.codec:
+            slope = request.params["slope"]
+            line = round(request.params["line"]["set"].get("w_t", 0) / 0.1 * 23)
+            answer.seconds += float(np.sum(self.cost(line, slope)))
+            want = request.params["want"]
+            points = Points.of_ending(len(slope), "raised", "", want)
+            answer.record = request.codec.encode(points)
+        self.spent += answer.seconds
+        return answer
 
 
 @pytest.mark.parametrize("name", UNEVEN)
@@ -74,28 +69,60 @@ def test_what_is_left_is_told_to_a_half_after_a_fifth_of_the_work(
         grid, "MOST_POINTS", 100
     )  # some tenths of a second of work, as in any run
     axes, cost = UNEVEN[name]
-    (tmp_path / "s.toml").write_text(
-        f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\nvariables = ["period"]\n'
-    )
-    engine, told = Simulated(cost), []
-    with contextlib.closing(Store(tmp_path / "j")) as store:
-        plan = Plan(parse.read(tmp_path / "s.toml"), store)
-        progress = Progress(
-            plan, summary(plan), tmp_path / "log", quiet=True, engine=engine
-        )
+    text = f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n'
+    plan = Plan(study_of(text + '[want]\nvariables = ["period"]\n'), Memory())
+    workers, told = Simulated(cost), []
+    engine = Answering(workers)
 
-        def listen(event, details):
-            progress(event, details)
-            told.append((engine.spent, 2 * progress.state()["eta"]))
+    class Watched(Progress):
+        def finished(self, done):
+            super().finished(done)
+            told.append((workers.spent, 2 * self.state()["eta"]))
 
-        Scheduler([Jobs(plan, engine, listen)], engine, Signals()).run()
-        progress.file.close()
+    watched = Watched(plan, summary(plan), tmp_path / "log", engine, quiet=True)
+    run_all([Work(plan, [watched])], engine)
+    watched.file.close()
+
     wrong = [
-        left / (engine.spent - spent)
+        left / (workers.spent - spent)
         for spent, left in told
-        if 0.2 * engine.spent <= spent <= 0.7 * engine.spent
+        if 0.2 * workers.spent <= spent <= 0.7 * workers.spent
     ]
     assert len(wrong) > 10 and min(wrong) > 1 / 1.5 and max(wrong) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "columns"), [(False, 80), (True, 80), (True, 0)]
+)
+def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal, columns):
+    """However narrow the terminal is; one may not know its width."""
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(fileno=lambda: 2))
+    monkeypatch.setattr(
+        os, "get_terminal_size", lambda number: os.terminal_size((columns, 24))
+    )
+    said, waits = [], iter([False, True])
+    display = progress.Display([9], quiet=False)
+    display.begin(SimpleNamespace(state=dict, log_state=lambda: None))
+    display.is_terminal, display.stopped = (
+        is_terminal,
+        SimpleNamespace(wait=lambda _: next(waits)),
+    )
+    for name, value in (
+        ("_FAST", 0.0),
+        ("_SLOW", 0.0),
+        ("total", list),
+        ("sentence", lambda _: "3 of 9 points" * 10),
+    ):
+        monkeypatch.setattr(progress, name, value)
+    monkeypatch.setattr(
+        progress.terminal, "say", lambda text, end="\n": said.append((text, end))
+    )
+    display._tick()
+    (line,) = said
+    shown = ("3 of 9 points" * 10)[: 79 if columns else 118]
+    assert line == (
+        ("\r\033[K" + shown, "") if is_terminal else ("3 of 9 points" * 10, "\n")
+    )
 
 
 @pytest.mark.soak

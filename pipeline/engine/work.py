@@ -1,0 +1,277 @@
+"""The nodes of one study that are to be computed: which are ready, which wait for
+others, what a worker is asked for them, and how its answer is recorded.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from gaitsweep.pipeline.engine.account import Account
+from gaitsweep.pipeline.engine.listener import Finished, Listener
+from gaitsweep.pipeline.engine.request import Answer, Request
+from gaitsweep.pipeline.graph.graph import Node
+from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.graph.reads import study_inputs
+from gaitsweep.pipeline.grid.grid import PLANE_POINTS
+from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.outcomes import count
+from gaitsweep.pipeline.statuses import STATUS_NAMES
+from gaitsweep.pipeline.store.record import ChunkCodec, Head
+from gaitsweep.pipeline.store.store import Outcome
+
+
+class Work:
+    """What a study lacks, node by node.
+
+    A node is drawn from the plan when it may be needed. From then on its key is to
+    come, until its result is stored or it is dropped: the node waits for a key that is
+    to come itself, or is ready, or is taken. Nodes over the study are drawn last.
+
+    Parameters
+    ----------
+    plan : Plan
+    listeners : sequence of Listener
+    most : int, optional
+        Points computed at a time; by default those of a chunk.
+
+    Attributes
+    ----------
+    taken : int
+        Nodes that are being computed, here or for another study.
+    error : Exception or None
+        What ended the study.
+    """
+
+    def __init__(
+        self, plan: Plan, listeners: Sequence[Listener] = (), most: int | None = None
+    ):
+        self.plan, self.listeners, self.most = plan, listeners, most
+        self.account = Account()
+        self.taken = 0
+        self.error: Exception | None = None
+        self._after = seconds_after(plan)
+        self._source: Iterator[Node] = plan.nodes()
+        self._is_last = False  # whether the source is of nodes over the study
+        self._ready: deque[Node] = deque()
+        self._waiting: dict[str, list[Node]] = {}  # by a key that is to come
+        self._to_come: set[str] = set()
+        self._failed: set[str] = set()  # keys that failed, and of what needs them
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.next() is None and not self.taken
+
+    def next(self) -> Node | None:
+        """The next node that is ready; None if there is none now."""
+        try:
+            while not self._ready and not self.error and (node := self._drawn()):
+                self._offer(node)
+        except Exception as error:
+            self.fail(error)
+        return self._ready[0] if self._ready else None
+
+    def _drawn(self) -> Node | None:
+        """The next node of the plan that nothing has been decided of."""
+        for node in self._source:
+            # Halves of planes may be there before the plan comes to them.
+            if node.key not in self._to_come and node.key not in self._failed:
+                self._to_come.update(self._results(node))
+                return node
+        if self._is_last or self._to_come:
+            return None
+        self._source, self._is_last = self.plan.over_study(), True
+        return self._drawn()
+
+    def _results(self, node: Node) -> Iterator[str]:
+        """Keys of the results of a node."""
+        yield node.key
+        if node.lines and "atlas" in self.plan.graph.line_tasks:
+            for line in node.chunk.numbers.tolist() if node.chunk else ():
+                yield self.plan.graph.line_keys(line)["atlas"]
+
+    def _offer(self, node: Node) -> None:
+        """Make a node ready, unless it waits for another, or is dropped as that failed."""
+        failed = [need for need in node.needs if need in self._failed]
+        if failed:
+            outcome = self.plan.store.outcome(failed[0])
+            status = outcome.status if outcome else "not_attempted"
+            lost = node.points + self._release(node.key, is_ok=False)
+            for listener in self.listeners:
+                listener.dropped(node, lost, status)
+            return
+        needs = [*node.needs, *self._charts_of(node)]
+        awaited = next((need for need in needs if need in self._to_come), None)
+        if awaited is None:
+            self._ready.append(node)
+        else:
+            self._waiting.setdefault(awaited, []).append(node)
+
+    def _charts_of(self, node: Node) -> list[str]:
+        """Keys of the charts that a chunk of a plane reads, as far as they are known;
+        those that are missing and were not drawn are offered.
+        """
+        if not node.lines or not node.chunk:
+            return []
+        known = []
+        for charts in self.plan.charts_of(node.chunk):
+            known.append(charts.key)
+            is_known = charts.key in self._to_come or charts.key in self._failed
+            if not is_known and self.plan.is_missing(charts.key):
+                self._to_come.add(charts.key)
+                self._offer(charts)
+        return known
+
+    def _release(self, key: str, is_ok: bool) -> int:
+        """A result has come: what waited for it is offered, before what else is ready,
+        so that results are seen early; if it failed what needs it is dropped, and its
+        points are counted.
+        """
+        self._to_come.discard(key)
+        if not is_ok:
+            self._failed.add(key)
+        lost, later = 0, self._ready
+        self._ready = deque()
+        for node in self._waiting.pop(key, []):
+            if is_ok or key not in node.needs:
+                self._offer(node)
+            else:
+                lost += node.points + self._release(node.key, is_ok=False)
+        self._ready += later
+        return lost
+
+    def take(self) -> Node:
+        """Take the next node, if there is one."""
+        self.taken += 1
+        return self._ready.popleft()
+
+    def put_back(self, node: Node) -> None:
+        """Return a node that was taken and has no result."""
+        self.taken -= 1
+        if not self.error:
+            self._ready.appendleft(node)
+
+    def fail(self, error: Exception) -> None:
+        """End the study with an error; results of nodes that are taken are dropped."""
+        self.error = error
+        self._source = iter(())
+        self._is_last = True
+        for nodes in (self._ready, self._waiting, self._to_come):
+            nodes.clear()
+
+    def seconds(self, node: Node) -> float:
+        """Estimated time of a node, and of what depends on it [s]."""
+        graph = self.plan.graph
+        own = graph.size(node) * graph.seconds(node.task)
+        if node.lines:
+            own += node.lines * graph.seconds("atlas")
+        return own + self._after[node.task]
+
+    def request(self, node: Node) -> Request:
+        """What a worker is asked for a node that was taken."""
+        graph, limits = self.plan.graph, self.plan.study.limits
+        codec, alone, most = None, None, self.most
+        if node.chunk:
+            codec = ChunkCodec(
+                node.chunk.shape,
+                graph.grid.multipliers,
+                self.plan.study.gaits,
+                is_archived=not graph.in_memory,
+            )
+            tasks = (graph.layers[name].task for name in ("atlas", "points"))
+            atlas, points = (task.function for task in tasks)
+            alone = atlas, points
+        if graph.method is Method.PLANE:
+            # Lines keep their charts, and a few points take as long as many.
+            alone, most = None, most and max(most, PLANE_POINTS[0])
+        return Request(
+            graph.function(node),
+            graph.params(node),
+            list(self._inputs(node)),
+            limits.seconds,
+            limits.memory,
+            codec=codec,
+            alone=alone,
+            most=most,
+            together=self._together(node),
+        )
+
+    def _together(self, node: Node) -> str:
+        """Function that computes such an atlas beside others."""
+        graph = self.plan.graph
+        is_beside = node.task == "atlas" and graph.method is Method.ALONE
+        return graph.layers["atlas"].task.side_by_side if is_beside else ""
+
+    def _inputs(self, node: Node) -> Iterator[bytes]:
+        """Packed inputs of a node."""
+        if node.line is None and node.chunk is None:
+            yield from study_inputs(self.plan, node.task)
+            return
+        store = self.plan.store
+        for need in (*node.needs, *self._charts_of(node)):
+            outcome = store.outcome(need)
+            if outcome and outcome.status == "ok":
+                yield store.get(need).payload
+
+    def record(self, node: Node, answer: Answer) -> None:
+        """Store the answer for a node that was taken."""
+        self.account.add(answer)
+        self._store(node, answer)
+
+    def copy(self, node: Node, answer: Answer) -> None:
+        """Store the answer for a node that was taken, which another study has asked
+        for.
+        """
+        self._store(node, Answer(data=answer.data))
+
+    def _store(self, node: Node, answer: Answer) -> None:
+        self.taken -= 1
+        if self.error:
+            return
+        try:
+            finished = self._stored(node, answer)
+            for listener in self.listeners:
+                listener.finished(finished)
+        except Exception as error:
+            self.fail(error)
+
+    def _stored(self, node: Node, answer: Answer) -> Finished:
+        store, graph = self.plan.store, self.plan.graph
+        if not answer.record:
+            outcome = Outcome(answer.status, answer.reason)
+            store.put_result(node.key, outcome, answer.data)
+            lost = self._release(node.key, answer.status == "ok")
+            is_halved = node.task == "charts" and self.plan.boxes(node, "halves")
+            size = 0 if is_halved else graph.size(node)
+            finished = Finished(node, size, *outcome, lost=lost)
+            return _with_times(finished, answer)
+
+        for atlas in answer.atlases:
+            assert node.chunk
+            line = int(node.chunk.numbers[atlas.place])
+            key = graph.line_keys(line)["atlas"]
+            store.put_result(key, Outcome(atlas.status, atlas.reason), atlas.data)
+            self._release(key, atlas.status == "ok")
+        store.put(node.key, answer.record)
+        self._release(node.key, is_ok=True)
+        rows = Head.parse(answer.record.head).rows(self.plan.columns)
+        counts = count(rows, STATUS_NAMES)
+        return _with_times(Finished(node, node.points, counts=counts), answer)
+
+
+def _with_times(finished: Finished, answer: Answer) -> Finished:
+    return replace(
+        finished, seconds=answer.seconds, pid=answer.pid, worker=answer.worker
+    )
+
+
+def seconds_after(plan: Plan) -> dict[str, float]:
+    """Estimated time of the longest chain of tasks that depend on a task of each layer
+    [s].
+    """
+    layers = plan.graph.layers
+    after = dict.fromkeys(layers, 0.0)
+    for name, layer in reversed(layers.items()):
+        for need in layer.needs:
+            after[need] = max(after[need], plan.graph.seconds(name) + after[name])
+    return after
