@@ -121,6 +121,8 @@ def lines(source: Source) -> list[dict[str, Any]]:
             "at": line.at,
             "keys": keys,
             "command": line.command,
+            "ink": VARIABLES[ink],
+            "called": line.called,
             "first": _first(line.at, branches),
             "branches": [
                 _nodes(branch, total, keys["knees"])

@@ -45,7 +45,7 @@ class Drawing:
     data: pd.DataFrame
     small: str
     targets: list[dict[str, Any]]
-    lines: list[str]
+    lines: list[tuple[str, str]]
     panels: list[dict[str, Any]]
     axes: list[dict[str, Any]]
 
