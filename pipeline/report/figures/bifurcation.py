@@ -29,8 +29,7 @@ from gaitsweep.pipeline.report.words import plain, shorten, spaced
 #: An exponent is positive if it exceeds so many of its standard errors.
 _ERRORS = 3
 
-#: What a dot tells: it is one step of an attractor, of which only the walker and the
-#: slope can be solved again, for the gaits there.
+#: What a dot tells: it is one step of an attractor, from which the motion goes on.
 _TIPS = {
     "slope": "γ (rad)",
     "stance_angle": "θ* of one step (rad)",
@@ -96,7 +95,7 @@ def _draw_orbits(sketch: Sketch, axes: Axes, line: Line, raster: bool) -> None:
     sketch.mark(
         axes,
         thin(rows, 400),
-        f"{line.label or 'orbit'}; command: the gaits there",
+        line.label or "orbit",
         command=line.command,
         tips=_TIPS,
         free=True,

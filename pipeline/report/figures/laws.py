@@ -88,7 +88,9 @@ def _draw_exponents(sketch: Sketch, axes: Axes, of: str, data: pd.DataFrame) -> 
     ticks = [*laws, *_TICKS[of]]
     axes.set_xticks(ticks, [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])])
 
-    colours = dict(zip(data["walker"].unique(), inks(data["walker"].unique()), strict=True))
+    colours = dict(
+        zip(data["walker"].unique(), inks(data["walker"].unique()), strict=True)
+    )
     for (walker, gait), rows in data.groupby(["walker", "gait"], sort=False):
         for one in rows.itertuples():
             ink = colours[one.walker]

@@ -40,9 +40,10 @@ def _border(curve: pd.DataFrame, radius: np.ndarray, k: int) -> pd.DataFrame:
         values = curve[name].to_numpy()[near]
         if values.dtype.kind != "f":
             continue
-        is_positive = bool((values > 0).all())
-        value = weights @ (np.log(values) if is_positive else values)
-        row[name] = np.exp(value) if is_positive else value
+        if (values > 0).all():
+            row[name] = np.exp(weights @ np.log(values))
+        else:
+            row[name] = weights @ values
 
     row["stable"] = 1.0
     row["spectral_radius"] = 1.0
@@ -68,6 +69,8 @@ def _support(radius: np.ndarray, k: int) -> list[int]:
     wide = list(range(first, first + _AROUND))
     if first >= 0 and wide[-1] < len(radius):
         steps = np.diff(radius[wide])
-        if (steps > 0).all() or (steps < 0).all():
+        rises = bool((steps > 0).all())
+        falls = bool((steps < 0).all())
+        if rises or falls:
             return wide
     return [k, k + 1]
