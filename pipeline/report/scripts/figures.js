@@ -75,7 +75,8 @@ for (const plot of document.querySelectorAll(".plot")) {
       return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
         command: known && !map.free && slope > 0 ? withSlope(command, slope) : null };
     }
-    const [x, y, more, ...values] = curve.rows[row];
+    const [x, y, more, ...values] = curve.rows[row], state = curve.free && curve.starts?.[row]?.slice(0, 3).join(" ");
+    if (state) return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: `${withSlope(curve.command, more).replace("solve", "simulate")} --state ${state}` };
     return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]),
       command: typeof more === "string" ? more : more !== null && curve.command ? withSlope(curve.command, more) : null };
   }
@@ -287,7 +288,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     show({ curve, row: Math.max(0, Math.min(curve.rows.length - 1, at.row + move[1])) });
   });
 
-  for (const map of panels.slice(-1)) lead ??= wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
+  for (const map of panels.slice(-1)) lead ??= map.first ? wishOf({ map, cell: map.first }) : wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
   for (const curve of series) lead ??= wishOf({ curve, row: 0 });
 
   // The picture as a file, in the colours of the page as it is seen.

@@ -18,7 +18,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   let gait = null, motion = null, other = null, second = null, spot = () => {}, time = 0, playing = false, before = 0, drawn = 0, docked = false;
 
   const realTime = () => gait.walker.keys.units === "SI" ? gait.walker.time : EARTH;
-  const inkOf = ({ line }) => `var(--line${Math.max(0, LINES.indexOf(line)) % 6})`;
+  const inkOf = ({ line, map }) => `var(--${(line ?? map)?.ink ?? "line0"})`;
   const say = text => { find("said").textContent = text; };
   const units = () => find("units").value === "own" && gait.walker.keys.units === "SI"
     ? { time: gait.walker.time, s: "s", speed: gait.walker.speed, v: "m/s", energy: gait.walker.energy, E: "J", length: gait.walker.leg, l: "m" }
@@ -139,7 +139,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (write) address();
     tellPage(gait);
   }
-  const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
+  const nameOf = ({ at, line }) => line?.called && line.called !== at.walker ? `walker ${line.called} (${at.walker} with ${setOf(at)})` : [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, setOf(at)].filter(Boolean).join(", ");
+  const setOf = at => Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`).join(", ");
   const portrait = () => { const { time: one, s } = units(); spot = drawPortrait(find("phase"), motion, inkOf(gait), one, s); };
   const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
 
@@ -206,9 +207,11 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
     const value = x => sum(basis(x).map((b, i) => b * share[i])), error = Math.max(...xs.map((x, k) => abs(value(x) - ys[k])));
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
-    draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
+    // A poor polynomial would mislead: then the dots stand alone.
+    const isClose = error < 0.01 * high;
+    if (isClose) draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
     for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
-    find("fit").textContent = `dots: θ* along ${side.name}; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad`;
+    find("fit").textContent = `dots: θ* along ${side.name}` + (isClose ? `; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad` : "");
   }
 
   // A second gait of the line at the same slope, beside the first.
@@ -266,15 +269,15 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
       : !aim || after - back <= 4 ? `It still walks after ${word(after)}, but not in this gait.`
       // An unstable gait is left, however slowly.
-      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this unstable gait.`;
+      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this ${gait.radius > 1 ? "unstable " : ""}gait.`;
   }
 
   select = (wish, options = {}) => {
-    const line = wish.at && lineAt(wish.at), named = wish.slope > 0 && !wish.free && !line && cellNamed(wish);
+    const line = wish.at && lineAt(wish.at), named = wish.start && !wish.free && !line && cellNamed(wish);
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
     const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
-    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : wish.slope || map ? "No gait is stored for this cell." : "The address names no gait of this page.");
+    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : map ? "No gait is stored for this cell." : whyNot(wish));
     if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
     if (found && options.dock) {
@@ -309,7 +312,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   const followAddress = () => {
     const wish = location.hash.length > 1 && readAddress(location.hash);
-    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: false }) };
+    // What is left out of an address, or is rounded there, is solved; the address then has it.
+    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: true }) };
   };
   addEventListener("hashchange", followAddress);
   // Once the figures and tables below have been made ready, they hear of the first gait.
@@ -317,7 +321,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const given = followAddress();
     if (given?.found) return;
     const first = MAPS.some(map => !map.free) && lead || LINES.map(line => readAddress(line.first)).find(Boolean) || lead;
-    if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
+    if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(`${words} Shown is another gait of this page.`); return; } }
     if (!gait) panel.hidden = !docked;
   });
 }
