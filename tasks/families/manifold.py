@@ -16,6 +16,7 @@ from gaitsweep.tasks.continuation.defining import (
 from gaitsweep.tasks.continuation.extremes import Points, classify
 from gaitsweep.tasks.continuation.pseudo_arclength import Point
 from gaitsweep.tasks.families.chart import Chart
+from gaitsweep.tasks.families.kinds import is_end, side_of_steps
 from gaitsweep.tasks.fixed_points.step_check import verify_steps
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import lanes_of
@@ -207,14 +208,8 @@ class Manifold:
             Whether they are as near their predictions as they should be.
         """
         Z, rows = self.predict(unit)
-        step = newton_step(
-            problem,
-            self.kind,
-            Z,
-            rows,
-            self.target,
-            0 if _is_end(self.kind) else SAMPLES,
-        )
+        samples = 0 if is_end(self.kind) else SAMPLES
+        step = newton_step(problem, self.kind, Z, rows, self.target, samples)
         near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
         walks = _walks(problem, self.kind, step, near)
         error = self._error(step.last_step) + step.rounding
@@ -244,10 +239,6 @@ class Manifold:
         return np.asarray(_SAFETY * (self.linear * size + self.quadratic * size**2))
 
 
-def _is_end(kind: str) -> bool:
-    return kind.startswith("end_")
-
-
 def _walks(
     problem: Lanes,
     kind: str,
@@ -261,12 +252,12 @@ def _walks(
     lanes = np.flatnonzero(near)
     if not len(lanes):
         return walks
+
     Z = step.at.Z[:, lanes]
     stride = None
-    if _is_end(kind):
-        # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
-        side = 1 if "kneestrike_at" in kind else -1
-        Z = step.Z[:, lanes] + side * _INSIDE * step.direction[:, lanes]
+    if is_end(kind):
+        inside = _INSIDE * side_of_steps(kind)
+        Z = step.Z[:, lanes] + inside * step.direction[:, lanes]
     else:
         stride = lanes_of(step.at.stride, lanes)
     _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)
