@@ -90,18 +90,14 @@ def largest_steps(
     for row, sign in zip(largest, (-1, 1), strict=True):
         left = np.arange(n)
         for first in range(1, most + 1, _AT_ONCE):
-            heights = np.minimum(
-                STEP_RESOLUTION * np.arange(first, min(first + _AT_ONCE, most + 1)),
-                limit,
-            )
-            each = np.repeat(left, len(heights))
+            numbers = np.arange(first, min(first + _AT_ONCE, most + 1))
+            heights = np.minimum(STEP_RESOLUTION * numbers, limit)
+            lanes = np.repeat(left, len(heights))
+            height = sign * np.tile(heights, len(left))
             survived = _survive(
-                problem.some(each),
-                home.some(each),
-                slope,
-                sign * np.tile(heights, len(left)),
-            )
-            survived = survived.reshape(len(left), -1)
+                problem.some(lanes), home.some(lanes), slope, height
+            ).reshape(len(left), -1)
+
             failed = ~survived.all(axis=1)
             row[left[failed]] = first - 1 + survived[failed].argmin(axis=1)
             left = left[~failed]
@@ -122,11 +118,13 @@ def _survive(
     after = step_onto(problem, home.y, slopes, height * walkers.leg / walkers.l)
     walk = Walk(problem, after.image, slopes)
     survived = np.zeros(len(height), bool)
+
     walk.lanes = np.flatnonzero(after.outcome == STRUCK)
     for _ in walk.steps(_RECOVERY - 2):
         back = home.hold(walk.y[:, walk.lanes], walk.lanes)
         survived[walk.lanes[back]] = True
         walk.lanes = walk.lanes[~back]
+
     off = np.abs(walk.y - home.y)[:, walk.lanes] < _BACK * sizes(home.y[:, walk.lanes])
     survived[walk.lanes[off.all(axis=0)]] = True
     return survived

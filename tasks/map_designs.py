@@ -316,15 +316,10 @@ class _Rows:
 
     def __init__(self, n: int, sought: Sought):
         self.sought = sought
-        names = (
-            QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)]
-        )
-        numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
-        self.at: dict[str, Arrays] = {
-            name: {column: np.full(n, np.nan) for column in numbers}
-            | {"kind": np.full(n, _NO_WALKER, "U32"), "gait": np.full(n, "", "U8")}
-            for name in names
-        }
+        names = QUANTITIES
+        if sought.log_speed is None:
+            names = QUANTITIES[: -len(COSTS)]
+        self.at = {name: _nothing_reached(n) for name in names}
         self.surveyed = np.zeros(n, int)
         self.attractor = np.full(n, _NO_GAIT, "U32")
         self.steps = np.full((2, n), np.nan)
@@ -344,24 +339,20 @@ class _Rows:
         chosen = best(points, n, window)
         kept = np.ones(n, bool) if accepted is None else accepted
         self.surveyed[numbers[kept]] = surveyed
-        walks = np.zeros(n, bool)
-        walks[
-            points.line[
-                in_window(points, window) | (points.walks & (points.kind == ANY_SLOPE))
-            ]
-        ] = True
+
+        is_any = points.walks & (points.kind == ANY_SLOPE)
+        walks = np.full(n, any_slope)
+        walks[points.line[in_window(points, window) | is_any]] = True
         for name, at in self.at.items():
-            point = chosen[name]
-            there = np.flatnonzero(kept & (point >= 0))
-            if len(there):
-                for column, values in _reached(
-                    problem.some(there), lanes_of(points, point[there])
-                ).items():
-                    at[column][numbers[there]] = values
-            absent = kept & (point < 0)
+            there = np.flatnonzero(kept & (chosen[name] >= 0))
+            absent = kept & (chosen[name] < 0)
             at["kind"][numbers[absent]] = _NO_GAIT
             if name != "smallest_slope":
-                at["kind"][numbers[absent & (walks | any_slope)]] = _NEVER_STABLE
+                at["kind"][numbers[absent & walks]] = _NEVER_STABLE
+            if len(there):
+                reached = lanes_of(points, chosen[name][there])
+                for column, values in _reached(problem.some(there), reached).items():
+                    at[column][numbers[there]] = values
         if any_slope:
             self.at["smallest_slope"]["kind"][numbers[kept]] = ANY_SLOPE
 
@@ -371,23 +362,16 @@ class _Rows:
         if options["at_speed"] is not None:
             for name in COSTS:
                 at = self.at[name]
-                slope = np.exp(self.at[name]["log_slope"])
-                out |= {
-                    f"{name}_of_transport": np.sin(slope),
-                    f"{name}_error": at["error"],
-                }
-                out |= {f"slope_at_{name}": slope, f"gait_at_{name}": at["gait"]}
+                slope = np.exp(at["log_slope"])
+                out[f"{name}_of_transport"] = np.sin(slope)
+                out[f"{name}_error"] = at["error"]
+                out[f"slope_at_{name}"] = slope
+                out[f"gait_at_{name}"] = at["gait"]
             out["stable_at_least_cost"] = self.at["least_cost"]["stable"]
         if options["at_slope"] is not None:
             out["attractor"] = self.attractor
             if options["ground"]:
-                out |= dict(
-                    zip(
-                        ("largest_step_down", "largest_step_up"),
-                        self.steps,
-                        strict=True,
-                    )
-                )
+                out["largest_step_down"], out["largest_step_up"] = self.steps
         return out
 
     def columns(self, walkers: WalkerArray) -> Arrays:
@@ -395,8 +379,7 @@ class _Rows:
         smallest, stable, fastest = (self.at[name] for name in _OF)
         froude = np.exp(fastest["log_froude"])
         any_slope = smallest["kind"] == ANY_SLOPE
-        unit = [1.0, *3 * [walkers.time_unit]]
-        return {
+        columns = {
             "smallest_slope": np.where(any_slope, 0.0, np.exp(smallest["log_slope"])),
             "smallest_slope_error": np.where(any_slope, 0.0, smallest["error"]),
             "smallest_at": smallest["kind"],
@@ -407,13 +390,23 @@ class _Rows:
             "fastest_stable_speed_error": fastest["speed_error"],
             "fastest_froude_speed": froude,
             "fastest_slope": np.exp(fastest["log_slope"]),
-            **{
-                name + of: self.at[at][name] / by
-                for at, of in _OF.items()
-                for name, by in zip(_STATE, unit, strict=True)
-            },
-            "surveyed": self.surveyed,
         }
+        for quantity, of in _OF.items():
+            angle, *rates = _STATE
+            columns[angle + of] = self.at[quantity][angle]
+            for rate in rates:
+                columns[rate + of] = self.at[quantity][rate] / walkers.time_unit
+        columns["surveyed"] = self.surveyed
+        return columns
+
+
+def _nothing_reached(n: int) -> Arrays:
+    """What `_Rows` has of a quantity that none of n designs reaches."""
+    numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
+    out = {column: np.full(n, np.nan) for column in numbers}
+    out["kind"] = np.full(n, _NO_WALKER, "U32")
+    out["gait"] = np.full(n, "", "U8")
+    return out
 
 
 def _reached(problem: Lanes, points: Points) -> Arrays:
