@@ -32,33 +32,32 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     WalkerError
         If the walker is invalid.
     """
-    table = params["walker"] if isinstance(params["walker"], Mapping) else {}
-    check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})
-    walker, numbers = (
-        in_doubles(table) or params["walker"],
-        in_doubles(params.get("set") or {}),
-    )
+    walker, slope = params["walker"], params["slope"]
+    overrides = params.get("set") or {}
+    table = walker if isinstance(walker, Mapping) else {}
+    check_written({**table, **overrides, "slope": slope})
     solved = solve_one(
-        {"walker": walker, "slope": float(params["slope"]), "set": numbers}
+        {
+            "walker": in_doubles(table) or walker,
+            "slope": float(slope),
+            "set": in_doubles(overrides),
+        }
     )
-    keys, kneed = exact(params["walker"], params.get("set"))
-    setting = Setting(keys, kneed, decimal(params["slope"]))
-    wanted, labels = params.get("gait"), [g["gait"] for g in solved["gaits"]]
-    gaits = [g for g in solved["gaits"] if wanted in (None, g["gait"])]
+    setting = Setting(*exact(walker, overrides), decimal(slope))
+    label = params.get("gait")
+    proved = []
+    for gait in solved["gaits"]:
+        name = gait["gait"]
+        if label in (None, name):
+            proof = prove(setting, guess(gait), params["accuracy"], name)
+            proved.append(record(setting, name, gait, proof))
+
+    labels = [gait["gait"] for gait in solved["gaits"]]
     others = ""
-    if labels and not gaits:
+    if labels and not proved:
         are = "are" if len(labels) > 1 else "is"
-        others = f"There is no {wanted} gait at slope {float(params['slope']):g}; there {are} {', '.join(labels)}."
-    return {
-        "gaits": [
-            record(
-                setting,
-                g["gait"],
-                g,
-                prove(setting, guess(g), params["accuracy"], g["gait"]),
-            )
-            for g in gaits
-        ],
-        "search": solved["search"],
-        "others": others,
-    }
+        others = (
+            f"There is no {label} gait at slope {float(slope):g}; "
+            f"there {are} {', '.join(labels)}."
+        )
+    return {"gaits": proved, "search": solved["search"], "others": others}

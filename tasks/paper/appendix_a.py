@@ -18,6 +18,7 @@ _WANT = ("stance_angle", *(v for v in VARIABLES if VARIABLES[v].group == "violat
 _WALKERS = ("A", "B", "C", "D", "E", "physical", "physical-straight")
 _SLOPES = (1e-5, 1e-4, 1e-3, 0.01, 0.02, 0.025, 0.03, 0.036, 0.045, 0.06, 0.1)
 _STRAIGHT = ("A", "B", "D", "E", "physical-straight")
+_KNEED = ("C", "physical")
 
 
 @memoize
@@ -27,38 +28,39 @@ def _measure(paper: Paper, walker: str, slopes: tuple[float, ...]) -> Arrays:
 
 def _of_figure_3(paper: Paper) -> dict[str, float]:
     """Violations of the gait of figure 3."""
-    return {
-        k: float(v[0, LONG])
-        for k, v in _measure(paper, "physical", (0.036,)).items()
-        if v.ndim == 2
-    }
+    gait = _measure(paper, "physical", (0.036,))
+    return {name: float(v[0, LONG]) for name, v in gait.items() if v.ndim == 2}
 
 
 def _flags(gaits: Arrays, name: str) -> np.ndarray:
     """Whether each existing gait violates an assumption at all, by however little,
     shape (n,).
     """
-    exists, violation = np.isfinite(gaits["stance_angle"]), VIOLATIONS[name]
+    exists = np.isfinite(gaits["stance_angle"])
+    violation = VIOLATIONS[name]
     amounts = np.array([gaits[amount][exists] for amount in violation.amounts])
-    return np.asarray((amounts < 0 if violation.is_least else amounts > 0).any(axis=0))
+    violated = amounts < 0 if violation.is_least else amounts > 0
+    return np.asarray(violated.any(axis=0))
+
+
+def _flags_of(paper: Paper, walkers: tuple[str, ...], name: str) -> np.ndarray:
+    """The same of the gaits of some walkers."""
+    flags = [_flags(_measure(paper, walker, _SLOPES), name) for walker in walkers]
+    return np.concatenate(flags)
 
 
 @claim("A1")
 def scuffing(paper: Paper) -> Found:
     """Count the gaits whose swing foot scuffs."""
-    straight = np.concatenate(
-        [_flags(_measure(paper, w, _SLOPES), "scuff") for w in _STRAIGHT]
-    )
-    kneed = np.concatenate(
-        [_flags(_measure(paper, w, _SLOPES), "scuff") for w in ("C", "physical")]
-    )
+    straight = _flags_of(paper, _STRAIGHT, "scuff")
+    kneed = _flags_of(paper, _KNEED, "scuff")
     depth = _of_figure_3(paper)["scuff_depth"]
-    counts = {
-        "straight": (straight.sum(), len(straight)),
-        "kneed": (kneed.sum(), len(kneed)),
-    }
     return found(
-        verdict(straight.all() and not kneed.all()), depth, depth=1e3 * depth, **counts
+        verdict(straight.all() and not kneed.all()),
+        depth,
+        depth=1e3 * depth,
+        straight=(straight.sum(), len(straight)),
+        kneed=(kneed.sum(), len(kneed)),
     )
 
 
@@ -66,21 +68,20 @@ def scuffing(paper: Paper) -> Found:
 def unlocking(paper: Paper) -> Found:
     """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
     amounts = _of_figure_3(paper)
-    impulse, torque = (
-        amounts["unlocking_impulse_kneestrike"],
-        amounts["unlocking_torque"],
-    )
+    impulse = amounts["unlocking_impulse_kneestrike"]
+    torque = amounts["unlocking_torque"]
     return found(verdict(impulse > 0 and torque < 0, impulse > 0), impulse, **amounts)
 
 
 @claim("A3")
 def tension(paper: Paper) -> Found:
     """Evaluate the least normal force and the friction that gaits demand."""
-    gaits = {w: _measure(paper, w, _SLOPES) for w in (*_STRAIGHT, "C", "physical")}
-    least = min(np.nanmin(g["least_normal_force"]) for g in gaits.values())
-    tense = sum(_flags(g, "contact_tension").sum() for g in gaits.values())
+    walkers = (*_STRAIGHT, *_KNEED)
+    gaits = [_measure(paper, walker, _SLOPES) for walker in walkers]
+    least = min(np.nanmin(gait["least_normal_force"]) for gait in gaits)
+    tense = _flags_of(paper, walkers, "contact_tension").sum()
     holds = verdict(least > 0 and not tense, least > 0)
-    return found(holds, least, names=[*gaits], tense=tense, **_of_figure_3(paper))
+    return found(holds, least, names=[*walkers], tense=tense, **_of_figure_3(paper))
 
 
 @claim("A4")
@@ -99,19 +100,20 @@ def _count(paper: Paper, name: str) -> dict[str, Any]:
     """Number of gaits that violate an assumption, number of all gaits, and both by
     walker in words.
     """
-    flags = {w: _flags(_measure(paper, w, _SLOPES), name) for w in _WALKERS}
-    by_walker = {w: f"{f.sum()} of {len(f)}" for w, f in flags.items()}
-    every = np.concatenate([*flags.values()])
-    return {"count": every.sum(), "total": len(every), "by_walker": by_walker}
+    by_walker = {}
+    for walker in _WALKERS:
+        flags = _flags_of(paper, (walker,), name)
+        by_walker[walker] = f"{flags.sum()} of {len(flags)}"
+    flags = _flags_of(paper, _WALKERS, name)
+    return {"count": flags.sum(), "total": len(flags), "by_walker": by_walker}
 
 
 @claim("A5")
 def penetration(paper: Paper) -> Found:
     """Count the gaits whose released foot penetrates the ground."""
     counts = _count(paper, "release_penetrates")
-    steep = 1e3 * np.nanmax(
-        _measure(paper, "physical-straight", (0.3,))["penetration_depth"]
-    )
+    at_steep = _measure(paper, "physical-straight", (0.3,))
+    steep = 1e3 * np.nanmax(at_steep["penetration_depth"])
     return found(verdict(counts["count"] > 0), counts["count"], steep=steep, **counts)
 
 
@@ -121,6 +123,7 @@ def trailing_foot(paper: Paper) -> Found:
     trailing foot.
     """
     counts = _count(paper, "trailing_foot_pulls")
-    steep = np.nanmax(_measure(paper, "physical-straight", (0.3,))["trailing_impulse"])
+    at_steep = _measure(paper, "physical-straight", (0.3,))
+    steep = np.nanmax(at_steep["trailing_impulse"])
     holds = verdict(counts["count"] == 0, counts["count"] < counts["total"] / 10)
     return found(holds, counts["count"], steep=steep, **counts)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import string
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, SupportsFloat
@@ -213,6 +213,11 @@ def claim(id: str) -> Callable[[Callable[[Paper], Found]], Callable[[Paper], Fou
         return compute
 
     return enter
+
+
+def farthest(values: Iterable[float], wanted: float) -> float:
+    """Return the largest distance of numbers from one."""
+    return max(abs(value - wanted) for value in values)
 
 
 def verdict(holds: bool | np.bool, nearly: bool | np.bool = False) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.fit_laws import transition
-from gaitsweep.tasks.paper.claim import Found, claim, found, verdict
+from gaitsweep.tasks.paper.claim import Found, claim, farthest, found, verdict
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.simulate_steps import section_problem
 from gaitsweep.tasks.solve_points import lines
@@ -43,19 +43,20 @@ def _third_multiplier(paper: Paper, walker: str) -> float:
         ]
     )
     stride, _ = problem.some(np.zeros(2, int)).stride(w, np.full(2, np.log(0.01)))
-    return float(
-        np.abs(np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))).min(axis=1).max()
-    )
+    jacobians = np.moveaxis(stride.jacobian, -1, 0)
+    smallest = np.abs(np.linalg.eigvals(jacobians)).min(axis=1)
+    return float(smallest.max())
 
 
 @claim("E2")
 def long_cube_root(paper: Paper) -> Found:
     """Compute the local exponents of the long step."""
-    small, large = (paper.exponents("EF", LONG, slope) for slope in (1e-8, 0.05))
-    off, above = (max(abs(p - 1 / 3) for p in each.values()) for each in (small, large))
-    return found(
-        verdict(off < 1e-4 and above < 0.05), small["E"], small=small, large=large
-    )
+    small = paper.exponents("EF", LONG, 1e-8)
+    large = paper.exponents("EF", LONG, 0.05)
+    off = farthest(small.values(), 1 / 3)
+    above = farthest(large.values(), 1 / 3)
+    holds = verdict(off < 1e-4 and above < 0.05)
+    return found(holds, small["E"], small=small, large=large)
 
 
 @claim("E3")
@@ -65,10 +66,8 @@ def short_two_laws(paper: Paper) -> Found:
         paper.exponents("EF", SHORT, slope) for slope in (1e-8, 0.01, 0.1)
     )
     light = paper.line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
-    linear = max(abs(p - 1) for p in small.values()) < 1e-4
-    cube = (
-        max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
-    )
+    linear = farthest(small.values(), 1) < 1e-4
+    cube = farthest(large.values(), 1 / 3) < 0.05 and abs(light - 1 / 3) < 0.01
     return found(
         verdict(linear and cube),
         large["E"],
@@ -108,11 +107,11 @@ def transition_power(paper: Paper) -> Found:
 @claim("E5")
 def similar_curves(paper: Paper) -> Found:
     """Compare the steps of E and F at equal slopes."""
-    e, f = (
-        paper.line(w).at([1e-6, 0.01, 0.05, 0.1, 0.2])["stance_angle"]
-        for w in ("E", "F")
-    )
-    short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
+    slopes = [1e-6, 0.01, 0.05, 0.1, 0.2]
+    of_E = paper.line("E").at(slopes)["stance_angle"]
+    of_F = paper.line("F").at(slopes)["stance_angle"]
+    short = of_F[:, SHORT] / of_E[:, SHORT]
+    long = of_F[:, LONG] / of_E[:, LONG]
     apart = abs(short[3] - 1)
     return found(
         verdict(apart < 0.02, apart < 0.1),

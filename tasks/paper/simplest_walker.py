@@ -12,6 +12,7 @@ from gaitsweep.tasks.paper.claim import (
     PRINTED,
     Found,
     claim,
+    farthest,
     found,
     verdict,
 )
@@ -33,9 +34,8 @@ def _power_factor(period: float) -> float:
 @claim("D1")
 def two_gaits(paper: Paper) -> Found:
     """Solve both gaits over a grid of slopes."""
-    both = np.isfinite(paper.line("D").grid()["stance_angle"][:, [LONG, SHORT]]).all(
-        axis=1
-    )
+    angles = paper.line("D").grid()["stance_angle"]
+    both = np.isfinite(angles[:, [LONG, SHORT]]).all(axis=1)
     upper = min(MAX_SLOPE, paper.line("D").reaches[1].min())
     return found(verdict(both.all() and upper > 0.2), upper, slopes=both.size)
 
@@ -44,7 +44,8 @@ def two_gaits(paper: Paper) -> Found:
 def long_stable(paper: Paper) -> Found:
     """Locate the flip of the long step and evaluate its multipliers below."""
     flip = paper.line("D").special_of("flip")[0]["slope"]
-    largest = paper.line("D").grid(high=flip, n=61)["spectral_radius"][:-1, LONG].max()
+    below = paper.line("D").grid(high=flip, n=61)
+    largest = below["spectral_radius"][:-1, LONG].max()
     return found(
         PRINTED["D2"].compare(flip) if largest < 1 else NOT_REPRODUCED,
         flip,
@@ -65,19 +66,18 @@ def heelstrike_direction(paper: Paper) -> Found:
     under time reversal.
     """
     slopes = [1e-3, 1e-5, 1e-7]
-    ratios = {
-        w: np.abs(paper.line(w).at(slopes)["velocity_ratio"])
-        for w in ("D", "A", "B", "E", "F")
-    }
-    power = {
-        w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1])
-        for w, r in ratios.items()
-    }
+    ratios, power = {}, {}
+    for walker in ("D", "A", "B", "E", "F"):
+        ratio = np.abs(paper.line(walker).at(slopes)["velocity_ratio"])
+        change = np.diff(np.log(ratio[1:, :2]), axis=0)
+        ratios[walker] = ratio
+        power[walker] = change[0] / np.log(slopes[2] / slopes[1])
     of_long, of_short = zip(*(_asymmetry(paper, s) for s in slopes), strict=True)
     falls = all(p[LONG] > 0.3 for p in power.values())
     rises = all(abs(power[w][SHORT] + 1) < 0.02 for w in "ABEF")
+    is_reversed = of_long[2] < 1e-3 and of_short[2] > 0.1
     return found(
-        verdict(falls and rises and of_long[2] < 1e-3 and of_short[2] > 0.1),
+        verdict(falls and rises and is_reversed),
         power["E"][SHORT],
         ratio=ratios["D"][:, LONG],
         asymmetry=of_long,
@@ -91,18 +91,18 @@ def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
     t, -angles), over the angle.
     """
     d = paper.line("D")
-    motion = trace(
-        {**d.params, "slope": np.array([slope]), "gaits": ("long", "short")}, [d.arrays]
-    )
+    wanted = {"slope": np.array([slope]), "gaits": ("long", "short")}
+    motion = trace({**d.params, **wanted}, [d.arrays])
 
     def distance(gait: str) -> float:
-        angles = [
-            motion[f"trace/{k}"][motion["trace/gait"] == gait]
-            for k in ("theta_st", "theta_th")
-        ]
-        return max(float(np.abs(a + a[::-1]).max()) for a in angles) / float(
-            angles[0][0]
-        )
+        is_gait = motion["trace/gait"] == gait
+        stance = motion["trace/theta_st"][is_gait]
+        swing = motion["trace/theta_th"][is_gait]
+        off = 0.0
+        for angle in (stance, swing):
+            both_ways = np.abs(angle + angle[::-1])
+            off = max(off, float(both_ways.max()))
+        return off / float(stance[0])
 
     return distance("long"), distance("short")
 
@@ -111,18 +111,21 @@ def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
 def cube_roots(paper: Paper) -> Found:
     """Compute exponents and periods at vanishing slopes."""
     d = paper.line("D")
-    angle, speed, periods = (
-        d.exponents(1e-8),
-        d.exponents(1e-8, "speed"),
-        d.at([1e-9])["period"][0],
-    )
+    angle = d.exponents(1e-8)
+    speed = d.exponents(1e-8, "speed")
+    periods = d.at([1e-9])["period"][0]
     period = {label: periods[gait] for label, gait in BOTH.items()}
-    deviation = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
-    drift = max(
-        abs(one - limit) for one, limit in zip(period.values(), PERIODS, strict=True)
-    )
+    deviation = farthest([*angle.values(), *speed.values()], 1 / 3)
+    drifts = zip(period.values(), PERIODS, strict=True)
+    drift = farthest((one - limit for one, limit in drifts), 0)
     holds = verdict(deviation < 1e-4 and drift < 1e-4)
-    return found(holds, angle["long"], angle=angle, speed=speed, period=period)
+    return found(
+        holds,
+        angle["long"],
+        angle=angle,
+        speed=speed,
+        period=period,
+    )
 
 
 @claim("D6")
@@ -130,15 +133,17 @@ def fourth_power(paper: Paper) -> Found:
     """Compute exponents and factors of power in speed at vanishing slopes."""
     d = paper.line("D")
     exponents = d.exponents(1e-8, "power", "speed")
-    gaits, weight = d.at([1e-9]), d.walker.total_mass * d.walker.g
-    factors = [
-        gaits["power"][0, g] / gaits["speed"][0, g] ** 4 / weight for g in (LONG, SHORT)
-    ]
-    limits = [_power_factor(p) for p in PERIODS]
-    deviation = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
-    holds = verdict(
-        max(abs(p - 4) for p in exponents.values()) < 1e-3 and deviation < 1e-4
-    )
+    gaits = d.at([1e-9])
+    weight = d.walker.total_mass * d.walker.g
+    factors = []
+    for gait in (LONG, SHORT):
+        power = gaits["power"][0, gait]
+        speed = gaits["speed"][0, gait]
+        factors.append(power / speed**4 / weight)
+    limits = [_power_factor(period) for period in PERIODS]
+    ratios = [a / b for a, b in zip(factors, limits, strict=True)]
+    is_fourth = farthest(exponents.values(), 4) < 1e-3
+    holds = verdict(is_fourth and farthest(ratios, 1) < 1e-4)
     return found(
         holds, exponents["long"], exponents=exponents, factors=factors, limits=limits
     )
@@ -157,11 +162,15 @@ def swing_at_heelstrike(paper: Paper) -> Found:
     """Evaluate the rate of the swing leg just before heelstrike."""
     # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive
     # is forward.
-    rate, at = (
-        gaits["heelstrike_rate_ratio"] - 1
-        for gaits in (paper.line("D").grid(), paper.line("D").at([0.009]))
-    )
+    d = paper.line("D")
+    rate = d.grid()["heelstrike_rate_ratio"] - 1
+    at = d.at([0.009])["heelstrike_rate_ratio"] - 1
     long, short = rate[:, LONG], rate[:, SHORT]
     holds = verdict((long <= 0).all() and (short > 0).all())
-    ranges = {"long": (long.min(), long.max()), "short": (short.min(), short.max())}
-    return found(holds, at[0, SHORT], at=at[0, LONG], **ranges)
+    return found(
+        holds,
+        at[0, SHORT],
+        at=at[0, LONG],
+        long=(long.min(), long.max()),
+        short=(short.min(), short.max()),
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from gaitsweep.tasks.continuation.root import bracketed_root
 from gaitsweep.tasks.fixed_points.multipliers import multipliers
 from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.paper.claim import PRINTED, Found, claim, found, verdict
+from gaitsweep.tasks.paper.claim import PRINTED, Found, claim, farthest, found, verdict
 from gaitsweep.tasks.paper.lines import LONG, SHORT, Arrays, Paper, memoize
 from gaitsweep.tasks.paper.rounding_intervals import interval
 from gaitsweep.tasks.step.problem import Problem
@@ -33,9 +33,7 @@ def arbitrarily_small(paper: Paper) -> Found:
 def only_simplest(paper: Paper) -> Found:
     """Compute the exponents of both gaits at a vanishing slope."""
     long, short = (paper.exponents(WALKERS, gait, VANISHING) for gait in (LONG, SHORT))
-    both = [
-        w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01
-    ]
+    both = [w for w in WALKERS if farthest([long[w], short[w]], 1 / 3) < 0.01]
     return found(verdict(both == ["D"]), short["D"], long=long, short=short)
 
 
@@ -46,9 +44,8 @@ def two_laws(paper: Paper) -> Found:
     small = all(abs(long[w] - 1 / 3) < 0.01 and abs(short[w] - 1) < 0.01 for w in "ABE")
     middle, large = (paper.exponents("ABE", SHORT, slope) for slope in (0.01, 0.1))
     above = paper.exponents("ABE", LONG, 0.01)
-    at_middle, at_large = (
-        max(abs(p - 1 / 3) for p in each.values()) for each in (middle, large)
-    )
+    at_middle = farthest(middle.values(), 1 / 3)
+    at_large = farthest(large.values(), 1 / 3)
     holds = verdict(small and at_middle < 0.05, small and at_large < 0.1)
     return found(
         holds,

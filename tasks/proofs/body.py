@@ -118,48 +118,61 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
         If the leg cannot be shown to close.
     """
     k = {name: arb(value) for name, value in keys.items()}
+    l, knee, thigh_centre, shank_centre = _shape(keys, k)
+    zero = arb(0)
+    heavy = kneed or not (_is_zero(keys["m_s"]) and _hangs_at_hip(keys))
+    m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
+    thigh = thigh_centre * m_t + knee * m_s
+    shank = shank_centre * m_s
+    about_hip = thigh_centre.dot(thigh_centre) + k["r_t"] ** 2
+    about_knee = shank_centre.dot(shank_centre) + k["r_s"] ** 2
+    thigh_inertia = m_t * about_hip + m_s * knee.dot(knee)
+    shank_inertia = m_s * about_knee
+    coupling = Vector(knee.dot(shank), knee.cross(shank))
+    leg = thigh + shank
+    leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
+
+    mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
+    first = Vector(zero, mass * l)
+    second = mass * (l * l + k["R"] ** 2)
+    if heavy:
+        first = first + leg
+        second = second + 2 * l * leg.y + leg_inertia
+    return Body(
+        R=k["R"],
+        l=l,
+        g=k["g"],
+        mass=mass,
+        stance_first=first,
+        stance_second=second,
+        thigh=(thigh, thigh_inertia),
+        shank=(shank, shank_inertia),
+        leg=(leg, leg_inertia),
+        coupling=coupling,
+        heavy=heavy,
+        kneed=kneed,
+        point_foot=_is_point_foot(keys, kneed),
+    )
+
+
+def _shape(
+    keys: Mapping[str, Number], k: dict[str, arb]
+) -> tuple[arb, Vector, Vector, Vector]:
+    """Distance from the hip to the foot's centre, knee and centre of the thigh from the
+    hip, and centre of the shank from the knee.
+    """
     zero = arb(0)
     d = k["l_s"] - k["R"]
     sin_T, cos_T = k["eps_T"].sin_cos()
     # The foot's centre lies below the hip: sin eps_S = l_t sin eps_T / d.
     sin_S = zero if _is_zero(keys["eps_T"]) else k["l_t"] * sin_T / d
     cos_S = (1 - sin_S * sin_S).sqrt()
-    l = k["l_t"] * cos_T + d * cos_S
     # The thigh leans back by eps_T, so the knee is behind the line; the shank leans
     # forward by eps_S.
     knee = Vector(zero, -k["l_t"]).turned(cos_T, -sin_T)
     thigh_centre = Vector(-k["w_t"], -k["c_t"]).turned(cos_T, -sin_T)
     shank_centre = Vector(-k["w_s"], -k["c_s"]).turned(cos_S, sin_S)
-    mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
-    point_foot = _is_point_foot(keys, kneed)
-    heavy = kneed or not (_is_zero(keys["m_s"]) and _hangs_at_hip(keys))
-    m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
-    thigh = thigh_centre * m_t + knee * m_s
-    shank = shank_centre * m_s
-    thigh_inertia = m_t * (
-        thigh_centre.dot(thigh_centre) + k["r_t"] ** 2
-    ) + m_s * knee.dot(knee)
-    shank_inertia = m_s * (shank_centre.dot(shank_centre) + k["r_s"] ** 2)
-    coupling = Vector(knee.dot(shank), knee.cross(shank))
-    leg, leg_inertia = thigh + shank, thigh_inertia + shank_inertia + 2 * coupling.x
-    first, second = Vector(zero, mass * l), mass * (l * l + k["R"] ** 2)
-    if heavy:
-        first, second = first + leg, second + 2 * l * leg.y + leg_inertia
-    return Body(
-        k["R"],
-        l,
-        k["g"],
-        mass,
-        first,
-        second,
-        (thigh, thigh_inertia),
-        (shank, shank_inertia),
-        (leg, leg_inertia),
-        coupling,
-        heavy,
-        kneed,
-        point_foot,
-    )
+    return k["l_t"] * cos_T + d * cos_S, knee, thigh_centre, shank_centre
 
 
 def _is_zero(value: Number) -> bool:

@@ -32,14 +32,16 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
         stance and swing leg.
     """
     with _two_terms():
-        old, new = _sin_cos(arb_series([angle, 1])), _sin_cos(arb_series([-angle, -1]))
+        old = _sin_cos(arb_series([angle, 1]))
+        new = _sin_cos(arb_series([-angle, -1]))
         swing = [body.thigh, body.shank] if body.kneed else [body.leg]
         rows = _mass(body, new, [old] * len(swing), swing)
         hip_before, hip_after = _hip(body, old), _hip(body, new)
         leg, inertia = body.leg
         # New stance leg: it carries the whole walker about the new contact, and swung
         # before.
-        turning, falling = leg.turned(*new).normal(), leg.turned(*old).normal()
+        turning = leg.turned(*new).normal()
+        falling = leg.turned(*old).normal()
         both = body.mass * hip_after.dot(hip_before)
         if body.heavy:
             both = both + turning.dot(hip_before) + falling.dot(hip_after)
@@ -47,10 +49,10 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
         else:
             spin = 0 * both
         before = [[both, spin]]
-        for i, (first, second) in enumerate(swing):
+        for first, second in swing:
             own = second + (body.coupling.x if body.kneed else 0)
-            assert i < 2
-            before.append([first.turned(*old).normal().dot(hip_before) + own, 0 * both])
+            carried = first.turned(*old).normal().dot(hip_before)
+            before.append([carried + own, 0 * both])
         return _solved(rows, before)
 
 
@@ -73,16 +75,13 @@ def kneestrike(body: Body, stance: arb, swing: arb) -> tuple[arb_mat, arb_mat, a
     maps = []
     for moved in (0, 1):
         with _two_terms():
-            at = (
-                _sin_cos(arb_series([stance, 1 - moved])),
-                _sin_cos(arb_series([swing, moved])),
-            )
-            three = _mass(body, at[0], [at[1]] * 2, [body.thigh, body.shank])
-            before = [
-                three[0],
-                [a + b for a, b in zip(three[1], three[2], strict=True)],
-            ]
-            maps.append(_solved(_mass(body, at[0], [at[1]], [body.leg]), before))
+            old = _sin_cos(arb_series([stance, 1 - moved]))
+            new = _sin_cos(arb_series([swing, moved]))
+            free = _mass(body, old, [new] * 2, [body.thigh, body.shank])
+            locked = _mass(body, old, [new], [body.leg])
+            of_stance, of_thigh, of_shank = free
+            of_swing = [a + b for a, b in zip(of_thigh, of_shank, strict=True)]
+            maps.append(_solved(locked, [of_stance, of_swing]))
     return maps[0][0], maps[0][1], maps[1][1]
 
 

@@ -107,17 +107,21 @@ def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
     -------
     list of arb, arb_mat
     """
-    m, links = len(x), 3 if body.kneed else 2
-    angle, rates = x[0], arb_mat(m - 1, 1, list(x[1:]))
-    state = [angle, *[-angle] * (links - 1), *x[1:]]
-    rows = [[arb(1 if i == 0 else -1), *[arb(0)] * (m - 1)] for i in range(links)]
-    rows += [[arb(int(i == j)) for j in range(m)] for i in range(1, m)]
+    m = len(x)
+    links = 3 if body.kneed else 2
+    angle, *rates = x
+    by_x = _identity(m, m)
+    state = [angle, *[-angle] * (links - 1), *rates]
+    swing_angle = [-y for y in by_x[0]]
+    rows = [by_x[0], *[swing_angle] * (links - 1), *by_x[1:]]
     if m - 1 == links:
         return state, arb_mat(rows)
+
     law, by_angle = _release(body, angle, m - 1)
-    last, turn = law * rates, by_angle * rates
-    for i in range(links - (m - 1)):
-        rows.append([turn[i, 0], *[law[i, j] for j in range(m - 1)]])
+    last = law * _column(rates)
+    turn = by_angle * _column(rates)
+    for i, by_rates in enumerate(law.tolist()):
+        rows.append([turn[i, 0], *by_rates])
     return [*state, *last.entries()], arb_mat(rows)
 
 
@@ -126,7 +130,8 @@ def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
     by the new stance angle.
     """
     after, by_before = heelstrike(body, -angle)
-    (top, low), (d_top, d_low) = _split(after, leading), _split(by_before, leading)
+    top, low = _split(after, leading)
+    d_top, d_low = _split(by_before, leading)
     inverse = top.inv()
     law = low * inverse
     return law, (law * d_top - d_low) * inverse
@@ -134,10 +139,8 @@ def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
 
 def _split(matrix: arb_mat, leading: int) -> tuple[arb_mat, arb_mat]:
     rows = matrix.tolist()
-    return (
-        arb_mat([row[:leading] for row in rows[:leading]]),
-        arb_mat([row[:leading] for row in rows[leading:]]),
-    )
+    square = [row[:leading] for row in rows]
+    return arb_mat(square[:leading]), arb_mat(square[leading:])
 
 
 def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
@@ -165,72 +168,104 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     state moves along the flow.
     """
     m, events = dimensions(body)
-    box, middle, unknowns = region.box, region.middle, m + events
-    one_slope = region.tangent is None
-    width = unknowns if one_slope else unknowns + 2
-    spread = region.offsets[:unknowns] if one_slope else [*region.offsets, region.span]
-    direction = [[arb(int(i == j)) for j in range(unknowns + 1)] for i in range(width)]
-    if region.tangent is not None:
-        direction[-1] = region.tangent
-    by_start, by_time, by_slope = (
-        [row[part] for row in direction]
-        for part in (slice(0, m), slice(m, unknowns), slice(unknowns, None))
-    )
-    slopes = None if one_slope else arb_mat([[row[0] for row in by_slope]])
+    box, middle = region.box, region.middle
+    directions, slopes, spread = _directions(region, m + events)
     state, by_section = start(body, box[:m])
     centre, _ = start(body, middle[:m])
-    V = by_section * arb_mat(by_start).transpose()
-    phases, ends, rows, defect = [], [], [], []
+    V = by_section * arb_mat([row[:m] for row in directions]).transpose()
+
+    phases: list[Flow] = []
+    ends: list[State] = []
+    rows: list[list[arb]] = []
+    defect: list[arb] = []
     for k in range(events):
-        earlier = k - 1
-        lasts = [x[m + k] - x[m + earlier] if k else x[m] for x in (middle, box)]
-        moved = [row[k] - row[earlier] if k else row[k] for row in by_time]
+        by_duration = [_duration(row[m:], k) for row in directions]
+        durations = _duration(middle[m:], k), _duration(box[m:], k)
         phase = flow(
             body,
             (middle[-1], box[-1]),
             centre,
             state,
             V,
-            (lasts[0], lasts[1]),
+            durations,
             accuracy,
             slopes,
             spread,
         )
         phases.append(phase)
-        V = phase.derivative + _column(velocity(body, box[-1], phase.state)) * arb_mat(
-            [moved]
-        )
+        along = _column(velocity(body, box[-1], phase.state))
+        V = phase.derivative + along * arb_mat([by_duration])
         centre = phase.middle
         end = narrower(phase.state, centre, V, spread)
         ends.append(end)
-        values = V.tolist()
-        if k == events - 1:
-            rows.append([a + b for a, b in zip(values[0], values[1], strict=True)])
-            defect.append(centre[0] + centre[1])
-            break
-        rows.append([a - b for a, b in zip(values[1], values[2], strict=True)])
-        defect.append(centre[1] - centre[2])
-        V, state, centre = _locked(body, V, end, centre)
-        state = narrower(state, centre, V, spread)
+
+        is_knee = k < events - 1
+        columns = V.transpose().tolist()
+        rows.append([_guard(column, is_knee) for column in columns])
+        defect.append(_guard(centre, is_knee))
+        if is_knee:
+            V, state, centre = _locked(body, V, end, centre)
+            state = narrower(state, centre, V, spread)
+
+    rows += _by_image(body, end, V, m)
+    image = _image(body, centre, m)
+    defect += [a - b for a, b in zip(image, middle, strict=False)]
+    by_tangent: list[arb] = []
+    if region.tangent is not None:
+        by_tangent = [row.pop() for row in rows]
+    return Step(defect, arb_mat(rows), by_tangent, phases, ends)
+
+
+def _directions(
+    region: Region, unknowns: int
+) -> tuple[list[list[arb]], arb_mat | None, list[arb]]:
+    """Directions by which a step is differentiated, as changes of the unknowns and of
+    the slope; those of the slope alone, None where it is fixed; and how far a region
+    reaches along each.
+    """
+    tangent = region.tangent
+    height = unknowns if tangent is None else unknowns + 2
+    rows = _identity(height, unknowns + 1)
+    if tangent is None:
+        return rows, None, region.offsets[:unknowns]
+    rows[-1] = tangent
+    slopes = arb_mat([[row[unknowns] for row in rows]])
+    return rows, slopes, [*region.offsets, region.span]
+
+
+def _identity(height: int, width: int) -> list[list[arb]]:
+    rows = []
+    for i in range(height):
+        row = [arb(int(i == j)) for j in range(width)]
+        rows.append(row)
+    return rows
+
+
+def _duration(times: Sequence[arb], k: int) -> arb:
+    """Duration of a phase, by the event times."""
+    return times[k] - times[k - 1] if k else times[0]
+
+
+def _guard(angles: Sequence[arb], is_knee: bool) -> arb:
+    """What vanishes at a strike: shank and thigh in line, or both feet on the ground."""
+    if is_knee:
+        return angles[1] - angles[2]
+    return angles[0] + angles[1]
+
+
+def _by_image(body: Body, end: State, V: arb_mat, m: int) -> list[list[arb]]:
+    """Derivatives of the section state after heelstrike, by those before it."""
     law, by_angle = heelstrike(body, end[0])
     turn = by_angle * _column(end[2:])
-    rows.append([-x for x in values[0]])
+    angle, _, stance_rate, swing_rate = V.tolist()
+    rows = [[-x for x in angle]]
     for i in range(m - 1):
-        rows.append(
-            [
-                law[i, 0] * a + law[i, 1] * b + turn[i, 0] * c
-                for c, a, b in zip(values[0], values[2], values[3], strict=True)
-            ]
-        )
-    image = _image(body, centre, m)
-    along = [] if one_slope else [row.pop() for row in rows]
-    return Step(
-        [*defect, *[a - b for a, b in zip(image, middle, strict=False)]],
-        arb_mat(rows),
-        along,
-        phases,
-        ends,
-    )
+        row = []
+        for c, a, b in zip(angle, stance_rate, swing_rate, strict=True):
+            by_rates = law[i, 0] * a + law[i, 1] * b
+            row.append(by_rates + turn[i, 0] * c)
+        rows.append(row)
+    return rows
 
 
 def _locked(
@@ -238,13 +273,18 @@ def _locked(
 ) -> tuple[arb_mat, State, State]:
     """Derivatives, states and the middle's state just after kneestrike."""
     law, by_stance, by_swing = kneestrike(body, *before[:2])
-    rates, rows = _column(before[3:]), V.tolist()
-    turned = by_stance * rates * arb_mat([rows[0]]) + by_swing * rates * arb_mat(
-        [rows[1]]
-    )
-    V = arb_mat([*rows[:2], *(law * arb_mat(rows[3:]) + turned).tolist()])
-    own = kneestrike(body, *centre[:2])[0] * _column(centre[3:])
-    return V, [*before[:2], *(law * rates).entries()], [*centre[:2], *own.entries()]
+    rates = _column(before[3:])
+    rows = V.tolist()
+    by_angles = by_stance * rates * arb_mat([rows[0]])
+    by_angles = by_angles + by_swing * rates * arb_mat([rows[1]])
+    by_rates = law * arb_mat(rows[3:]) + by_angles
+    V = arb_mat([*rows[:2], *by_rates.tolist()])
+
+    law_at_middle, *_ = kneestrike(body, *centre[:2])
+    middle_rates = law_at_middle * _column(centre[3:])
+    state = [*before[:2], *(law * rates).entries()]
+    centre = [*centre[:2], *middle_rates.entries()]
+    return V, state, centre
 
 
 def _column(values: Sequence[arb]) -> arb_mat:
@@ -254,4 +294,5 @@ def _column(values: Sequence[arb]) -> arb_mat:
 def _image(body: Body, before: State, m: int) -> list[arb]:
     """Section state after the heelstrike that ends a step."""
     law, _ = heelstrike(body, before[0])
-    return [-before[0], *(law * _column(before[2:])).entries()[: m - 1]]
+    rates = law * _column(before[2:])
+    return [-before[0], *rates.entries()[: m - 1]]

@@ -105,26 +105,28 @@ def flow(
     NotProvedError
         If no enclosure is found.
     """
-    (own_slope, slope), order = slopes, accuracy.order
+    middle_slope, slope = slopes
+    order = accuracy.order
+    state = box
     time, end = arb(0), duration[1].upper()
     pieces: list[Piece] = []
-    state, longest = box, MAX_STEP * body.time_unit
-    step = longest
+    step = longest = MAX_STEP * body.time_unit
     while len(pieces) < MAX_STEPS:
-        left = (end - time).upper()
+        remaining = (end - time).upper()
         # The last step holds the whole bracket of the event, so it is no shorter than
         # half the others.
-        h = left if left <= step else arb(min(step, float(left) / 2))
-        thin, wide = (
-            Motion(body, own_slope, middle, order - 1),
-            Motion(body, slope, state, order - 1),
-        )
+        h = remaining
+        if not remaining <= step:
+            h = arb(min(step, float(remaining) / 2))
+        thin = Motion(body, middle_slope, middle, order - 1)
+        wide = Motion(body, slope, state, order - 1)
         change = Variation(wide, derivative, by_slope, order - 1)
         h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
-        last = h is left
         piece = Piece(time, h, _closed(wide, rest))
         pieces.append(piece)
-        t_c, t = (duration[0] - time, duration[1] - time) if last else (h, h)
+
+        is_last = h is remaining
+        t_c, t = (duration[0] - time, duration[1] - time) if is_last else (h, h)
         if not (t_c >= 0 and t >= 0):
             raise NotProvedError(
                 "The bracket of an event's time is wider than a Taylor step."
@@ -132,14 +134,17 @@ def flow(
         middle = [evaluate(s, t_c) for s in _closed(thin, rest)]
         state = [evaluate(s, t) for s in piece.series]
         derivative = evaluate([*change.terms, rest_derivative], t)
-        if last:
+        if is_last:
             return Flow(middle, state, derivative, pieces)
         state = narrower(state, middle, derivative, spread)
         time = time + h
-        step = min(
-            longest, float(h) * min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order))
-        )
+        step = min(longest, float(h) * _longer(excess, order))
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
+
+
+def _longer(excess: float, order: int) -> float:
+    """How much longer the next step may be, by the excess of this one's remainder."""
+    return min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order))
 
 
 def _fitting(
@@ -156,11 +161,9 @@ def _fitting(
             excess = _excess(remainder, change, h, order) / accuracy.tolerance
             if excess <= 1:
                 return h, remainder, excess
-            shrink = (
-                max(0.3, 0.85 * excess ** (-1 / order))
-                if math.isfinite(excess)
-                else 0.3
-            )
+            shrink = 0.3
+            if math.isfinite(excess):
+                shrink = max(0.3, 0.85 * excess ** (-1 / order))
         h = arb(float(h) * shrink)
     raise NotProvedError(
         "No box encloses the motion over a step: the enclosures have grown too wide."
@@ -202,27 +205,21 @@ def _remainder(change: Variation, h: arb, order: int) -> tuple[State, arb_mat] |
     """Coefficient `order` over all states up to time h, and the derivatives'; None if
     no box is found.
     """
-    body, slope, by_slope, start = (
-        change.motion.body,
-        change.motion.slope,
-        change.by_slope,
-        change.motion.state,
-    )
+    body, slope = change.motion.body, change.motion.slope
+    start = change.motion.state
     box = enclose(body, slope, start, h)
     if box is None:
         return None
     try:
         motion = Motion(body, slope, box, 1)
-        all_derivatives = enclose_derivative(
-            Variation(motion, change.terms[0], by_slope), h
-        )
+        at_start = Variation(motion, change.terms[0], change.by_slope)
+        derivatives = enclose_derivative(at_start, h)
         for _ in range(order - 1):
             motion.grow()
     except ZeroDivisionError:
         return None
-    return [s[order] for s in motion.series], Variation(
-        motion, all_derivatives, by_slope, order
-    ).terms[order]
+    whole = Variation(motion, derivatives, change.by_slope, order)
+    return [s[order] for s in motion.series], whole.terms[order]
 
 
 def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:

@@ -204,36 +204,43 @@ def solve(
         bits = max(bits, 32 - math.floor(math.log2(tolerance)))
         with ctx.workprec(bits):
             walker = body(setting.keys, setting.kneed)
-            box = [
-                x + arb(0, size * s)
-                for x, s in zip(middle, sizes(walker, middle), strict=True)
-            ]
+            scales = sizes(walker, middle)
+            box = [x + arb(0, size * s) for x, s in zip(middle, scales, strict=True)]
+            slope = arb(setting.slope)
             try:
-                enclosed_step, K = _attempt(
-                    walker, arb(setting.slope), middle, box, tolerance
-                )
+                enclosed_step, K = _attempt(walker, slope, middle, box, tolerance)
             except (NotProvedError, ZeroDivisionError) as error:
-                reason, size = _sentence(error), size * 1e-4
-                continue
-            # With room to spare: the decimals printed hold a little more than K.
-            if krawczyk.contained([arb(k.mid(), 1.1 * k.rad()) for k in K], box):
-                if (achieved := _radius(named(walker, K))) <= accuracy:
-                    return Solution(walker, K, enclosed_step, bits)
-                middle, size = [x.mid() for x in K], 16 * achieved
-                reason = f"The radius is {achieved:.1e}, above the accuracy of {accuracy:.1e}."
-                continue
-            shift = _distance(walker, middle, K)
-            reason = "Krawczyk's operator does not map the box into itself."
-            if shift < 0.5 * size:
+                reason = _sentence(error)
                 size *= 1e-4
                 continue
-            corrected += shift
-            if not corrected < reach:
-                raise NotProvedError(
-                    f"No gait is near the approximation: its first correction is {shift:.1e} of it."
-                )
+
+            if _holds_with_room(box, K):
+                achieved = _radius(named(walker, K))
+                if achieved <= accuracy:
+                    return Solution(walker, K, enclosed_step, bits)
+                reason = f"The radius is {achieved:.1e}, above the accuracy of {accuracy:.1e}."
+                size = 16 * achieved
+            else:
+                reason = "Krawczyk's operator does not map the box into itself."
+                shift = _distance(walker, middle, K)
+                if shift < 0.5 * size:
+                    size *= 1e-4
+                    continue
+                corrected += shift
+                if not corrected < reach:
+                    raise NotProvedError(
+                        "No gait is near the approximation: its first correction is "
+                        f"{shift:.1e} of it."
+                    )
             middle = [x.mid() for x in K]
     raise NotProvedError(reason)
+
+
+def _holds_with_room(box: list[arb], image: list[arb]) -> bool:
+    """Whether an image lies in a box with room to spare: the decimals printed hold a
+    little more than it.
+    """
+    return krawczyk.contained([arb(k.mid(), 1.1 * k.rad()) for k in image], box)
 
 
 def _attempt(
@@ -241,14 +248,11 @@ def _attempt(
 ) -> tuple[Step, list[arb]]:
     """Enclose the step over a box, and Krawczyk's image of it."""
     offsets = [x - c for x, c in zip(box, middle, strict=True)]
-    enclosed_step = step(
-        walker,
-        Region([*middle, slope], [*offsets, arb(0)]),
-        Accuracy(order(tolerance), tolerance),
-    )
-    K = krawczyk.image(
-        offsets, enclosed_step.defect, defect_derivative(walker, enclosed_step)
-    )
+    region = Region([*middle, slope], [*offsets, arb(0)])
+    accuracy = Accuracy(order(tolerance), tolerance)
+    enclosed_step = step(walker, region, accuracy)
+    derivative = defect_derivative(walker, enclosed_step)
+    K = krawczyk.image(offsets, enclosed_step.defect, derivative)
     return enclosed_step, [c + k for c, k in zip(middle, K, strict=True)]
 
 

@@ -71,14 +71,13 @@ def in_doubles(numbers: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
     """
-    return {
-        key: in_doubles(value)
-        if isinstance(value, Mapping)
-        else float(value)
-        if isinstance(value, str) and key not in _TEXTS
-        else value
-        for key, value in numbers.items()
-    }
+    values = dict(numbers)
+    for key, value in numbers.items():
+        if isinstance(value, Mapping):
+            values[key] = in_doubles(value)
+        elif isinstance(value, str) and key not in _TEXTS:
+            values[key] = float(value)
+    return values
 
 
 def decimal(value: Any) -> fmpq:
@@ -93,11 +92,9 @@ def decimal(value: Any) -> fmpq:
     -------
     fmpq
     """
-    return _rational(
-        Fraction(
-            value if isinstance(value, str | int | Fraction) else repr(float(value))
-        )
-    )
+    if not isinstance(value, str | int | Fraction):
+        value = repr(float(value))
+    return _rational(Fraction(value))
 
 
 def double(value: Any) -> fmpq:
@@ -134,44 +131,57 @@ def exact(
     -------
     dict of str to fmpq or arb, bool
     """
-    overrides, table = (
-        dict(overrides or {}),
-        {} if isinstance(walker, str) else dict(walker),
-    )
-    if (
-        "tuned" in table
-    ):  # the walker tuned in doubles; the offsets that tune it best stand for those that do
-        return doubles(resolve(in_doubles(table), in_doubles(overrides)).table())
+    overrides = dict(overrides or {})
+    table = {"base": walker} if isinstance(walker, str) else dict(walker)
+    if "tuned" in table:
+        # The walker tuned in doubles; the offsets that tune it best stand for those
+        # that do.
+        tuned_walker = resolve(in_doubles(table), in_doubles(overrides))
+        return doubles(tuned_walker.table())
+
     table, overrides = split(table, overrides)
-    base, toward = (
-        walker if isinstance(walker, str) else table.pop("base", None),
-        table.pop("toward", None),
-    )
-    keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
-    if base is None and table.get("knees") is False:
-        lengths: dict[str, Any] = {
-            key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table
-        }
-        table = straight({"R": 0, **table, **lengths})
-    overrides = {
-        **{
-            key: table.pop(key)
-            for key in ("detuning", "foot_mass_ratio")
-            if key in table
-        },
-        **overrides,
-    }
+    base = table.pop("base", None)
+    toward = table.pop("toward", None)
+    for key in ("detuning", "foot_mass_ratio"):
+        if key in table:
+            overrides.setdefault(key, table.pop(key))
+    if base is not None:
+        keys, kneed = _named(base)
+    else:
+        keys, kneed = _DEFAULT, False
+        table = _with_both_links(table)
     keys, kneed = _changed(keys, kneed, table)
+
     moved: Numbers = {}
     if "detuning" in overrides:
-        of_base = (
-            () if toward else (_named(str(base))[0], _named(PARTNERS[str(base)])[0])
-        )
-        tuned, physical = of_base or (keys, exact(toward)[0])
-        moved |= _mixed(tuned, physical, decimal(overrides.pop("detuning")))
+        amount = decimal(overrides.pop("detuning"))
+        moved |= _detuned(keys, base, toward, amount)
     if "foot_mass_ratio" in overrides:
         moved |= _foot_masses(keys, decimal(overrides.pop("foot_mass_ratio")))
     return _changed({**keys, **moved}, kneed, overrides)
+
+
+def _with_both_links(table: dict[str, Any]) -> dict[str, Any]:
+    """A table whose leg of one link, if it has one, is two in line."""
+    if table.get("knees") is not False:
+        return table
+    lengths: dict[str, Any] = {}
+    for key in ("l", "R", "c"):
+        if key in table:
+            lengths[key] = Fraction(str(table[key]))
+    return straight({"R": 0, **table, **lengths})
+
+
+def _detuned(keys: Numbers, base: Any, toward: Any, amount: fmpq) -> Numbers:
+    """Keys that detuning changes: from a walker's towards another's, or where that is
+    not given from those of the catalogue's walker towards its partner's.
+    """
+    if toward:
+        physical, _ = exact(toward)
+        return _mixed(keys, physical, amount)
+    tuned, _ = _named(str(base))
+    physical, _ = _named(PARTNERS[str(base)])
+    return _mixed(tuned, physical, amount)
 
 
 def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:

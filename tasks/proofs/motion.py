@@ -19,6 +19,8 @@ from flint import arb, arb_mat
 from gaitsweep.tasks.proofs.body import Body, Vector
 
 Series = list[arb]
+#: Cosine and sine parts.
+Pair = tuple[Series, Series]
 
 
 def product(u: Series, v: Series, k: int) -> arb:
@@ -45,18 +47,23 @@ class _Turning:
 
     def __init__(self, angle: arb, rate: Series):
         sin, cos = angle.sin_cos()
-        self.cos, self.sin, self.rate = [cos], [sin], rate
+        self.cos = [cos]
+        self.sin = [sin]
+        self.rate = rate
 
     def grow(self, k: int) -> None:
         """Append coefficient k."""
-        cos, sin = self.cos, self.sin
-        cos.append(-product(self.rate, sin, k - 1) / k)
-        sin.append(product(self.rate, cos, k - 1) / k)
+        by_cos = product(self.rate, self.sin, k - 1)
+        by_sin = product(self.rate, self.cos, k - 1)
+        self.cos.append(-by_cos / k)
+        self.sin.append(by_sin / k)
 
     def turned(self, v: Vector, k: int) -> tuple[arb, arb]:
         """Coefficient k of a turned vector."""
         cos, sin = self.cos[k], self.sin[k]
-        return v.x * cos - v.y * sin, v.x * sin + v.y * cos
+        x = v.x * cos - v.y * sin
+        y = v.x * sin + v.y * cos
+        return x, y
 
 
 class Motion:
@@ -78,47 +85,56 @@ class Motion:
     """
 
     def __init__(self, body: Body, slope: arb, state: Sequence[arb], order: int = 0):
-        self.body, self.n = body, len(state) // 2
-        self.slope, self.state = slope, list(state)
+        self.body = body
+        self.n = len(state) // 2
+        self.slope = slope
+        self.state = list(state)
         q, w = state[: self.n], state[self.n :]
         self.q: list[Series] = [[x] for x in q]
         self.w: list[Series] = [[x] for x in w]
         self.a: list[Series] = [[] for _ in q]
         self.links = [body.leg] if self.n == 2 else [body.thigh, body.shank]
-        sin, cos = slope.sin_cos()
-        pull = (
-            Vector(cos, -sin) * body.g
-        )  # turns a first moment into its weight's moment
-        self.stance_weight = body.stance_first.turned(pull.x, pull.y)
-        self.weights = [first.turned(pull.x, pull.y) for first, _ in self.links]
-        self.rolling, self.sinking = (
-            body.g * body.mass * body.R * sin,
-            body.g * body.mass * body.R * cos,
-        )
-        self.turning = [_Turning(q[i], self.w[i]) for i in range(self.n)]
-        self.lag = [[w[i] - w[0]] for i in range(1, self.n)]
-        self.relative = [
-            _Turning(q[i] - q[0], self.lag[i - 1]) for i in range(1, self.n)
-        ]
-        if self.n == 3:
-            self.flexing = [w[2] - w[1]]
-            self.bent = _Turning(q[2] - q[1], self.flexing)
+        self._weigh()
+        self._relate(q, w)
+
         self.squares: list[Series] = [[] for _ in q]
-        self.stance: list[
-            tuple[arb, arb]
-        ] = []  # R times the stance leg's turned first moment
-        self.weight: list[
-            list[tuple[arb, arb]]
-        ] = []  # of each link: moment of its weight, (cos, sin) parts
+        # R times the stance leg's turned first moment.
+        self.stance: Pair = ([], [])
+        # Of each link the moment of its weight, (cos, sin) parts.
+        self.weight: list[list[tuple[arb, arb]]] = []
         # Rows over the links: l e^(i (q_j - q_0)) S_j, and the same plus R e^(i q_j)
         # S_j.
-        self.hinge: list[tuple[Series, Series]] = [([], []) for _ in self.links]
-        self.whole: list[tuple[Series, Series]] = [([], []) for _ in self.links]
-        self.joint: tuple[Series, Series] = ([], [])
+        self.hinge: list[Pair] = [([], []) for _ in self.links]
+        self.whole: list[Pair] = [([], []) for _ in self.links]
+        self.joint: Pair = ([], [])
         self.mass_00: Series = []
         self.inverse = arb_mat(0, 0)
         for _ in range(order):
             self.grow()
+
+    def _weigh(self) -> None:
+        """Set the moments of weights, and of the pull along the slope."""
+        body = self.body
+        sin, cos = self.slope.sin_cos()
+        # Turns a first moment into its weight's moment.
+        pull = Vector(cos, -sin) * body.g
+        moments = [body.stance_first, *(first for first, _ in self.links)]
+        self.weights = [first.turned(pull.x, pull.y) for first in moments]
+        self.rolling = body.g * body.mass * body.R * sin
+        self.sinking = body.g * body.mass * body.R * cos
+
+    def _relate(self, q: Sequence[arb], w: Sequence[arb]) -> None:
+        """Set the angles of links, and those between them, with their rates."""
+        swing = range(1, self.n)
+        self.turning = list(map(_Turning, q, self.w))
+        self.lag = [[w[i] - w[0]] for i in swing]
+        apart = [q[i] - q[0] for i in swing]
+        self.relative = list(map(_Turning, apart, self.lag))
+        self.turnings = [*self.turning, *self.relative]
+        if self.n == 3:
+            self.flexing = [w[2] - w[1]]
+            self.bent = _Turning(q[2] - q[1], self.flexing)
+            self.turnings.append(self.bent)
 
     @property
     def series(self) -> list[Series]:
@@ -131,73 +147,72 @@ class Motion:
         """
         k = len(self.a[0])
         if k:
-            for t in (
-                *self.turning,
-                *self.relative,
-                *([self.bent] if self.n == 3 else []),
-            ):
-                t.grow(k)
-        for i, w in enumerate(self.w):
-            self.squares[i].append(product(w, w, k))
+            for turning in self.turnings:
+                turning.grow(k)
+        for square, w in zip(self.squares, self.w, strict=True):
+            square.append(product(w, w, k))
         self._geometry(k)
         force = self._force(k)
+        if k:
+            self._subtract_inertia(force, k)
+        else:
+            self.inverse = self._leading_masses().inv()
+
+        solved = self.inverse * arb_mat(self.n, 1, force)
+        for i, a in enumerate(solved.entries()):
+            self.a[i].append(a)
+            self.q[i].append(self.w[i][k] / (k + 1))
+            self.w[i].append(a / (k + 1))
+        rates = [w[k + 1] for w in self.w]
+        for lag, rate in zip(self.lag, rates[1:], strict=True):
+            lag.append(rate - rates[0])
+        if self.n == 3:
+            self.flexing.append(rates[2] - rates[1])
+
+    def _subtract_inertia(self, force: list[arb], k: int) -> None:
+        """Subtract from forces the accelerations before the k-th, times the coefficients
+        of the masses.
+        """
         for i in range(self.n):
             for j in range(self.n):
                 M = self.mass(i, j)
-                if M is not None and k:
-                    force[i] -= sum(
-                        map(mul, M[1 : k + 1], self.a[j][k - 1 :: -1]), _ZERO
-                    )
-        if not k:
-            self.inverse = arb_mat(
-                [[self._leading(i, j) for j in range(self.n)] for i in range(self.n)]
-            ).inv()
-        a = (self.inverse * arb_mat(self.n, 1, force)).entries()
-        for i in range(self.n):
-            self.a[i].append(a[i])
-            self.q[i].append(self.w[i][k] / (k + 1))
-            self.w[i].append(a[i] / (k + 1))
-        for i in range(1, self.n):
-            self.lag[i - 1].append(self.w[i][k + 1] - self.w[0][k + 1])
-        if self.n == 3:
-            self.flexing.append(self.w[2][k + 1] - self.w[1][k + 1])
+                if M is not None:
+                    terms = map(mul, M[1 : k + 1], self.a[j][k - 1 :: -1])
+                    force[i] -= sum(terms, _ZERO)
+
+    def _leading_masses(self) -> arb_mat:
+        """The mass matrix at the start."""
+        links = range(self.n)
+        return arb_mat([[self._leading(i, j) for j in links] for i in links])
 
     def _geometry(self, k: int) -> None:
+        """Append coefficient k of the turned first moments."""
         body = self.body
         x, y = self.turning[0].turned(body.stance_first, k)
-        self.stance.append((body.R * x, body.R * y))
-        self.mass_00.append(2 * body.R * y + (body.stance_second if k == 0 else 0))
+        _append(self.stance, body.R * x, body.R * y)
+        self.mass_00.append(2 * body.R * y)
+        if k == 0:
+            self.mass_00[0] += body.stance_second
         for j, (first, _) in enumerate(self.links):
             x, y = self.relative[j].turned(first, k)
-            hinge_x, hinge_y = body.l * x, body.l * y
+            hinge_x = body.l * x
+            hinge_y = body.l * y
+            _append(self.hinge[j], hinge_x, hinge_y)
             x, y = self.turning[j + 1].turned(first, k)
-            for series, value in zip(
-                (*self.hinge[j], *self.whole[j]),
-                (hinge_x, hinge_y, hinge_x + body.R * x, hinge_y + body.R * y),
-                strict=True,
-            ):
-                series.append(value)
+            _append(self.whole[j], hinge_x + body.R * x, hinge_y + body.R * y)
         if self.n == 3:
-            for series, value in zip(
-                self.joint, self.bent.turned(body.coupling, k), strict=True
-            ):
-                series.append(value)
+            x, y = self.bent.turned(body.coupling, k)
+            _append(self.joint, x, y)
 
     def _force(self, k: int) -> list[arb]:
         """Coefficient k of f, the forces at vanishing acceleration."""
         squares = self.squares
-        self.weight.append(
-            [
-                t.turned(s, k)
-                for t, s in zip(
-                    self.turning, (self.stance_weight, *self.weights), strict=True
-                )
-            ]
-        )
-        weight = self.weight[k]
+        links = zip(self.turning, self.weights, strict=True)
+        weight = [turning.turned(moment, k) for turning, moment in links]
+        self.weight.append(weight)
         stance = -weight[0][0] - (self.rolling if k == 0 else 0)
         if self._rolls:
-            stance -= product([x for x, _ in self.stance], squares[0], k)
+            stance -= product(self.stance[0], squares[0], k)
         force = [stance]
         for j in range(self.n - 1):
             if self.body.heavy:
@@ -218,7 +233,17 @@ class Motion:
             return self.mass_00 if i == 0 and self._rolls else None
         if i and j:
             return self.joint[0]
-        return None if i == 0 and not self.body.heavy else self.whole[max(i, j) - 1][1]
+        if i == 0 and not self.body.heavy:
+            return None
+        return self.whole[max(i, j) - 1][1]
+
+    def masses(self, k: int) -> arb_mat:
+        """Coefficient k of the mass matrix, but for entries that are constant."""
+        rows = []
+        for i in range(self.n):
+            series = [self.mass(i, j) for j in range(self.n)]
+            rows.append([_ZERO if M is None else M[k] for M in series])
+        return arb_mat(rows)
 
     def _leading(self, i: int, j: int) -> arb:
         M = self.mass(i, j)
@@ -232,43 +257,63 @@ class Motion:
         """Coefficient k of the derivatives of r by (q, w[, slope]); rows are the
         equations.
         """
-        n, body, squares, a = self.n, self.body, self.squares, self.a
+        n = self.n
         by_q = [[_ZERO] * n for _ in range(n)]
         by_w = [[_ZERO] * n for _ in range(n)]
-        weight = self.weight[k]
-        by_q[0][0] = -weight[0][1]
+        by_q[0][0] = -self.weight[k][0][1]
         if self._rolls:
-            x, y = [s[0] for s in self.stance], [s[1] for s in self.stance]
-            by_q[0][0] += 2 * product(x, a[0], k) - product(y, squares[0], k)
+            x, y = self.stance
+            squared = product(y, self.squares[0], k)
+            by_q[0][0] += 2 * product(x, self.a[0], k) - squared
             by_w[0][0] = 2 * product(x, self.w[0], k)
         for j in range(1, n):
-            hinge_x, hinge_y = self.hinge[j - 1]
-            whole_x, whole_y = self.whole[j - 1]
-            if body.heavy:
-                by_q[0][0] += product(hinge_y, squares[j], k) - product(
-                    hinge_x, a[j], k
-                )
-                by_q[0][j] = product(whole_x, a[j], k) - product(whole_y, squares[j], k)
-                by_w[0][j] = 2 * product(whole_x, self.w[j], k)
-            turn = product(hinge_y, squares[0], k)
-            by_q[j][0] = -product(hinge_x, a[0], k) - turn
-            by_q[j][j] = product(whole_x, a[0], k) - weight[j][1] + turn
-            by_w[j][0] = -2 * product(hinge_x, self.w[0], k)
+            if self.body.heavy:
+                self._by_swing(j, k, by_q[0], by_w[0])
+            self._of_swing(j, k, by_q[j], by_w[j])
         if n == 3:
-            x, y = self.joint
-            thigh = product(y, a[2], k) + product(x, squares[2], k)
-            shank = product(y, a[1], k) - product(x, squares[1], k)
-            by_q[1][1] += thigh
-            by_q[1][2] -= thigh
-            by_q[2][1] += shank
-            by_q[2][2] -= shank
-            by_w[1][2] = -2 * product(y, self.w[2], k)
-            by_w[2][1] = 2 * product(y, self.w[1], k)
+            self._of_knee(k, by_q, by_w)
+
         rows = [[*q, *w] for q, w in zip(by_q, by_w, strict=True)]
         if slope:
             for i, row in enumerate(rows):
-                row.append(weight[i][1] + (self.sinking if i == 0 and k == 0 else 0))
+                sinking = self.sinking if i == 0 and k == 0 else 0
+                row.append(self.weight[k][i][1] + sinking)
         return rows
+
+    def _by_swing(self, j: int, k: int, by_q: Series, by_w: Series) -> None:
+        """Add to the derivatives of the stance leg's equation those by swing link j."""
+        a, square = self.a[j], self.squares[j]
+        hinge_x, hinge_y = self.hinge[j - 1]
+        whole_x, whole_y = self.whole[j - 1]
+        turned = product(hinge_y, square, k)
+        by_q[0] += turned - product(hinge_x, a, k)
+        turned = product(whole_y, square, k)
+        by_q[j] = product(whole_x, a, k) - turned
+        by_w[j] = 2 * product(whole_x, self.w[j], k)
+
+    def _of_swing(self, j: int, k: int, by_q: Series, by_w: Series) -> None:
+        """Set the derivatives of the equation of swing link j."""
+        a, w = self.a[0], self.w[0]
+        hinge_x, hinge_y = self.hinge[j - 1]
+        whole_x, _ = self.whole[j - 1]
+        turn = product(hinge_y, self.squares[0], k)
+        by_q[0] = -product(hinge_x, a, k) - turn
+        by_q[j] = product(whole_x, a, k) - self.weight[k][j][1] + turn
+        by_w[0] = -2 * product(hinge_x, w, k)
+
+    def _of_knee(self, k: int, by_q: list[Series], by_w: list[Series]) -> None:
+        """Add the derivatives of the coupling of thigh and shank."""
+        x, y = self.joint
+        _, thigh_a, shank_a = self.a
+        _, thigh_square, shank_square = self.squares
+        thigh = product(y, shank_a, k) + product(x, shank_square, k)
+        shank = product(y, thigh_a, k) - product(x, thigh_square, k)
+        by_q[1][1] += thigh
+        by_q[1][2] -= thigh
+        by_q[2][1] += shank
+        by_q[2][2] -= shank
+        by_w[1][2] = -2 * product(y, self.w[2], k)
+        by_w[2][1] = 2 * product(y, self.w[1], k)
 
 
 class Variation:
@@ -296,7 +341,9 @@ class Variation:
         by_slope: arb_mat | None = None,
         order: int = 0,
     ):
-        self.motion, self.terms, self.by_slope = motion, [start], by_slope
+        self.motion = motion
+        self.terms = [start]
+        self.by_slope = by_slope
         self.rows: list[arb_mat] = []
         self.masses: list[arb_mat] = []
         self.accelerations: list[arb_mat] = []
@@ -306,51 +353,58 @@ class Variation:
 
     def grow(self) -> None:
         """Append one coefficient; the motion must be at least as long."""
-        motion, k, n = self.motion, len(self.terms) - 1, self.motion.n
+        motion = self.motion
+        k = len(self.terms) - 1
+        size = 2 * motion.n
         partials = motion.partials(k, self.by_slope is not None)
-        self.rows.append(arb_mat([row[: 2 * n] for row in partials]))
+        self.rows.append(arb_mat([row[:size] for row in partials]))
+        self.masses.append(motion.masses(k))
+
         total = self.rows[0] * self.terms[k]
         for j in range(1, k + 1):
             total += self.rows[j] * self.terms[k - j]
         if self.by_slope is not None:
-            total += arb_mat([[row[2 * n]] for row in partials]) * self.by_slope
-        self.masses.append(
-            arb_mat([[_at(motion.mass(i, j), k) for j in range(n)] for i in range(n)])
-        )
+            by_slope = arb_mat([[row[size]] for row in partials])
+            total += by_slope * self.by_slope
         for j in range(1, k + 1):  # the leading one is inverted
             total += self.masses[j] * self.accelerations[k - j]
         acceleration = motion.inverse * total * arb(-1)
         self.accelerations.append(acceleration)
-        previous, new = self.terms[k].entries(), acceleration.entries()
-        self.terms.append(
-            arb_mat(2 * n, self.columns, [*previous[n * self.columns :], *new])
-            * (arb(1) / (k + 1))
-        )
+
+        rates = self.terms[k].entries()[motion.n * self.columns :]
+        change = arb_mat(size, self.columns, [*rates, *acceleration.entries()])
+        self.terms.append(change * (arb(1) / (k + 1)))
 
     def stacked(self, states: arb_mat) -> arb_mat:
         """Derivatives of the states, and below them those of the slope if it varies."""
-        return (
-            states
-            if self.by_slope is None
-            else arb_mat([*states.tolist(), *self.by_slope.tolist()])
-        )
+        if self.by_slope is None:
+            return states
+        return arb_mat([*states.tolist(), *self.by_slope.tolist()])
 
     def growth(self, h: arb) -> arb_mat:
         """exp(h |A|), where A is the matrix of the derivatives' equation at the leading
         coefficients.
         """
-        n, slope = self.motion.n, int(self.by_slope is not None)
-        low = (
-            self.motion.inverse * arb_mat(self.motion.partials(0, bool(slope)))
-        ).tolist()
-        size = 2 * n + slope
-        top = [[arb(int(j == n + i)) for j in range(size)] for i in range(n)]
-        rows = [*top, *low, *[[arb(0)] * size] * slope]
-        return (arb_mat([[arb(x.abs_upper()) for x in row] for row in rows]) * h).exp()
+        n = self.motion.n
+        has_slope = self.by_slope is not None
+        partials = arb_mat(self.motion.partials(0, has_slope))
+        accelerations = self.motion.inverse * partials
+        size = 2 * n + has_slope
+        zero = [arb(0)] * size
+        rows = []
+        for i in range(n):
+            rates = list(zero)
+            rates[n + i] = arb(1)
+            rows.append(rates)
+        rows += accelerations.tolist()
+        rows += [zero] * has_slope
+        sizes = [[arb(x.abs_upper()) for x in row] for row in rows]
+        return (arb_mat(sizes) * h).exp()
 
 
-def _at(series: Series | None, k: int) -> arb:
-    return _ZERO if series is None else series[k]
+def _append(pair: Pair, x: arb, y: arb) -> None:
+    pair[0].append(x)
+    pair[1].append(y)
 
 
 def velocity(body: Body, slope: arb, state: Sequence[arb]) -> list[arb]:

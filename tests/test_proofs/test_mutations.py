@@ -54,8 +54,8 @@ PHYSICS = {
     ),
     "no rolling while swinging": (
         "motion",
-        "body.g * body.mass * body.R * sin,",
-        "0 * body.R,",
+        "body.g * body.mass * body.R * sin\n",
+        "0 * body.R\n",
         "AC",
     ),
     "no rolling at impacts": (
