@@ -34,27 +34,34 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
         NaN where the derivative is not finite.
     """
     m, n = jacobian.shape[0], jacobian.shape[2]
-    values = np.zeros((n, width), complex)
-    if m == 2:
-        (a, b), (c, d) = jacobian
-        middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
-        root = np.sqrt(np.abs(gap))
-        # The larger root without cancellation, the smaller from the determinant.
-        large = middle + np.where(middle < 0, -root, root)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            small = np.where(large != 0, (a * d - b * c) / large, 0.0)
-        values[:, 0] = np.where(gap >= 0, large, middle + 1j * root)
-        values[:, 1] = np.where(gap >= 0, small, middle - 1j * root)
-    else:
-        finite = np.isfinite(jacobian).all(axis=(0, 1))
-        values[:, :m] = np.nan
-        values[finite, :m] = np.linalg.eigvals(
-            np.moveaxis(jacobian[:, :, finite], -1, 0)
-        )
-    order = np.lexsort(
-        (-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1
-    )
-    values[:, :m] = np.take_along_axis(values[:, :m], order, axis=1)
+    values = _of_two(jacobian) if m == 2 else _of_any(jacobian)
+    real, imaginary = values.real, values.imag
+    order = np.lexsort((-imaginary, -real, -np.abs(values)), axis=-1)
+    padded = np.zeros((n, width), complex)
+    padded[:, :m] = np.take_along_axis(values, order, axis=1)
+    return padded
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _of_two(jacobian: np.ndarray) -> np.ndarray:
+    """Eigenvalues (n, 2) of matrices (2, 2, n)."""
+    (a, b), (c, d) = jacobian
+    middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
+    root = np.sqrt(np.abs(gap))
+    # The larger root without cancellation, the smaller from the determinant.
+    large = middle + np.where(middle < 0, -root, root)
+    small = np.where(large != 0, (a * d - b * c) / large, 0.0)
+    first = np.where(gap >= 0, large, middle + 1j * root)
+    second = np.where(gap >= 0, small, middle - 1j * root)
+    return np.stack([first, second], axis=1)
+
+
+def _of_any(jacobian: np.ndarray) -> np.ndarray:
+    """Eigenvalues (n, m) of matrices (m, m, n); NaN of those that are not finite."""
+    matrices = np.moveaxis(jacobian, -1, 0)
+    values = np.full(matrices.shape[:2], np.nan, complex)
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    values[finite] = np.linalg.eigvals(matrices[finite])
     return values
 
 
@@ -75,21 +82,17 @@ def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
     ndarray, shape (m, n)
         Sums of the principal minors of order 1 to m.
     """
-
-    def minor(i: int, j: int) -> np.ndarray:
-        return np.asarray(
-            jacobian[i, i] * jacobian[j, j] + sign * jacobian[i, j] * jacobian[j, i]
-        )
-
     if len(jacobian) == 2:
-        return np.stack([jacobian[0, 0] + jacobian[1, 1], minor(0, 1)])
+        (a, b), (c, d) = jacobian
+        return np.stack([a + d, a * d + sign * b * c])
     (a, b, c), (d, e, f), (g, h, i) = jacobian
+    minors = (a * e + sign * b * d) + (a * i + sign * c * g) + (e * i + sign * f * h)
     determinant = (
         a * (e * i + sign * f * h)
         + b * (f * g + sign * d * i)
         + c * (d * h + sign * e * g)
     )
-    return np.stack([a + e + i, minor(0, 1) + minor(0, 2) + minor(1, 2), determinant])
+    return np.stack([a + e + i, minors, determinant])
 
 
 def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -203,18 +206,16 @@ def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
         Infinite where the derivative is not finite, and where a pair is real.
     """
-    A = np.moveaxis(jacobian, -1, 0)
-    finite = np.isfinite(A).all(axis=(1, 2))
-    values = np.full(A.shape[:2], np.inf, complex)
-    values[finite] = np.linalg.eigvals(A[finite])
-    lanes = np.arange(len(A))
-    critical = KINDS[kind].critical if kind in KINDS else None
+    values = _of_any(jacobian)
     sizes = np.abs(values)
+    lanes = np.arange(len(values))
+    critical = KINDS[kind].critical if kind in KINDS else None
     if isinstance(critical, float):
         sizes[lanes, np.abs(values - critical).argmin(axis=1)] = 0.0
     elif critical == "pair":
-        pair = np.argsort(-np.abs(values.imag), axis=1)[:, :2]
-        real = np.abs(values.imag).max(axis=1) < 1e-9
+        turning = np.abs(values.imag)
+        pair = np.argsort(-turning, axis=1)[:, :2]
         sizes[lanes[:, None], pair] = 0.0
-        sizes[real] = np.inf
+        sizes[turning.max(axis=1) < 1e-9] = np.inf
+    sizes[np.isnan(values)] = np.inf
     return np.asarray(sizes.max(axis=1))

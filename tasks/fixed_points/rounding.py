@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.fixed_points.multipliers import characteristic
+from gaitsweep.tasks.mechanics.arrays import (
+    LogSlopes,
+    Parameters,
+    Sections,
+    Slopes,
+    Times,
+    Unknowns,
+)
 from gaitsweep.tasks.mechanics.sums import matvec, norm, total
-from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, sizes
+from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, scale_of, sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 
 
 def reported(
-    problem: Problem, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
+    problem: Problem, y: Sections, times: Times, parameters: Parameters
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is reported of gaits: the angle and the rates with which they start, and the
     period.
@@ -34,11 +42,13 @@ def reported(
         Their derivatives by y and the event times.
     """
     width = problem.map.start_size
-    start, rows = problem.map.start(y, parameters), [0, *range(width // 2, width)]
+    start = problem.map.start(y, parameters)
     state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
+    rows = [0, *range(width // 2, width)]
     values = np.vstack([state[rows], times[-1:]])
     by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
-    by_unknowns[:-1, : by_y.shape[1]], by_unknowns[-1, -1] = by_y[rows], 1.0
+    by_unknowns[:-1, : by_y.shape[1]] = by_y[rows]
+    by_unknowns[-1, -1] = 1.0
     return state, values, by_unknowns
 
 
@@ -79,7 +89,8 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
         d are the coordinates of a section.
     """
     m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
-    length = norm(np.concatenate(stride.jacobian * (size[None, :d] / size[:d, None])))
+    relative = stride.jacobian * (size[None, :d] / size[:d, None])
+    length = norm(np.concatenate(relative))
     by_time = norm(np.concatenate(stride.derivative[:m, m:-1] / size[:, None]))
     slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
     powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
@@ -112,7 +123,7 @@ def by_fifteen(y: np.ndarray) -> np.ndarray:
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def rounding_std(
-    problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, near: int = 1
 ) -> np.ndarray:
     """Standard deviation that rounding gives angle, rates and period of a fixed point,
     over their `sensitivity`.
@@ -138,32 +149,38 @@ def rounding_std(
     -----
     Measured, not estimated: a step is evaluated in several units, in each of which every operation rounds anew.
     """
-    m, slope, variances = problem.m, np.exp(log_slope), []
+    variances = []
     for neighbour in range(near):
-        angle = np.exp(w[0] + _NEIGHBOUR * neighbour)
-        power = np.exp2(np.floor(np.log2(angle)))
-        y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / power)
-        values = []
-        for unit in UNITS:
-            parameters = problem.parameters(slope, power * unit)
-            stride = problem.map(y / unit, w[m:], parameters)
-            _, gait, by_unknowns = reported(
-                problem, stride.y + stride.newton, stride.newton_times, parameters
-            )
-            values.append(
-                np.vstack(
-                    [gait[:-1] * unit, gait[-1:], characteristic(stride.jacobian)]
-                )
-            )
-        # The sensitivity is the same in all units but for rounding: the last serves.
-        by_image = sensitivity(stride, gait, by_unknowns)
-        scale = np.vstack(
-            [by_image[:-1] * unit, by_image[-1:], characteristic_scale(stride)]
-        )
-        off = values - total(values) / len(UNITS)
-        variances.append(total(off * off) / (len(UNITS) - 1) / scale**2)
+        moved = w.copy()
+        moved[0] += _NEIGHBOUR * neighbour
+        variances.append(_variance(problem, moved, np.exp(log_slope)))
     known = np.isfinite(variances)
     return np.sqrt(total(np.where(known, variances, 0.0)) / known.sum(axis=0))
+
+
+def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> np.ndarray:
+    """Variances of what `rounding_std` measures, at one state of each gait."""
+    m = problem.m
+    angle = np.exp(w[0])
+    power = scale_of(angle)
+    y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / power)
+    found = []
+    for unit in UNITS:
+        parameters = problem.parameters(slope, power * unit)
+        stride = problem.map(y / unit, w[m:], parameters)
+        at_gait = stride.y + stride.newton
+        _, values, by_unknowns = reported(
+            problem, at_gait, stride.newton_times, parameters
+        )
+        coefficients = characteristic(stride.jacobian)
+        found.append(np.vstack([values[:-1] * unit, values[-1:], coefficients]))
+
+    off = found - total(found) / len(UNITS)
+    # The sensitivity is the same in all units but for rounding: the last serves.
+    by_image = sensitivity(stride, values, by_unknowns)
+    of_coefficients = characteristic_scale(stride)
+    scale = np.vstack([by_image[:-1] * unit, by_image[-1:], of_coefficients])
+    return np.asarray(total(off * off) / (len(UNITS) - 1) / scale**2)
 
 
 def rounding(stride: AnyStride) -> np.ndarray:
@@ -192,22 +209,20 @@ def rounding(stride: AnyStride) -> np.ndarray:
     # image nor the rates are corrected.
     one, n = stride.one, size.shape[1]
     impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
-    fastest = np.maximum(
-        impact.reshape(-1, n).max(axis=0), np.abs(one.start).reshape(-1, n).max(axis=0)
-    )
+    at_impact = impact.reshape(-1, n).max(axis=0)
+    at_start = np.abs(one.start).reshape(-1, n).max(axis=0)
+    fastest = np.maximum(at_impact, at_start)
     beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
+
     # Angles and rates mix on the way, so the rounding of all is that of the largest. A
     # point foot's motion has few constants; that of others many, each of them rounded,
     # and several times the operations.
+    m = len(size)
     share = 0.5 if len(stride.jacobian) == 2 else 3.0
-    image = np.broadcast_to(
-        share * (size + np.abs(stride.residual[: len(size)] + stride.y)).max(axis=0),
-        size.shape,
-    )
-    inverse = stride.inverse[: len(size), : len(size)]
-    through = np.abs(inverse - np.eye(len(size))[:, :, None])
-    return (
-        EPS
-        * (matvec(np.abs(inverse), image + beyond) + matvec(through, size + beyond))
-        / size
-    )
+    largest = (size + np.abs(stride.residual[:m] + stride.y)).max(axis=0)
+    image = np.broadcast_to(share * largest, size.shape)
+
+    inverse = stride.inverse[:m, :m]
+    of_image = matvec(np.abs(inverse), image + beyond)
+    through = np.abs(inverse - np.eye(m)[:, :, None])
+    return EPS * (of_image + matvec(through, size + beyond)) / size

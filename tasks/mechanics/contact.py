@@ -13,6 +13,8 @@ elementwise operations only: this measures motions that are already known.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from gaitsweep.tasks.mechanics.sums import total
@@ -89,10 +91,9 @@ class Chain:
         list of list of ndarray, shape (...)
         """
         e = np.exp(1j * q)
-        M = [
-            [(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)]
-            for i in range(4)
-        ]
+        M = []
+        for i in range(4):
+            M.append([(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)])
         for j in range(4):
             M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
             M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
@@ -116,14 +117,13 @@ class Chain:
         """
         e = np.exp(1j * q)
         gravity = np.sin(slope) - 1j * np.cos(slope)
-        f = [
-            ((1j * self.S_rows[i] * e[i]).conj() * gravity).real
-            + total(
+        f = []
+        for i in range(4):
+            turning = total(
                 rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag
                 for j in range(4)
             )
-            for i in range(4)
-        ]
+            f.append(((1j * self.S_rows[i] * e[i]).conj() * gravity).real + turning)
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
         return f
@@ -145,10 +145,11 @@ class Chain:
         ndarray, shape (4, ...) [rad g/leg]
         """
         f, groups = self.force(q, rate, slope), self.groups(free_knee)
-        x = _solve(
-            _group(self.matrix(q), groups), [total(f[i] for i in g) for g in groups]
-        )
-        return np.stack([x[k] for k, g in enumerate(groups) for _ in g])
+        x = _solve(_group(self.matrix(q), groups), _of_groups(f, groups))
+        links = [
+            [acceleration] * len(g) for acceleration, g in zip(x, groups, strict=True)
+        ]
+        return np.concatenate(links)
 
     def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Linear momentum, complex, over mass and sqrt(leg g).
@@ -249,15 +250,13 @@ class Chain:
             The symmetric matrix over the rows.
         """
         groups = self.groups(free_knee)
-        M, impulses = (
-            _group(self.matrix(q), groups),
-            [[total(r[i] for i in g) for g in groups] for r in rows],
-        )
-        responses = [_solve(M, r) for r in impulses]
-        return [
-            [total(a * b for a, b in zip(r, x, strict=True)) for x in responses]
-            for r in impulses
-        ]
+        M = _group(self.matrix(q), groups)
+        impulses = [_of_groups(row, groups) for row in rows]
+        responses = [np.stack(_solve(M, impulse)) for impulse in impulses]
+        compliance = []
+        for impulse in impulses:
+            compliance.append([total(np.stack(impulse) * x) for x in responses])
+        return compliance
 
     def height(self, q: np.ndarray) -> np.ndarray:
         """Height of the swing foot's lowest point over leg, without cancellation for
@@ -313,14 +312,28 @@ def _group(
     M: list[list[np.ndarray]], groups: list[list[int]]
 ) -> list[list[np.ndarray]]:
     """Matrix of groups of links that move as one."""
-    return [[total(M[i][j] for i in g for j in h) for h in groups] for g in groups]
+    grouped = []
+    for g in groups:
+        row = []
+        for h in groups:
+            row.append(total(M[i][j] for i, j in itertools.product(g, h)))
+        grouped.append(row)
+    return grouped
+
+
+def _of_groups(
+    values: list[np.ndarray] | np.ndarray, groups: list[list[int]]
+) -> list[np.ndarray]:
+    """Sums of the links' values over groups that move as one."""
+    return [total(values[i] for i in g) for g in groups]
 
 
 def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
     """Solve A x = b elementwise. The stance row is eliminated last: its coupling to a
     massless leg is zero.
     """
-    A, b, n = [list(row) for row in A], list(b), len(b)
+    A, b = [list(row) for row in A], list(b)
+    n = len(b)
     for k in reversed(range(1, n)):
         for i in range(k):
             factor = A[i][k] / A[k][k]

@@ -29,11 +29,9 @@ def _register() -> int:
     lane takes half as long again.
     """
     found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-    return (
-        8
-        if any("512" in name or name == "X86_V4" for name in found)
-        else int(hy.recommended_simd_size())
-    )
+    if any("512" in name or name == "X86_V4" for name in found):
+        return 8
+    return int(hy.recommended_simd_size())
 
 
 #: Numbers in a SIMD register; a processor with wide registers can do as one with
@@ -75,6 +73,37 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
     padded = np.empty((*values.shape[:-1], n + -n % lanes))
     padded[..., :n], padded[..., n:] = values, values[..., -1:]
     return padded
+
+
+class _Batch:
+    """Whole groups of lanes to integrate over their durations, and what they come to:
+    states at the end, the times reached, and samples of the motion.
+    """
+
+    def __init__(
+        self,
+        state: np.ndarray,
+        parameters: np.ndarray,
+        duration: np.ndarray,
+        samples: int,
+        angles: int,
+    ):
+        self.state, self.parameters, self.duration = state, parameters, duration
+        self.fractions = np.empty((0, 1))
+        if samples:
+            self.fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
+        width = len(duration)
+        self.final = np.empty((len(state), width))
+        self.reached = np.full(width, np.nan)
+        self.motion = np.empty((len(self.fractions), angles, width))
+
+    def lost(self, lanes: slice) -> np.ndarray:
+        """Whether motions ended at another time than asked; heyoka's clock may be off
+        by its last digit only.
+        """
+        duration = self.duration[lanes]
+        late = np.abs(self.reached[lanes] - duration)
+        return np.asarray(~(late <= 1e-15 * np.abs(duration)))
 
 
 class Flow:
@@ -132,54 +161,53 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        n, scale, began = state.shape[1], parameters[1], time.process_time()
-        state, duration = (
+        began, n = time.process_time(), state.shape[1]
+        batch = _Batch(
             whole_groups(state, self.lanes),
+            self._parameters(whole_groups(parameters, self.lanes)),
             whole_groups(duration, self.lanes),
+            samples,
+            self.angles,
         )
-        parameters = self._parameters(whole_groups(parameters, self.lanes))
-        width = len(duration)
-        final, reached = np.empty((self.size, width)), np.full(width, np.nan)
-        fractions = (
-            np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else np.empty((0, 1))
-        )
-        motion = np.empty((len(fractions), self.angles, width))
+        width = len(batch.duration)
+        for first in range(0, width, self.lanes):
+            group = slice(first, first + self.lanes)
+            self._integrate(batch, group, group)
 
-        def integrate(lanes: slice | list[int], to: slice) -> None:
-            """Integrate a group of lanes and store the first of them as lanes `to`."""
-            kept = slice(to.stop - to.start)
-            # heyoka keeps no place for the last parameters where no term needs them: a
-            # balanced leg feels no gravity.
-            self._state[:], self._pars[:] = (
-                state[:, lanes],
-                parameters[: len(self._pars), lanes],
-            )
-            try:
-                samples_of_group = self._advance(duration[lanes], fractions)
-            except ValueError:
-                # heyoka refuses durations that are not finite.
-                return
-            final[:, to], reached[to] = self._state[:, kept], self._time[kept]
-            motion[:, :, to] = samples_of_group[:, : self.angles, kept]
-
-        for k in range(0, width, self.lanes):
-            integrate(slice(k, k + self.lanes), slice(k, k + self.lanes))
-        lost = _differ(reached, duration)
-        lost[:n] |= (
-            np.abs(final[: self.angles // 2, :n] * scale).max(axis=0) > _LARGE_ANGLE
-        )
-        for k in (
-            np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes
-        ).tolist():
-            for lane in range(k, k + self.lanes):
-                reached[lane] = np.nan
-                integrate([lane] * self.lanes, slice(lane, lane + 1))
-                if _differ(reached[lane], duration[lane]):
-                    final[:, lane] = motion[:, :, lane] = np.nan
+        lost = batch.lost(slice(None))
+        angles = np.abs(batch.final[: self.angles // 2, :n])
+        lost[:n] |= (angles * parameters[1]).max(axis=0) > _LARGE_ANGLE
+        self._integrate_alone(batch, lost)
         self.evaluations += n
         self.idle += width - n
         self.seconds += time.process_time() - began
-        return final[:, :n], motion[:, :, :n]
+        return batch.final[:, :n], batch.motion[:, :, :n]
+
+    def _integrate_alone(self, batch: _Batch, lost: np.ndarray) -> None:
+        """Integrate groups with a lane that is lost again, lane by lane."""
+        groups = np.arange(len(lost)).reshape(-1, self.lanes)
+        for lane in groups[lost[groups].any(axis=1)].ravel().tolist():
+            alone = slice(lane, lane + 1)
+            batch.reached[lane] = np.nan
+            self._integrate(batch, [lane] * self.lanes, alone)
+            if batch.lost(alone)[0]:
+                batch.final[:, lane] = batch.motion[:, :, lane] = np.nan
+
+    def _integrate(self, batch: _Batch, lanes: slice | list[int], to: slice) -> None:
+        """Integrate a group of lanes and store the first of them as lanes `to`."""
+        # heyoka keeps no place for the last parameters where no term needs them: a
+        # balanced leg feels no gravity.
+        self._state[:] = batch.state[:, lanes]
+        self._pars[:] = batch.parameters[: len(self._pars), lanes]
+        try:
+            motion = self._advance(batch.duration[lanes], batch.fractions)
+        except ValueError:
+            # heyoka refuses durations that are not finite.
+            return
+        kept = slice(to.stop - to.start)
+        batch.final[:, to] = self._state[:, kept]
+        batch.reached[to] = self._time[kept]
+        batch.motion[:, :, to] = motion[:, : self.angles, kept]
 
     def _advance(self, duration: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         """Integrate a group by heyoka over its whole duration, or to fractions of it;
@@ -191,13 +219,6 @@ class Flow:
             ta.propagate_until(duration, max_steps=_MAX_STEPS)
             return np.empty((0, *self._state.shape))
         return ta.propagate_grid(fractions * duration, max_steps=_MAX_STEPS)[1]
-
-
-def _differ(reached: np.ndarray, duration: np.ndarray) -> np.ndarray:
-    """Whether motions ended at another time than asked; heyoka's clock may be off by
-    its last digit only.
-    """
-    return np.asarray(~(np.abs(reached - duration) <= 1e-15 * np.abs(duration)))
 
 
 #: Every flow compiled by this process, by its structure and options; their counters
