@@ -61,7 +61,12 @@ ANY_SLOPE, _VANISHING = "any slope", 1e-12
 
 
 #: Quantities of a design whose extremes are sought.
-QUANTITIES = (SMALLEST_SLOPE, LARGEST_STABLE_SLOPE, FASTEST_STABLE_SPEED, *COSTS)
+QUANTITIES: tuple[str, ...] = (
+    SMALLEST_SLOPE,
+    LARGEST_STABLE_SLOPE,
+    FASTEST_STABLE_SPEED,
+    *COSTS,
+)
 #: How far outside the window its own edges may lie, in ln slope; and the error of points
 #: that are taken as nodes.
 _EDGE, _UNSOLVED = 1e-9, 1e-9
