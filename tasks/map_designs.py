@@ -102,11 +102,9 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     window = float(np.log(slope.min())), float(np.log(slope.max()))
     walkers = _walkers(line["walker"], keys, n)
     options = registry.options("design", params)
-    at_slope, at_speed, ground = (
-        options["at_slope"],
-        options["at_speed"],
-        float(options["ground"]),
-    )
+    at_slope = options["at_slope"]
+    at_speed = options["at_speed"]
+    ground = float(options["ground"])
     sought = Sought(window, None if at_speed is None else float(np.log(at_speed)))
     rows, accepted, gaits = _Rows(n, sought), np.zeros(n, bool), np.full((4, n), np.nan)
     if "plane" in params:
@@ -116,10 +114,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             i for own in _alike(walkers, np.arange(n)).values() for i in own
         )
         if at_slope is not None and possible:
-            each, slopes = (
-                [line_of(i) for i in possible],
-                {"slope_from": at_slope, "slope_to": at_slope, "slopes": 1},
-            )
+            each = [line_of(i) for i in possible]
+            slopes = {"slope_from": at_slope, "slope_to": at_slope, "slopes": 1}
             request = {
                 "line": each[0],
                 "lines": each,
@@ -275,9 +271,9 @@ class _Rows:
     """
 
     def __init__(self, n: int, sought: Sought):
-        self.sought, names = (
-            sought,
-            QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)],
+        self.sought = sought
+        names = (
+            QUANTITIES if sought.log_speed is not None else QUANTITIES[: -len(COSTS)]
         )
         numbers = ("log_slope", "error", "log_froude", "speed_error", "stable", *_STATE)
         self.at: dict[str, Arrays] = {
@@ -300,10 +296,8 @@ class _Rows:
     ) -> None:
         """Store what the points of some designs, numbered from 0 in `points`, give."""
         n, window = len(numbers), self.sought.window
-        chosen, kept = (
-            best(points, n, window),
-            np.ones(n, bool) if accepted is None else accepted,
-        )
+        chosen = best(points, n, window)
+        kept = np.ones(n, bool) if accepted is None else accepted
         self.surveyed[numbers[kept]] = surveyed
         walks = np.zeros(n, bool)
         walks[
