@@ -24,18 +24,17 @@ from gaitsweep.tasks.walkers.resolve import walker_of_line
 #: Steps over which the directions of growth align before exponents are averaged, and
 #: blocks of the average.
 _ALIGNMENT, _BLOCKS = 16, 8
-#: Columns of a row, and the longest period at which an orbit is tested for repetition.
-_SHOWN, _MAX_PERIOD = (
-    (
-        "stance_angle",
-        "stance_rate",
-        "thigh_rate",
-        "shank_rate",
-        "period",
-        "error_bound",
-    ),
-    64,
+#: Columns of a row.
+_SHOWN = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "period",
+    "error_bound",
 )
+#: Longest period at which an orbit is tested for repetition.
+_MAX_PERIOD = 64
 
 
 def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -80,10 +79,8 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     # other slopes.
     offsets = np.tile(2 * r_sequence(problem.m, count) - 1, (1, len(known)))
     y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
-    lane_slope, start = (
-        np.repeat(slope[known], count),
-        np.tile(np.arange(count), len(known)),
-    )
+    lane_slope = np.repeat(slope[known], count)
+    start = np.tile(np.arange(count), len(known))
     unit = walker.time_unit
     walk, strides = Walk(problem, y, lane_slope), int(options["steps"])
     _settle(walk, int(options["transient"]))
@@ -132,10 +129,8 @@ def _repeats(angles: np.ndarray) -> np.ndarray:
 def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Arrays:
     """Survival times at every slope: all steps over all falls."""
     slopes, which = np.unique(lane_slope, return_inverse=True)
-    strides, falls = (
-        np.bincount(which, steps, len(slopes)),
-        np.bincount(which, fell, len(slopes)),
-    )
+    strides = np.bincount(which, steps, len(slopes))
+    falls = np.bincount(which, fell, len(slopes))
     with np.errstate(divide="ignore"):
         lifetime = strides / falls
     return {
@@ -200,10 +195,8 @@ def _keep(walk: Walk, strides: int, shown: int) -> tuple[np.ndarray, np.ndarray]
     growth over them.
     """
     m, n = walk.y.shape
-    rows, growth = (
-        np.full((shown, len(_SHOWN), n), np.nan),
-        Exponents.begin(m, n, _BLOCKS),
-    )
+    rows = np.full((shown, len(_SHOWN), n), np.nan)
+    growth = Exponents.begin(m, n, _BLOCKS)
     for k in walk.steps(strides, exact=True):
         block = (
             (k - 1 - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT)
@@ -225,12 +218,10 @@ def _row(walk: Walk) -> np.ndarray:
     times the factor that a gait's bound takes of its standard deviation.
     """
     lanes, problem = walk.lanes, walk.problem
-    y, image, times, slope = (
-        walk.before,
-        walk.y[:, lanes],
-        walk.times[:, lanes],
-        walk.slope[lanes],
-    )
+    y = walk.before
+    image = walk.y[:, lanes]
+    times = walk.times[:, lanes]
+    slope = walk.slope[lanes]
     unit = 0.75 * scale_of(y[0])
     again = problem.map(y / unit, times, problem.parameters(slope, unit))
     error = np.vstack(

@@ -90,10 +90,8 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         step = take_step(
             problem, x, parameters[:, 0], height, bool(params.get("motion"))
         )
-        times[k, : len(step.times)], motion[k, :, : len(step.motion)] = (
-            step.times,
-            np.moveaxis(step.motion, 1, 0),
-        )
+        times[k, : len(step.times)] = step.times
+        motion[k, :, : len(step.motion)] = np.moveaxis(step.motion, 1, 0)
         outcome = step.outcome
         if outcome != STRUCK:
             break
@@ -143,10 +141,8 @@ def begin(
     WalkerError
         If the walker or the state is invalid.
     """
-    problem, slope = (
-        section_problem(walker_of_line(params)),
-        np.array([float(params["slope"])]),
-    )
+    problem = section_problem(walker_of_line(params))
+    slope = np.array([float(params["slope"])])
     state, time_unit = np.array(params["state"], float), problem.walker.time_unit
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError(
@@ -253,10 +249,8 @@ class _Phase:
         self.links, self.parameters = 3 if free else 2, flow.parameters()
         q = hy.make_vars(*(f"q{i}" for i in range(self.links)))
         scale, height, limit = (hy.par[len(flow.held) + i] for i in range(3))
-        half_sum, half_between = (
-            scale * (q[0] + q[1]) * 0.5,
-            scale * (q[1] - q[0]) * 0.5,
-        )
+        half_sum = scale * (q[0] + q[1]) * 0.5
+        half_between = scale * (q[1] - q[0]) * 0.5
         # Height of the swing foot's centre above the stance foot's, less that of the
         # ground, over l.
         gap = 2.0 * hy.sin(half_sum) * hy.sin(half_between) - height

@@ -59,17 +59,13 @@ class Walk:
             if not len(lanes):
                 return
             step = stride(self.problem.some(lanes), before, self.slope[lanes], exact)
-            self.y[:, lanes], self.times[:, lanes], self.outcome[lanes] = (
-                step.image,
-                step.times,
-                step.outcome,
-            )
+            self.y[:, lanes] = step.image
+            self.times[:, lanes] = step.times
+            self.outcome[lanes] = step.outcome
             walks = step.outcome == STRUCK
-            self.lanes, self.before, self.jacobian = (
-                lanes[walks],
-                before[:, walks],
-                step.jacobian[:, :, walks],
-            )
+            self.lanes = lanes[walks]
+            self.before = before[:, walks]
+            self.jacobian = step.jacobian[:, :, walks]
             self.taken[self.lanes] += 1
             yield number
 

@@ -66,10 +66,8 @@ class Wanted:
         `tasks.solve_points` has them.
         """
         names, accuracy = params["want"], params.get("accuracy", 0.0)
-        labels, limits = (
-            set(params.get("gaits") or GAITS),
-            params.get("violation_limits"),
-        )
+        labels = set(params.get("gaits") or GAITS)
+        limits = params.get("violation_limits")
         return cls(computed(names, accuracy), labels, limits, accuracy)
 
 
@@ -206,10 +204,8 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
     bound = out["error_bound"] + unit
     coarse = (out["status"] == status.CONVERGED) & (bound > accuracy)
-    out["status"][coarse], out["reason"][coarse] = (
-        status.LESS_ACCURATE,
-        status.TOO_COARSE,
-    )
+    out["status"][coarse] = status.LESS_ACCURATE
+    out["reason"][coarse] = status.TOO_COARSE
     for name, values in out.items():
         if name == "error_bound":
             values[:] = np.where(
@@ -478,10 +474,8 @@ class Steps:
         }:
             unit = walker.total_mass * walker.g * walker.leg
             normal, tangential = heelstrike_losses(walker, end, stride.impact * scale)
-            measured["loss_normal"], measured["loss_tangential"] = (
-                normal * unit,
-                tangential * unit,
-            )
+            measured["loss_normal"] = normal * unit
+            measured["loss_tangential"] = tangential * unit
             if walker.knees:
                 measured["loss_kneestrike"] = (
                     kneestrike_loss(walker, stride.knee * scale) * unit

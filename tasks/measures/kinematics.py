@@ -64,9 +64,7 @@ def travel(
     speed = steps * length / period
     cost = np.broadcast_to(np.sin(slope), speed.shape)
     weight = walker.total_mass * walker.g
-    froude_speed, where_walking = (
-        speed / np.sqrt(walker.g * walker.leg),
-        np.where(np.isfinite(speed), cost, np.nan),
-    )
+    froude_speed = speed / np.sqrt(walker.g * walker.leg)
+    where_walking = np.where(np.isfinite(speed), cost, np.nan)
     values = steps / period, speed, froude_speed, where_walking, weight * speed * cost
     return dict(zip(TRAVEL, values, strict=True))

@@ -37,11 +37,9 @@ class Chain:
         leg, mass = walker.leg, walker.total_mass
         self.kneed, self.massless = walker.knees, walker.massless_leg
         self.R, self.l = walker.R / leg, walker.l / leg
-        knee, thigh, shank = (
-            walker.knee / leg,
-            walker.thigh_centre / leg,
-            walker.shank_centre / leg,
-        )
+        knee = walker.knee / leg
+        thigh = walker.thigh_centre / leg
+        shank = walker.shank_centre / leg
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         #: From foot centre to foot centre, link by link.

@@ -34,10 +34,8 @@ class Problem:
 
     def __init__(self, walker: Walker, steps: int = 1):
         structure = structure_of(walker)
-        self.walker, self.constants = (
-            walker,
-            constants_of(WalkerArray.of([walker]), structure),
-        )
+        self.walker = walker
+        self.constants = constants_of(WalkerArray.of([walker]), structure)
         self._set(structure, steps)
 
     def _set(self, structure: Structure, steps: int) -> None:
@@ -247,10 +245,8 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
-        alone.walker, alone.constants = (
-            self.walker_of(lane),
-            self.constants[:, [self.lanes[lane]]],
-        )
+        alone.walker = self.walker_of(lane)
+        alone.constants = self.constants[:, [self.lanes[lane]]]
         alone._set(self.structure, 1)
         return alone
 
