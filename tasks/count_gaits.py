@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.dynamics.initial_states import r_sequence
@@ -18,7 +19,7 @@ from gaitsweep.tasks.fixed_points.step_check import LONG_BELOW, gait_ratio, veri
 from gaitsweep.tasks.mechanics.arrays import Sections, Unknowns
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.sameness import SAME_POINT
+from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 from gaitsweep.tasks.tables import Arrays, stacked, table
 from gaitsweep.tasks.walkers.resolve import walker_of_line
@@ -32,8 +33,7 @@ _SLOWEST, _FASTEST = -0.7, -4.0
 #: Largest swing rate over the stance rate, of a leg that swings in pi sqrt(leg/g); of
 #: faster ones in proportion.
 _SWING_RATIO = 1.6
-#: Solutions closer than this in similarity coordinates are the same.
-_SAME = 1e-5
+
 #: Newton steps of a guess, by the number of phases of a step: with a free knee they are
 #: dear, and few converge late.
 _MAX_STEPS = {1: 25, 2: 15}
@@ -89,7 +89,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     problem = Problem(walker_of_line(params["line"]))
     count = int(registry.options("census", params)["starts"])
-    parts: list[tuple[np.ndarray, ...]] = []
+    parts: list[tuple[ndarray, ...]] = []
     cover: list[dict[str, Any]] = []
     for slope in np.asarray(params["slope"], float).tolist():
         guesses = _struck(problem, starts(problem, slope, count), slope)
@@ -121,7 +121,7 @@ def _kinds(solutions: int, walking: int, anthropomorphic: int) -> dict[str, int]
     }
 
 
-def _unseen(hits: np.ndarray, converged: int) -> dict[str, float]:
+def _unseen(hits: ndarray, converged: int) -> dict[str, float]:
     """Columns of the table `coverage`: the Good-Turing estimate, and what it is of."""
     once = int((hits == 1).sum())
     return {"found_once": once, "unseen": max(once, 1) / max(converged, 1)}
@@ -135,8 +135,8 @@ def _struck(problem: Problem, y: Sections, slope: float) -> Unknowns:
 
 
 def _gaits(
-    problem: Problem, w: Unknowns, hits: np.ndarray, slope: float
-) -> dict[str, np.ndarray]:
+    problem: Problem, w: Unknowns, hits: ndarray, slope: float
+) -> dict[str, ndarray]:
     """Columns of the table `census`, of those solutions that are steps."""
     time_unit = problem.walker.time_unit
     slopes = np.full(w.shape[1], slope)
@@ -158,7 +158,7 @@ def _gaits(
     return dict(zip(_GAIT_COLUMNS, walking, strict=True))
 
 
-def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
+def starts(problem: Problem, slope: float, count: int) -> ndarray:
     """Spread initial guesses over the admissible section by a low-discrepancy sequence.
 
     Parameters
@@ -187,9 +187,7 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     return np.vstack([angle, rate, -rate * largest * (2 * unit[2] - 1)])
 
 
-def _solve(
-    problem: Problem, w: np.ndarray, slope: float
-) -> tuple[np.ndarray, np.ndarray, int]:
+def _solve(problem: Problem, w: ndarray, slope: float) -> tuple[ndarray, ndarray, int]:
     """Distinct fixed points, how many guesses led to each, and how many converged at
     all.
     """
@@ -200,17 +198,17 @@ def _solve(
     n_near = int(near.sum())
     w, hits = _merge(w[:, near], np.ones(n_near, int), SAME_POINT)
     w, converged = newton(problem, w, q[: w.shape[1]])
-    w, hits = _merge(w[:, converged], hits[converged], _SAME)
+    w, hits = _merge(w[:, converged], hits[converged], SAME_GAIT)
     return w, hits, n_near
 
 
 def _deflate(
     problem: Problem,
-    guesses: np.ndarray,
-    known: np.ndarray,
-    hits: np.ndarray,
+    guesses: ndarray,
+    known: ndarray,
+    hits: ndarray,
     slope: float,
-) -> tuple[np.ndarray, np.ndarray, int, int]:
+) -> tuple[ndarray, ndarray, int, int]:
     """Known solutions with those that deflation adds, their hits, the number of
     guesses, and of solutions added.
     """
@@ -226,15 +224,15 @@ def _deflate(
         w, converged = newton(problem, w[:, near], q[near])
         both = np.hstack([known, w[:, converged]])
         none_yet = np.zeros(both.shape[1] - before, int)
-        known, hits = _merge(both, np.append(hits, none_yet), _SAME)
+        known, hits = _merge(both, np.append(hits, none_yet), SAME_GAIT)
         if known.shape[1] == before:
             break
     return known, hits, tried, known.shape[1] - first
 
 
 def deflated(
-    problem: Problem, guesses: np.ndarray, known: np.ndarray, slope: float
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem, guesses: ndarray, known: ndarray, slope: float
+) -> tuple[ndarray, ndarray]:
     """Improve guesses at one slope that known solutions repel.
 
     Parameters
@@ -262,9 +260,7 @@ def deflated(
     )
 
 
-def _merge(
-    w: np.ndarray, hits: np.ndarray, tolerance: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _merge(w: ndarray, hits: ndarray, tolerance: float) -> tuple[ndarray, ndarray]:
     """Merge columns of w closer than a tolerance, in order of their angle, and add up
     their hits.
     """

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation import atlas as atlases
 from gaitsweep.tasks.continuation.branch import Branch
@@ -41,8 +42,8 @@ _STEEP = 1e-2
 
 
 def branch(
-    params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]
-) -> dict[str, np.ndarray]:
+    params: Mapping[str, Any], inputs: list[dict[str, ndarray]]
+) -> dict[str, ndarray]:
     """Sample a line's branches, continued through folds to their ends.
 
     Parameters

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
@@ -123,7 +124,7 @@ class _Window:
     keys: Keys
 
     @property
-    def edges(self) -> np.ndarray:
+    def edges(self) -> ndarray:
         """Least and largest ln slope and key, as points count them, shape (2, 2)."""
         log_slopes = np.log(self.slopes)
         ends = np.hstack([self.keys.low, self.keys.high])
@@ -134,7 +135,7 @@ class _Window:
         low, high = np.log(self.slopes)
         return bool(low <= log_slope <= high)
 
-    def inside(self, X: np.ndarray) -> np.ndarray:
+    def inside(self, X: ndarray) -> ndarray:
         """A point (u,) whose ln slope is moved to the window's edge if it lies beyond
         by rounding.
         """
@@ -151,12 +152,12 @@ class _Tables(NamedTuple):
 
 
 def _follow_all(
-    seeds: list[tuple[str, np.ndarray]], begin: float, window: _Window, tables: _Tables
+    seeds: list[tuple[str, ndarray]], begin: float, window: _Window, tables: _Tables
 ) -> bool:
     """Follow the curves through special points at one value of the key, each once; and
     whether there is any.
     """
-    seen: list[tuple[str, np.ndarray]] = []
+    seen: list[tuple[str, ndarray]] = []
     for kind, Z in seeds:
         equations = Equations(window.keys, [CONDITIONS[kind]])
         guess = np.append(Z, begin / window.keys.scale)[:, None]
@@ -179,7 +180,7 @@ def _follow_all(
     return bool(seen)
 
 
-def _across_key(X: np.ndarray) -> np.ndarray:
+def _across_key(X: ndarray) -> ndarray:
     """The direction (u, 1) of the key."""
     return np.eye(len(X))[:, [-1]]
 
@@ -188,7 +189,7 @@ def _rows(
     number: int,
     kind: str,
     equations: Equations,
-    points: np.ndarray,
+    points: ndarray,
     stopped: tuple[str, str],
     window: _Window,
 ) -> Iterator[tuple[Any, ...]]:
@@ -207,8 +208,8 @@ def _turning_rows(
     number: int,
     kind: str,
     equations: Equations,
-    points: np.ndarray,
-    tangents: np.ndarray,
+    points: ndarray,
+    tangents: ndarray,
     window: _Window,
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the turning points of a curve, of its key first."""
@@ -250,7 +251,7 @@ def _is_ordinary(
         return False
 
 
-def _place(equations: Equations, X: np.ndarray, window: _Window) -> tuple[Any, ...]:
+def _place(equations: Equations, X: ndarray, window: _Window) -> tuple[Any, ...]:
     """Slope, key, its value, state at the start of the step and period of a point, in
     the walker's units.
     """
@@ -268,7 +269,7 @@ def _place(equations: Equations, X: np.ndarray, window: _Window) -> tuple[Any, .
     return (slope, key, value, angle, *rates, period)
 
 
-def _error(equations: Equations, X: np.ndarray, window: _Window) -> float:
+def _error(equations: Equations, X: ndarray, window: _Window) -> float:
     """Bound on the relative error of a point's slope, at its value of the key; infinite
     where the key turns.
     """
@@ -298,7 +299,7 @@ def _value_of_line(line: Mapping[str, Any], key: str) -> float:
 
 def _seeds(
     problem: Problem, branches: list[Branch], kinds: Any, window: _Window
-) -> list[tuple[str, np.ndarray]]:
+) -> list[tuple[str, ndarray]]:
     """Special points of a line's branches at which curves begin: kind, and Z (c,)."""
     seeds = []
     for branch in branches:
@@ -310,9 +311,7 @@ def _seeds(
     return seeds
 
 
-def _returns(
-    equations: Equations, points: np.ndarray, first: np.ndarray
-) -> list[np.ndarray]:
+def _returns(equations: Equations, points: ndarray, first: ndarray) -> list[ndarray]:
     """Points of a curve at the value of the key at which it began, `first` (u, 1)."""
     value = first[-1, 0]
     returns = [first[:, 0]]

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.continuation.atlas import branches_along, is_known, ranked
 from gaitsweep.tasks.continuation.branch import Branch
@@ -80,7 +81,7 @@ def _along(
     return run(problem, branches_along(problem, down, up, COARSE, begins))
 
 
-def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
+def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
     """Slopes at which gaits have doubled already, as those of heavy feet at vanishing
     slopes, shape (n,) [rad].
     """

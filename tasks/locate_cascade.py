@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks import registry
 from gaitsweep.tasks.continuation import atlas as atlases
@@ -105,7 +106,7 @@ class _Family:
     stopped: str
 
     @property
-    def flips(self) -> np.ndarray:
+    def flips(self) -> ndarray:
         """Slopes of its flips, shape (k,) [rad]."""
         return np.array([event.slope for event in self.events if event.kind == "flip"])
 
@@ -268,7 +269,7 @@ def _unbracketed(low: float, high: float, accumulation: float, end: float) -> st
     return ""
 
 
-def _spread_around(event: _Event) -> np.ndarray:
+def _spread_around(event: _Event) -> ndarray:
     """Initial conditions near the steps of a gait, in turn, shape (m, _ORBITS)."""
     problem, w = event.gait.problem, event.gait.w
     n = problem.steps
@@ -465,7 +466,7 @@ def _follow_flips(
 
 
 #: Where a branch is followed from: what `points_along` takes besides the problem.
-_Begun = tuple[Point, np.ndarray, float]
+_Begun = tuple[Point, ndarray, float]
 
 
 def _first_event(

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.contact import total
 
@@ -26,25 +27,25 @@ class ApparentMass:
     squares : tuple of ndarray of complex, shape (n,)
     """
 
-    isotropic: np.ndarray
-    squares: tuple[np.ndarray, ...]
+    isotropic: ndarray
+    squares: tuple[ndarray, ...]
 
-    def with_point(self, mass: np.ndarray | float) -> ApparentMass:
+    def with_point(self, mass: ndarray | float) -> ApparentMass:
         """Return the mass with a point mass added to it."""
         return ApparentMass(self.isotropic + mass, self.squares)
 
-    def times(self, v: np.ndarray) -> np.ndarray:
+    def times(self, v: ndarray) -> ndarray:
         """Product with vectors."""
         return self.isotropic * v + total(u * dot(u, v) for u in self.squares)
 
-    def along(self, v: np.ndarray) -> np.ndarray:
+    def along(self, v: ndarray) -> ndarray:
         """Quadratic form v^T M v of vectors."""
         return self.isotropic * np.abs(v) ** 2 + total(
             dot(u, v) ** 2 for u in self.squares
         )
 
     @property
-    def determinant(self) -> np.ndarray:
+    def determinant(self) -> ndarray:
         """Determinant."""
         sizes = total(np.abs(u) ** 2 for u in self.squares)
         areas = [
@@ -57,7 +58,7 @@ class ApparentMass:
         )
 
     @property
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> ndarray:
         """Matrix along x and y, shape (n, 2, 2)."""
         x, y = self.isotropic, self.isotropic
         off = np.zeros_like(x)
@@ -68,7 +69,7 @@ class ApparentMass:
         )
 
     @property
-    def axis(self) -> np.ndarray:
+    def axis(self) -> ndarray:
         """Eigenvector nearer x, of size 1; the other one is a quarter of a turn from
         it.
         """
@@ -79,18 +80,18 @@ class ApparentMass:
         return np.exp(0.5j * np.angle(np.where(doubled.real < 0, -doubled, doubled)))
 
 
-def dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def dot(u: ndarray, v: ndarray) -> ndarray:
     """Products of vectors."""
     return u.real * v.real + u.imag * v.imag
 
 
-def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def cross(u: ndarray, v: ndarray) -> ndarray:
     """Area between vectors."""
     return u.real * v.imag - u.imag * v.real
 
 
 def of_free_link(
-    mass: np.ndarray | float, centre: np.ndarray, inertia: np.ndarray | float
+    mass: ndarray | float, centre: ndarray, inertia: ndarray | float
 ) -> ApparentMass:
     """Mass of a free rigid link at one of its points.
 
@@ -111,10 +112,10 @@ def of_free_link(
 @np.errstate(divide="ignore", invalid="ignore")
 def of_hinged_link(
     beyond: ApparentMass,
-    point: np.ndarray,
-    mass: np.ndarray | float,
-    centre: np.ndarray,
-    inertia: np.ndarray | float,
+    point: ndarray,
+    mass: ndarray | float,
+    centre: ndarray,
+    inertia: ndarray | float,
 ) -> ApparentMass:
     """Mass at a point of a rigid link that is hinged to others.
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from heyoka import real128
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.arrays import PerLane
 from gaitsweep.tasks.mechanics.vector import Vector
@@ -184,7 +185,7 @@ def _hanging(along: PerLane, across: PerLane, sine: PerLane, cosine: PerLane) ->
     return Vector(x, y)
 
 
-def _power(x: np.ndarray, exponent: np.ndarray) -> np.ndarray:
+def _power(x: ndarray, exponent: ndarray) -> ndarray:
     """Powers; of doubles as C has them, which numpy's own may miss by a bit."""
     if x.dtype != float:
         return np.power(x, exponent)
@@ -240,7 +241,7 @@ def general_structure(kneed: bool) -> Structure:
     return Structure(kneed, False, constants, ())
 
 
-def locked(parameters: np.ndarray) -> np.ndarray:
+def locked(parameters: ndarray) -> ndarray:
     """Parameters of the general structure of straight legs, for walkers with knees
     while these are locked.
 
@@ -321,7 +322,7 @@ def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Str
     return Structure(False, walker.point_foot, others, tuple(units.items()))
 
 
-def constants_of(walkers: WalkerArray, structure: Structure) -> np.ndarray:
+def constants_of(walkers: WalkerArray, structure: Structure) -> ndarray:
     """Values of the structure's runtime constants, each rounded only once.
 
     Parameters

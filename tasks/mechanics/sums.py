@@ -12,9 +12,10 @@ import operator
 from collections.abc import Iterable
 
 import numpy as np
+from numpy import ndarray
 
 
-def total(terms: Iterable[np.ndarray]) -> np.ndarray:
+def total(terms: Iterable[ndarray]) -> ndarray:
     """Sum of arrays, or of an array over its first axis.
 
     Parameters
@@ -30,7 +31,7 @@ def total(terms: Iterable[np.ndarray]) -> np.ndarray:
     return functools.reduce(operator.add, terms)
 
 
-def norm(vectors: np.ndarray) -> np.ndarray:
+def norm(vectors: ndarray) -> ndarray:
     """Lengths of vectors.
 
     Parameters
@@ -44,7 +45,7 @@ def norm(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(total(vectors * vectors)))
 
 
-def polynomial(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:
+def polynomial(coefficients: ndarray, x: ndarray) -> ndarray:
     """Values of polynomials, the coefficient of the highest power first.
 
     Parameters
@@ -61,7 +62,7 @@ def polynomial(coefficients: np.ndarray, x: np.ndarray) -> np.ndarray:
     )
 
 
-def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+def matvec(A: ndarray, v: ndarray) -> ndarray:
     """Product A v of every lane.
 
     Parameters

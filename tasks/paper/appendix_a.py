@@ -81,7 +81,8 @@ def tension(paper: Paper) -> Found:
     least = min(np.nanmin(gait["least_normal_force"]) for gait in gaits)
     tense = _flags_of(paper, walkers, "contact_tension").sum()
     holds = verdict(least > 0 and not tense, least > 0)
-    return found(holds, least, names=[*walkers], tense=tense, **_of_figure_3(paper))
+    amounts = _of_figure_3(paper)
+    return found(holds, least, names=[*walkers], tense=tense, **amounts)
 
 
 @claim("A4")
@@ -92,8 +93,14 @@ def hyperextension(paper: Paper) -> Found:
         f"{label} step below slope": interval(paper, f"C release, {label}").value
         for label in BOTH
     }
-    deep = _measure(paper, "C", (1e-4,))["hyperextension"][0, [LONG, SHORT]]
-    return found(REPRODUCED, release["slope"], release=release, tuned=tuned, deep=deep)
+    bent = _measure(paper, "C", (1e-4,))["hyperextension"]
+    return found(
+        REPRODUCED,
+        release["slope"],
+        release=release,
+        tuned=tuned,
+        deep=bent[0, [LONG, SHORT]],
+    )
 
 
 def _count(paper: Paper, name: str) -> dict[str, Any]:
@@ -114,7 +121,8 @@ def penetration(paper: Paper) -> Found:
     counts = _count(paper, "release_penetrates")
     at_steep = _measure(paper, "physical-straight", (0.3,))
     steep = 1e3 * np.nanmax(at_steep["penetration_depth"])
-    return found(verdict(counts["count"] > 0), counts["count"], steep=steep, **counts)
+    holds = verdict(counts["count"] > 0)
+    return found(holds, counts["count"], steep=steep, **counts)
 
 
 @claim("A6")

@@ -179,11 +179,11 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     rows: list[list[arb]] = []
     defect: list[arb] = []
     for k in range(events):
-        by_duration = [_duration(row[m:], k) for row in directions]
         durations = _duration(middle[m:], k), _duration(box[m:], k)
+        both_slopes = middle[-1], box[-1]
         phase = flow(
             body,
-            (middle[-1], box[-1]),
+            both_slopes,
             centre,
             state,
             V,
@@ -193,9 +193,9 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
             spread,
         )
         phases.append(phase)
-        along = _column(velocity(body, box[-1], phase.state))
-        V = phase.derivative + along * arb_mat([by_duration])
         centre = phase.middle
+        by_duration = [_duration(row[m:], k) for row in directions]
+        V = _at_event(body, phase, box[-1], by_duration)
         end = narrower(phase.state, centre, V, spread)
         ends.append(end)
 
@@ -214,6 +214,14 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     if region.tangent is not None:
         by_tangent = [row.pop() for row in rows]
     return Step(defect, arb_mat(rows), by_tangent, phases, ends)
+
+
+def _at_event(body: Body, phase: Flow, slope: arb, by_duration: list[arb]) -> arb_mat:
+    """Derivatives of the state at the event that ends a phase, whose duration changes
+    too.
+    """
+    along = _column(velocity(body, slope, phase.state))
+    return phase.derivative + along * arb_mat([by_duration])
 
 
 def _directions(
