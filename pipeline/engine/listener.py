@@ -22,8 +22,6 @@ class Finished:
     reason : str
     counts : Counter
         Points of a chunk by outcome.
-    lost : int
-        Points that cannot be computed, since this failed.
     seconds : float [s]
         Time that it took; 0 if another study has computed it.
     pid : int
@@ -36,7 +34,6 @@ class Finished:
     status: str = "ok"
     reason: str = ""
     counts: Counter[str] = field(default_factory=Counter)
-    lost: int = 0
     seconds: float = 0.0
     pid: int = 0
     worker: Mapping[str, Any] = field(default_factory=dict)
@@ -48,8 +45,8 @@ class Listener:
     def finished(self, done: Finished) -> None:
         """A node's result is stored."""
 
-    def dropped(self, node: Node, points: int, status: str) -> None:
-        """A node is not computed, with so many points, since what it needs has failed."""
+    def dropped(self, node: Node, status: str) -> None:
+        """A node is not computed, since what it needs has ended so."""
 
     def said(self, kind: str, sentence: str) -> None:
         """What concerns the workers of all studies: a note, or an error."""

@@ -89,7 +89,6 @@ class Progress(Listener):
         self.done["atlas"] += node.lines
         self.seconds[node.task] += done.seconds
         self.counts.update(done.counts)
-        self._lose(done.lost, done.status)
 
         said: dict[str, Any] = {
             "task": node.task,
@@ -103,25 +102,23 @@ class Progress(Listener):
                 "chunk", {**said, "pid": done.pid, **more, "counts": done.counts}
             )
             return
-        more = {"outcome": done.status, "reason": done.reason, "lost": done.lost}
+        more = {"outcome": done.status, "reason": done.reason}
         if node.task == "charts":
             more["charted"] = done.size
         self._tell("task", {**said, "pid": done.pid, **more})
 
-    def dropped(self, node: Node, points: int, status: str) -> None:
+    def dropped(self, node: Node, status: str) -> None:
         """Count a node that is not computed."""
-        self._lose(points, status)
-        self._tell("task", {"task": node.task, "outcome": status, "lost": points})
+        if node.points:
+            self.done["points"] += node.points
+            self.counts[status] += node.points
+        lost = {"task": node.task, "outcome": status, "lost": node.points}
+        self._tell("task", lost)
 
     def said(self, kind: str, sentence: str) -> None:
         """Show what concerns the workers."""
         self._log("engine", {kind: sentence})
         self.say(f"engine: {sentence}")
-
-    def _lose(self, points: int, status: str) -> None:
-        if points:
-            self.done["points"] += points
-            self.counts[status] += points
 
     def say(self, text: str) -> None:
         """Print a line on stderr."""

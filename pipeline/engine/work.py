@@ -55,7 +55,8 @@ class Work:
         self._ready: deque[Node] = deque()
         self._waiting: dict[str, list[Node]] = {}  # by a key that is to come
         self._to_come: set[str] = set()
-        self._failed: set[str] = set()  # keys that failed, and of what needs them
+        # How keys that failed ended, and those of what needs them.
+        self._failed: dict[str, str] = {}
 
     @property
     def is_over(self) -> bool:
@@ -92,13 +93,9 @@ class Work:
 
     def _offer(self, node: Node) -> None:
         """Make a node ready, unless it waits for another, or is dropped as that failed."""
-        failed = [need for need in node.needs if need in self._failed]
+        failed = next((need for need in node.needs if need in self._failed), None)
         if failed:
-            outcome = self.plan.store.outcome(failed[0])
-            status = outcome.status if outcome else "not_attempted"
-            lost = node.points + self._release(node.key, is_ok=False)
-            for listener in self.listeners:
-                listener.dropped(node, lost, status)
+            self._drop(node, self._failed[failed])
             return
         needs = [*node.needs, *self._charts_of(node)]
         awaited = next((need for need in needs if need in self._to_come), None)
@@ -106,6 +103,12 @@ class Work:
             self._ready.append(node)
         else:
             self._waiting.setdefault(awaited, []).append(node)
+
+    def _drop(self, node: Node, status: str) -> None:
+        """A node is not computed, since what it needs has ended so."""
+        for listener in self.listeners:
+            listener.dropped(node, status)
+        self._release(node.key, status)
 
     def _charts_of(self, node: Node) -> list[str]:
         """Keys of the charts that a chunk of a plane reads, as far as they are known;
@@ -122,23 +125,17 @@ class Work:
                 self._offer(charts)
         return known
 
-    def _release(self, key: str, is_ok: bool) -> int:
+    def _release(self, key: str, status: str) -> None:
         """A result has come: what waited for it is offered, before what else is ready,
-        so that results are seen early; if it failed what needs it is dropped, and its
-        points are counted.
+        so that results are seen early.
         """
         self._to_come.discard(key)
-        if not is_ok:
-            self._failed.add(key)
-        lost, later = 0, self._ready
-        self._ready = deque()
+        if status != "ok":
+            self._failed[key] = status
+        later, self._ready = self._ready, deque()
         for node in self._waiting.pop(key, []):
-            if is_ok or key not in node.needs:
-                self._offer(node)
-            else:
-                lost += node.points + self._release(node.key, is_ok=False)
+            self._offer(node)
         self._ready += later
-        return lost
 
     def take(self) -> Node:
         """Take the next node, if there is one."""
@@ -240,20 +237,19 @@ class Work:
         if not answer.record:
             outcome = Outcome(answer.status, answer.reason)
             store.put_result(node.key, outcome, answer.data)
-            lost = self._release(node.key, answer.status == "ok")
+            self._release(node.key, answer.status)
             is_halved = node.task == "charts" and self.plan.boxes(node, "halves")
             size = 0 if is_halved else graph.size(node)
-            finished = Finished(node, size, *outcome, lost=lost)
-            return _with_times(finished, answer)
+            return _with_times(Finished(node, size, *outcome), answer)
 
         for atlas in answer.atlases:
             assert node.chunk
             line = int(node.chunk.numbers[atlas.place])
             key = graph.line_keys(line)["atlas"]
             store.put_result(key, Outcome(atlas.status, atlas.reason), atlas.data)
-            self._release(key, atlas.status == "ok")
+            self._release(key, atlas.status)
         store.put(node.key, answer.record)
-        self._release(node.key, is_ok=True)
+        self._release(node.key, "ok")
         rows = Head.parse(answer.record.head).rows(self.plan.columns)
         counts = count(rows, STATUS_NAMES)
         return _with_times(Finished(node, node.points, counts=counts), answer)

@@ -539,7 +539,8 @@ def test_the_time_to_go_is_the_sum_of_its_stages(shown):
         shown.finished(Finished(atlas, 1, seconds=5.25))
     shown.finished(Finished(points, 100, counts={"converged": 90}, seconds=1.0))
     shown.finished(Finished(points, 100, counts={"converged": 100}, seconds=5.0))
-    shown.finished(Finished(orbit, 1, "timed_out", lost=10, seconds=1.0))
+    shown.finished(Finished(orbit, 1, "timed_out", seconds=1.0))
+    shown.dropped(types.SimpleNamespace(task="points", points=10), "timed_out")
 
     state = shown.state()
     assert state["done"] == 210
