@@ -107,7 +107,8 @@ def _draw_angle(axes: Axes, body: Body, hip: complex, knee: complex) -> _Place:
     arc.set(color=SECOND, linewidth=1.4)
     axes.add_patch(arc)
 
-    middle = (thigh - 1j) / abs(thigh - 1j)
+    middle = thigh - 1j
+    middle = middle / abs(middle)
     return _Place("eps_T", hip + radius * middle)
 
 
@@ -123,8 +124,10 @@ def _draw_mass(
     """
     first, last = ends
     along = (last - first) / abs(last - first)
+
     share = ((centre - first) / along).real
     foot = first + share * along
+
     _draw_line(axes, first, foot, color=LINE, lw=4, alpha=0.4)
     _draw_line(axes, foot, centre, color=SECOND, lw=1.4)
     axes.plot(centre.real, centre.imag, "o", color=LINE, ms=6, zorder=6)
@@ -133,6 +136,7 @@ def _draw_mass(
         _Place(f"w_{link}", (foot + centre) / 2),
         _Place(f"m_{link}", centre),
     ]
+
     gyration = float(table.get(f"r_{link}") or 0.0)
     if gyration > 0:
         ring: Any = {"fill": False, "color": MUTED, "lw": 0.8, "ls": (0, (2, 2))}
