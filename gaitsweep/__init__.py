@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     )
     from gaitsweep.pipeline.study.plot import Plot
     from gaitsweep.pipeline.study.schema import schema
-    from gaitsweep.tasks.registry import Variable
+    from gaitsweep.tasks.contract.registry import Variable
 
     __version__: str
 
@@ -47,7 +47,7 @@ _HOMES = {
     ),
     "schema": "gaitsweep.pipeline.study.schema",
     "Plot": "gaitsweep.pipeline.study.plot",
-    "Variable": "gaitsweep.tasks.registry",
+    "Variable": "gaitsweep.tasks.contract.registry",
     **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
 }
 

@@ -13,8 +13,8 @@ def resolve(name: str) -> Any:
 
 
 def call(name: str, params: dict[str, Any]) -> Any:
-    """Call a function of `tasks.registry.CALLS` in this process."""
-    return resolve(resolve("gaitsweep.tasks.registry:CALLS")[name])(params)
+    """Call a function of `tasks.contract.registry.CALLS` in this process."""
+    return resolve(resolve("gaitsweep.tasks.contract.registry:CALLS")[name])(params)
 
 
 def ask(name: str, params: dict[str, Any]) -> Any:

@@ -1,9 +1,9 @@
 """Every value of `status`: outcomes of a solve, and of a worker that did not finish."""
 
 from gaitsweep.pipeline import outcomes
-from gaitsweep.tasks.registry import STATUSES
+from gaitsweep.tasks.contract.registry import STATUSES
 
-#: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.
+#: Points whose worker did not finish; outcomes of a solve are in `tasks.contract.registry`.
 ENDINGS = {
     "worker_died": 4,
     "timed_out": 5,

@@ -107,9 +107,9 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
 @pytest.fixture(autouse=True)
 def _compute_everything_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line computed twice in a test is to be compared with itself, not found again."""
-    if "gaitsweep.tasks.solve_points" in sys.modules:
+    if "gaitsweep.tasks.studies.solve_points" in sys.modules:
         monkeypatch.setattr(
-            sys.modules["gaitsweep.tasks.solve_points"], "_MAX_SURVEYED", 0
+            sys.modules["gaitsweep.tasks.studies.solve_points"], "_MAX_SURVEYED", 0
         )
 
 

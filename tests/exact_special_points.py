@@ -13,9 +13,9 @@ import functools
 import heyoka as hy
 import numpy as np
 
-from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.joint import evaluate
-from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.joint import evaluate
+from gaitsweep.tasks.branches.pseudo_arclength import bordered_matrix
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import sections

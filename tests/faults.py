@@ -204,7 +204,7 @@ def _left() -> bool:
 
 
 if __name__ == "__main__":
-    from gaitsweep.tasks import registry
+    from gaitsweep.tasks.contract import registry
 
     # Twelve slopes are a long line of whole chunks, which workers finish.
     registry.SHORT_LINE = 8

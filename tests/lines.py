@@ -4,8 +4,8 @@ import functools
 
 import numpy as np
 
-from gaitsweep.tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.contract.registry import COSTLY, GAITS, STATUSES, VARIABLES
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.resolve import resolve
 from oracle import Oracle
 
@@ -39,7 +39,7 @@ def gait(walker, slope, label, **overrides):
 
 def branches(walker, **overrides):
     """The atlas's branches, and the walker's problem."""
-    from gaitsweep.tasks.continuation.atlas import from_arrays
+    from gaitsweep.tasks.branches.atlas import from_arrays
     from gaitsweep.tasks.step.problem import Problem
 
     found = _atlas(walker, tuple(sorted(overrides.items())))

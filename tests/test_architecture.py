@@ -77,7 +77,7 @@ def test_mutants_are_tried_in_a_whole_copy_of_the_project(tmp_path, monkeypatch)
 
 def test_the_registry_imports_nothing_and_the_plan_no_solver():
     program = (
-        "import sys; import gaitsweep.tasks.registry; before = set(sys.modules); import gaitsweep.pipeline.graph.plan;"
+        "import sys; import gaitsweep.tasks.contract.registry; import gaitsweep.pipeline.graph.plan;"
         "print(*(m for m in sys.modules if m.startswith('gaitsweep.tasks')))"
     )
     found = subprocess.run(
@@ -89,12 +89,13 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
     )
     assert sorted(found.stdout.split()) == [
         "gaitsweep.tasks",
-        "gaitsweep.tasks.accuracy",
-        "gaitsweep.tasks.costs",
-        "gaitsweep.tasks.kinds",
-        "gaitsweep.tasks.options",
-        "gaitsweep.tasks.registry",
-        "gaitsweep.tasks.variables",
+        "gaitsweep.tasks.contract",
+        "gaitsweep.tasks.contract.accuracy",
+        "gaitsweep.tasks.contract.costs",
+        "gaitsweep.tasks.contract.kinds",
+        "gaitsweep.tasks.contract.options",
+        "gaitsweep.tasks.contract.registry",
+        "gaitsweep.tasks.contract.variables",
     ]
 
 

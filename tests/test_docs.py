@@ -19,7 +19,7 @@ from conftest import ROOT
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.study import parse
-from gaitsweep.tasks.registry import OPTIONS
+from gaitsweep.tasks.contract.registry import OPTIONS
 
 PAGES = [
     ROOT / "README.md",

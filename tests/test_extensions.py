@@ -18,7 +18,7 @@ from conftest import ROOT
 from gaitsweep import ArchiveError, StudyError, Variable, extensions
 from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.study import parse
-from gaitsweep.tasks import registry
+from gaitsweep.tasks.contract import registry
 
 SHOWN = re.findall(
     r"```(?:toml|python)\n(.*?)```",

@@ -130,7 +130,7 @@ def test_the_wheel_runs_in_an_empty_folder_beside_foreign_packages(installed):
 
 def test_the_wheel_brings_what_its_code_reads_and_no_results(installed):
     site = installed[0]
-    code = "from gaitsweep.tasks.paper.certificates import BACKED, FOLDER\n" + (
+    code = "from gaitsweep.tasks.ledger.certificates import BACKED, FOLDER\n" + (
         "print(*(FOLDER / f'{name}.json' for names in BACKED.values() for name in names), sep='\\n')"
     )
     certificates = list(map(Path, python(installed, "-c", code).splitlines()))

@@ -27,8 +27,8 @@ from gaitsweep.pipeline.store.record import Points, has_multipliers, joined
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
 from gaitsweep.pipeline.study.model import Axis, Definition, Study
-from gaitsweep.tasks.accuracy import always
-from gaitsweep.tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.accuracy import always
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 #: Atlases, charts and points of short lines kept for later calls [byte]: other points
 #: are cheaper to compute again.

@@ -29,7 +29,7 @@ from gaitsweep.pipeline.study import (
     toml,
 )
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.registry import MAX_STEPS
+from gaitsweep.tasks.contract.registry import MAX_STEPS
 
 
 @overload

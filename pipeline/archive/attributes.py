@@ -12,7 +12,7 @@ from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.pipeline.study.parse import EXTRA_AXES
 from gaitsweep.pipeline.study.ways import ends
-from gaitsweep.tasks.registry import PROVED, VIOLATIONS, Variable
+from gaitsweep.tasks.contract.registry import PROVED, VIOLATIONS, Variable
 
 #: Attributes of coordinates, and of the sentences.
 GAIT = {"long_name": "gait by its character", "units": "1"}

@@ -39,8 +39,8 @@ from gaitsweep.pipeline.store.record import (
     Record,
     has_multipliers,
 )
-from gaitsweep.tasks.accuracy import MANTISSA, significant_bits
-from gaitsweep.tasks.registry import GAITS, VARIABLES, Variable
+from gaitsweep.tasks.contract.accuracy import MANTISSA, significant_bits
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES, Variable
 
 
 class PointWriter:

@@ -15,8 +15,8 @@ from gaitsweep.pipeline.archive.written import write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.parse import EXTRA_AXES
-from gaitsweep.tasks import registry
-from gaitsweep.tasks.columns import table_columns
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.columns import table_columns
 
 Columns = dict[str, np.ndarray]
 #: Dimensions of each array after those of the lines, by the columns that hold their

@@ -14,8 +14,8 @@ from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study import slopes, toml
-from gaitsweep.tasks.accuracy import always
-from gaitsweep.tasks.registry import GAITS, MAX_STEPS, TASKS, VARIABLES
+from gaitsweep.tasks.contract.accuracy import always
+from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS, TASKS, VARIABLES
 
 _CF_ATTRIBUTES = (
     "Conventions",

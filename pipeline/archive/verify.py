@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.pipeline.archive import layout, read, structure
 from gaitsweep.pipeline.archive.read import open_archive
 from gaitsweep.pipeline.statuses import FOUND
-from gaitsweep.tasks.registry import VARIABLES, Variable
+from gaitsweep.tasks.contract.registry import VARIABLES, Variable
 
 #: What every gait has that an archive holds at all.
 _ALWAYS = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")

@@ -46,7 +46,7 @@ from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of
 from gaitsweep.pipeline.store.record import sentence_number
 from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import corners
-from gaitsweep.tasks.registry import VARIABLES
+from gaitsweep.tasks.contract.registry import VARIABLES
 
 
 def update(plan: Plan, path: Path) -> Written:

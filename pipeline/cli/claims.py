@@ -12,7 +12,7 @@ from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.study import toml
-from gaitsweep.tasks.registry import CLAIMS, TASKS
+from gaitsweep.tasks.contract.registry import CLAIMS, TASKS
 
 _FOLDER = Path("data", "archive")
 

@@ -46,7 +46,7 @@ def archive(text: str) -> Path:
 
 def steps(text: str) -> int:
     """Steps after which a gait repeats."""
-    from gaitsweep.tasks.registry import MAX_STEPS
+    from gaitsweep.tasks.contract.registry import MAX_STEPS
 
     return count(text, MAX_STEPS)
 

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import corners
 from gaitsweep.pipeline.terminal import counted, duration
-from gaitsweep.tasks.registry import FITS, TASKS, VARIABLES
+from gaitsweep.tasks.contract.registry import FITS, TASKS, VARIABLES
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from gaitsweep.pipeline.statuses import FOUND
 from gaitsweep.pipeline.study import parse, slopes
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led
-from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.contract.registry import GAITS
 
 #: Relative radii that may be asked for.
 _LEAST, _MOST = 1e-30, 1e-6

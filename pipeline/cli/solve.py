@@ -10,7 +10,7 @@ from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.single_point import solve, solve_at
-from gaitsweep.tasks.registry import SLOPES, VARIABLES
+from gaitsweep.tasks.contract.registry import SLOPES, VARIABLES
 
 #: Rows of a gait unless all variables are asked for.
 _FIRST = (

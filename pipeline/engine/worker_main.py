@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from gaitsweep.pipeline.dispatch import resolve
 from gaitsweep.pipeline.errors import described
-from gaitsweep.tasks.registry import CLOCK
+from gaitsweep.tasks.contract.registry import CLOCK
 
 if TYPE_CHECKING:  # a worker imports what its first request needs
     from gaitsweep.pipeline.store.record import ChunkCodec

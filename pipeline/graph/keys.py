@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.registry import Task
+from gaitsweep.tasks.contract.registry import Task
 
 
 def task_key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> str:

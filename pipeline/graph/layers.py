@@ -10,7 +10,7 @@ import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.model import Study, about
-from gaitsweep.tasks.registry import (
+from gaitsweep.tasks.contract.registry import (
     GAITS,
     LOSS_WINDOWS,
     READ_BY_CLAIMS,

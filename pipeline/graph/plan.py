@@ -14,7 +14,7 @@ from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, golden_ratio_order
 from gaitsweep.pipeline.store.store import Outcome, Store
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.contract.registry import GAITS
 
 
 class Plan:

@@ -11,7 +11,7 @@ from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import NOT_ATTEMPTED
 from gaitsweep.pipeline.store.record import Points, joined
-from gaitsweep.tasks.registry import GAITS, READS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
 _MAX_CHUNKS = 64  # chunks in memory, where lines cross them

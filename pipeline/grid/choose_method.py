@@ -5,7 +5,7 @@ import math
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.method import Method, is_interpolated, wants_points_alone
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks.registry import SHORT_LINE, TASKS
+from gaitsweep.tasks.contract.registry import SHORT_LINE, TASKS
 
 
 def method_of(study: Study, in_memory: bool = False) -> Method:

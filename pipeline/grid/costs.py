@@ -7,10 +7,18 @@ import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, is_interpolated, variables
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks import registry
-from gaitsweep.tasks.accuracy import nodes_for
-from gaitsweep.tasks.costs import ALONE, COSTS, FEW, OTHERS, POINTS, STARTING, Cost
-from gaitsweep.tasks.registry import OPTIONS, VARIABLES
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.accuracy import nodes_for
+from gaitsweep.tasks.contract.costs import (
+    ALONE,
+    COSTS,
+    FEW,
+    OTHERS,
+    POINTS,
+    STARTING,
+    Cost,
+)
+from gaitsweep.tasks.contract.registry import OPTIONS, VARIABLES
 
 
 def starting(study: Study) -> float:

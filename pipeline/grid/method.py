@@ -5,8 +5,8 @@ compute.
 from enum import StrEnum
 
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks import accuracy
-from gaitsweep.tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
+from gaitsweep.tasks.contract import accuracy
+from gaitsweep.tasks.contract.registry import READS, SHORT_LINE, TASKS, VARIABLES
 
 
 class Method(StrEnum):

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
 from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
-from gaitsweep.tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 #: Type of the numbers of sentences.
 _REASON = np.dtype("u8")

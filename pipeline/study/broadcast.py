@@ -13,7 +13,7 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import files
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Definition
-from gaitsweep.tasks.registry import VARIABLES
+from gaitsweep.tasks.contract.registry import VARIABLES
 
 #: Numbers, of `knees` truth values. So is a pandas.Series, but where pandas has no
 #: stubs its name would admit all.

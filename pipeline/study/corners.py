@@ -9,7 +9,7 @@ from typing import Any
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition, Study
-from gaitsweep.tasks import registry
+from gaitsweep.tasks.contract import registry
 
 #: Most corners of a grid at which a walker is checked.
 _MOST = 256

@@ -6,8 +6,8 @@ from typing import Any
 
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.location import LARGEST, Location
-from gaitsweep.tasks import registry
-from gaitsweep.tasks.registry import (
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.registry import (
     FOLLOWED,
     GAITS,
     MAX_STEPS,

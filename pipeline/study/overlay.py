@@ -12,7 +12,7 @@ import numpy as np
 from gaitsweep.pipeline.study import files, units
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.tasks.registry import GAITS, SI_UNITS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, SI_UNITS, VARIABLES
 
 Columns = dict[str, np.ndarray]
 _MAX_MIB, _MAX_ROWS = 4, 20_000

@@ -23,9 +23,9 @@ from gaitsweep.pipeline.study.files import changed, other, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Axis, Definition, Limits, Study
 from gaitsweep.pipeline.study.plot import Plot
-from gaitsweep.tasks import accuracy as accuracies
-from gaitsweep.tasks import registry
-from gaitsweep.tasks.registry import (
+from gaitsweep.tasks.contract import accuracy as accuracies
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.registry import (
     CLAIMS,
     COSTLY,
     FIGURES,

@@ -16,8 +16,8 @@ from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import options, parse
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.accuracy import ACCURACIES
-from gaitsweep.tasks.registry import (
+from gaitsweep.tasks.contract.accuracy import ACCURACIES
+from gaitsweep.tasks.contract.registry import (
     CLAIMS,
     FIGURES,
     FITS,

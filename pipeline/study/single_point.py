@@ -12,7 +12,7 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.pipeline.study.options import violation_limits
 from gaitsweep.pipeline.study.parse import accuracy
-from gaitsweep.tasks.registry import GAITS, MAX_STEPS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS, VARIABLES
 
 
 def solve(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.registry import SLOPES
+from gaitsweep.tasks.contract.registry import SLOPES
 
 if TYPE_CHECKING:  # help needs no arrays
     import numpy as np

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gaitsweep.pipeline.dispatch import resolve
-from gaitsweep.tasks.registry import SI_UNITS
+from gaitsweep.tasks.contract.registry import SI_UNITS
 
 
 def of_kind(kind: str, checks: Sequence[Mapping[str, Any]]) -> str:

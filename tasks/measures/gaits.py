@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks import status
-from gaitsweep.tasks.accuracy import MANTISSA, computed, significant_bits
-from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.fixed_points.multipliers import (
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.accuracy import MANTISSA, computed, significant_bits
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.tables import Arrays
+from gaitsweep.tasks.gaits.labels import places
+from gaitsweep.tasks.gaits.multipliers import (
     multiplier_bounds,
     multiplier_changes,
     multipliers,
 )
-from gaitsweep.tasks.fixed_points.polish import Polished
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.gaits.polish import Polished
+from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.kinematics import step_length, travel
 from gaitsweep.tasks.measures.losses import (
@@ -27,11 +29,9 @@ from gaitsweep.tasks.measures.losses import (
     velocity_ratio,
 )
 from gaitsweep.tasks.mechanics.sums import total
-from gaitsweep.tasks.registry import GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
-from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Significant bits in which bounds are kept that need not be exact.
@@ -63,7 +63,7 @@ class Wanted:
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Wanted:
         """Return what a request wants, with what is archived in any case; `params` as
-        `tasks.solve_points` has them.
+        `tasks.studies.solve_points` has them.
         """
         names, accuracy = params["want"], params.get("accuracy", 0.0)
         labels = set(params.get("gaits") or GAITS)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.conditions import Condition
-from gaitsweep.tasks.continuation.joint import Evaluation
+from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.joint import Evaluation
+from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.measures.gaits import Steps, of_all_steps
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
-from gaitsweep.tasks.registry import VARIABLES
 from gaitsweep.tasks.step.several_steps import side_by_side
 
 #: Variables that say how well a gait is known, not what it is.

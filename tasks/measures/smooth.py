@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks import status
-from gaitsweep.tasks.fixed_points.multipliers import characteristic_errors
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.variables import VARIABLES
+from gaitsweep.tasks.gaits.multipliers import characteristic_errors
 from gaitsweep.tasks.measures.gaits import Arrays, measured_multipliers, without_knees
 from gaitsweep.tasks.measures.kinematics import TRAVEL, step_length, travel
 from gaitsweep.tasks.measures.losses import velocity_ratio
-from gaitsweep.tasks.variables import VARIABLES
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 

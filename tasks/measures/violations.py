@@ -12,10 +12,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
+from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
+from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.mechanics.contact import THIGH, Chain
 from gaitsweep.tasks.mechanics.sums import total
-from gaitsweep.tasks.registry import VARIABLES, VIOLATIONS
-from gaitsweep.tasks.tables import Arrays
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Intervals of each phase.

@@ -12,6 +12,7 @@ from typing import Any
 
 from flint import arb, ctx
 
+from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
 from gaitsweep.tasks.proofs.keys import (
     KEY_BITS,
@@ -20,7 +21,6 @@ from gaitsweep.tasks.proofs.keys import (
     written,
     written_table,
 )
-from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Variables that a proof starts from.

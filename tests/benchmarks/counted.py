@@ -13,14 +13,14 @@ import numpy as np
 
 from benchmarks import problems
 from benchmarks.harness import TICK
-from gaitsweep.tasks import solve_points
-from gaitsweep.tasks.fixed_points import polish
+from gaitsweep.tasks.contract.registry import ALWAYS, GAITS, VARIABLES
+from gaitsweep.tasks.gaits import polish
 from gaitsweep.tasks.measures import gaits as measured
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.mechanics.kernel import FLOWS, Flow
-from gaitsweep.tasks.registry import ALWAYS, GAITS, VARIABLES
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.step_map import StrideMap
+from gaitsweep.tasks.studies import solve_points
 
 #: Studies that want fewer and fewer variables: a name, the variables, and the gaits.
 STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (

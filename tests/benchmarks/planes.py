@@ -14,8 +14,8 @@ from benchmarks.harness import what_more_take
 from gaitsweep.pipeline.graph.graph import Graph, boxes
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study.parse import parse
-from gaitsweep.tasks import solve_planes
-from gaitsweep.tasks.families import cell
+from gaitsweep.tasks.charts import cell
+from gaitsweep.tasks.studies import solve_planes
 
 #: Walkers, a slope, and the two keys with their ranges.
 PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {

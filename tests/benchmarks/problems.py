@@ -10,14 +10,14 @@ import numpy as np
 
 from benchmarks import peers
 from benchmarks.harness import Case, largest_error
-from gaitsweep.tasks import solve_points
-from gaitsweep.tasks.continuation import atlas as atlases
-from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.newton import newton
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.contract.registry import COSTLY, GAITS, VARIABLES
+from gaitsweep.tasks.gaits.multipliers import multipliers
+from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.kernel import FLOWS
-from gaitsweep.tasks.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies import solve_points
 from gaitsweep.tasks.walkers.resolve import resolve
 from soak.extended_reference import Precise, best_kind
 

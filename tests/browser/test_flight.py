@@ -9,7 +9,7 @@ import pytest
 
 from gaitsweep.pipeline import dispatch, gaits
 from gaitsweep.pipeline.report import pages
-from gaitsweep.tasks.registry import VIOLATIONS
+from gaitsweep.tasks.contract.registry import VIOLATIONS
 
 pytestmark = pytest.mark.thorough
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gaitsweep.tasks.continuation import atlas as atlases
-from gaitsweep.tasks.fixed_points.polish import Guesses, settle
-from gaitsweep.tasks.fixed_points.rounding import reported, reported_sizes, sensitivity
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.gaits.polish import Guesses, settle
+from gaitsweep.tasks.gaits.rounding import reported, reported_sizes, sensitivity
 from gaitsweep.tasks.measures.gaits import describe
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import Problem

@@ -11,12 +11,12 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.optimize import differential_evolution, minimize
 
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.locate import settle_on_branches
-from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.newton import newton_step
-from gaitsweep.tasks.fixed_points.polish import Guesses, Polished
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.gaits.multipliers import multipliers
+from gaitsweep.tasks.gaits.newton import newton_step
+from gaitsweep.tasks.gaits.polish import Guesses, Polished
+from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation import atlas as atlases
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.refine import COARSE
-from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.search import distinct
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.gaits.search import distinct
+from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import structures_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

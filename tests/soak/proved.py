@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from gaitsweep.tasks import solve_points, status
-from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.studies import solve_points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.walker import Walker
 from soak.stress import random_walker

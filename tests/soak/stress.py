@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks import solve_points
-from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
+from gaitsweep.tasks.contract.registry import COSTLY, GAITS, STATUSES, VARIABLES
+from gaitsweep.tasks.gaits.multipliers import multipliers
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.gaits.polish import settle, unmeasured
+from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.mechanics.kernel import flow
 from gaitsweep.tasks.mechanics.lumped import structures_of
-from gaitsweep.tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
 from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.studies import solve_points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError

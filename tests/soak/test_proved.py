@@ -2,7 +2,7 @@
 
 import pytest
 
-from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.studies import solve_points
 from soak.proved import _NAMES, Proved, _compared, proved
 
 

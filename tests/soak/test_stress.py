@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import oracle
-from gaitsweep.tasks.solve_points import atlas, points
 from gaitsweep.tasks.step import extended_precision
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import from_table
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.atlas import to_arrays
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
-from gaitsweep.tasks.continuation.equations import Equations, solve
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.registry import STATUSES
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.branches.atlas import to_arrays
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS, is_located
+from gaitsweep.tasks.branches.equations import Equations, solve
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract.registry import STATUSES
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.walker import KEYS, Walker, WalkerError
 from soak.hunt import Input, hardest

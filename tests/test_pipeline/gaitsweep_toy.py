@@ -3,7 +3,7 @@
 import os
 import sys
 
-from gaitsweep.tasks import registry
+from gaitsweep.tasks.contract import registry
 
 # Lines of 200 points are long ones, whose chunks workers finish. Read when modules are
 # imported, so set before.

@@ -13,7 +13,7 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.parse import parse, read
-from gaitsweep.tasks.registry import ALWAYS, TASKS
+from gaitsweep.tasks.contract.registry import ALWAYS, TASKS
 
 STUDY = """
 name = "coarse"
@@ -194,7 +194,7 @@ def test_another_accuracy_solves_again_and_says_so(folder, archive, capsys):
 
 #: The points of a process whose digits beyond doubles are not what they are.
 FEWER_DIGITS = """
-from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.step import extended_precision
 
 refine = extended_precision.refine

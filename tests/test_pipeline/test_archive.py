@@ -52,8 +52,8 @@ from gaitsweep.pipeline.store.file import CorruptStoreError
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.store.record import Head, Record
 from gaitsweep.pipeline.study import parse
-from gaitsweep.tasks.accuracy import OF_INTEGRATION
-from gaitsweep.tasks.registry import ALWAYS
+from gaitsweep.tasks.contract.accuracy import OF_INTEGRATION
+from gaitsweep.tasks.contract.registry import ALWAYS
 from processes import descendants, ended, suspend
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')

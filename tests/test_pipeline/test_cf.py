@@ -15,7 +15,7 @@ import gaitsweep
 from conftest import GAITSWEEP
 from gaitsweep.pipeline.api import studies
 from gaitsweep.pipeline.archive import diff, result_tables
-from gaitsweep.tasks.registry import STATUSES
+from gaitsweep.tasks.contract.registry import STATUSES
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {

@@ -45,7 +45,7 @@ from gaitsweep.pipeline.errors import (
     unwritten,
 )
 from gaitsweep.pipeline.terminal import duration
-from gaitsweep.tasks.status import beyond
+from gaitsweep.tasks.contract.status import beyond
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.statics import is_tuned
 from processes import ended, sidecar_path

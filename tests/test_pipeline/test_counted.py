@@ -14,8 +14,8 @@ from gaitsweep.pipeline.engine.runner import Options, run
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.study.parse import read
-from gaitsweep.tasks.registry import ALWAYS
-from gaitsweep.tasks.solve_points import atlas
+from gaitsweep.tasks.contract.registry import ALWAYS
+from gaitsweep.tasks.studies.solve_points import atlas
 
 
 @pytest.fixture(scope="module", params=["D", "B"])

@@ -18,9 +18,9 @@ from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study.parse import read
-from gaitsweep.tasks.continuation.atlas import to_arrays
-from gaitsweep.tasks.follow_branches import branch
-from gaitsweep.tasks.follow_cycles import cycle_branches
+from gaitsweep.tasks.branches.atlas import to_arrays
+from gaitsweep.tasks.studies.follow_branches import branch
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from lines import branches as atlas_of
 
 GRID = """name = "two"

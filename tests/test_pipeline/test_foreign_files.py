@@ -28,7 +28,7 @@ from gaitsweep.pipeline.errors import ArchiveError, DiskFullError, shortage
 from gaitsweep.pipeline.report import folder, pages
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
-from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.contract.registry import TASKS
 
 STUDY = {"name": "s", "walker": "E", "axes": {"slope": [0.01, 0.02]}}
 

@@ -14,8 +14,8 @@ from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.tasks import solve_points
-from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.contract.registry import TASKS
+from gaitsweep.tasks.studies import solve_points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 SLOPES = np.geomspace(0.004, 0.05, 4)
@@ -532,7 +532,8 @@ def test_a_task_that_raises_is_a_status(monkeypatch, broken, reason):
 
 def test_lines_that_fail_side_by_side_are_surveyed_alone(asked, monkeypatch):
     broken = dataclasses.replace(
-        TASKS["atlas"], side_by_side="gaitsweep.tasks.solve_points:no_such_function"
+        TASKS["atlas"],
+        side_by_side="gaitsweep.tasks.studies.solve_points:no_such_function",
     )
     monkeypatch.setitem(TASKS, "atlas", broken)
     assert (

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.store.record import Points, Record
 from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import parse
 from gaitsweep.pipeline.study.model import Lines
-from gaitsweep.tasks import registry
+from gaitsweep.tasks.contract import registry
 
 ROOT = Path(__file__).parents[2]
 

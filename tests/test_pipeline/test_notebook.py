@@ -27,7 +27,7 @@ from gaitsweep.pipeline.engine.listener import Finished
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.graph.layers import Layer
 from gaitsweep.pipeline.graph.plan import Summary
-from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.contract.registry import TASKS
 
 STUDY = {
     "name": "mine",

@@ -7,10 +7,10 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.tasks import solve_at_slope
-from gaitsweep.tasks.continuation import atlas
-from gaitsweep.tasks.registry import GAITS, SLOPES, STATUSES, VARIABLES
-from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.branches import atlas
+from gaitsweep.tasks.contract.registry import GAITS, SLOPES, STATUSES, VARIABLES
+from gaitsweep.tasks.studies import solve_at_slope
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Rates at the start of a step, whose errors count over the largest of them.

@@ -36,7 +36,7 @@ from gaitsweep.pipeline.store.record import ChunkCodec
 from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study.model import about
 from gaitsweep.pipeline.study.parse import parse, read
-from gaitsweep.tasks import solve_planes, solve_points
+from gaitsweep.tasks.studies import solve_planes, solve_points
 
 STUDY = """
 name = "plane"
@@ -386,7 +386,7 @@ def test_two_workers_write_the_same_bytes(archive, tmp_path):
 #: of some lines raise an error.
 DEADLY = """
 import os, signal
-from gaitsweep.tasks import solve_planes
+from gaitsweep.tasks.studies import solve_planes
 
 def lines(params, inputs):
     points = len(params["lines"]) * len(params["slope"])
@@ -553,7 +553,7 @@ def test_a_half_of_a_plane_that_fails_leaves_the_other_its_charts(monkeypatch):
 
 
 def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
-    monkeypatch.setattr("gaitsweep.tasks.solve_planes.lines", None)
+    monkeypatch.setattr("gaitsweep.tasks.studies.solve_planes.lines", None)
     m_s = np.linspace(0.08, 0.12, 70)
     R = np.where(np.arange(70) < 69, 0.1, 0.2)
     assert (

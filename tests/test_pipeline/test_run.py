@@ -165,7 +165,7 @@ def test_an_archive_is_written_again_when_the_name_of_a_variable_changes(toy, tm
     )
     other = {"PYTHONPATH": f"{tmp_path / 'other'}{os.pathsep}{TOYS}"}
     toy("run", "toy.toml", **other)
-    table = tmp_path / "other/gaitsweep/tasks/variables.toml"
+    table = tmp_path / "other/gaitsweep/tasks/contract/variables.toml"
     table.write_text(
         table.read_text().replace("duration of one step", "time that a step takes")
     )

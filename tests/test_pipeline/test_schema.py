@@ -18,7 +18,7 @@ from gaitsweep import GaitsweepError, StudyError
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files, parse
-from gaitsweep.tasks.registry import OPTIONS
+from gaitsweep.tasks.contract.registry import OPTIONS
 
 STUDIES = sorted(ROOT.glob("data/studies/*/*.toml"))
 WALKERS = sorted(ROOT.glob("data/walkers/*.toml"))

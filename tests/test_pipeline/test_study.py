@@ -16,7 +16,7 @@ import gaitsweep
 from gaitsweep.pipeline.archive.provenance import provenance
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import files, model, parse, toml
-from gaitsweep.tasks.registry import CLAIMS, OPTIONS, VARIABLES
+from gaitsweep.tasks.contract.registry import CLAIMS, OPTIONS, VARIABLES
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 GOOD = """name = "s"
@@ -385,11 +385,11 @@ def test_a_walker_may_be_based_on_a_file(write, tmp_path):
 
 def test_the_registry_names_every_claim_and_curve_of_the_tasks():
     from gaitsweep.pipeline.dispatch import resolve
-    from gaitsweep.tasks import registry
+    from gaitsweep.tasks.contract import registry
 
-    assert set(registry.CLAIMS) == set(resolve("gaitsweep.tasks.paper.claim:CLAIMS"))
+    assert set(registry.CLAIMS) == set(resolve("gaitsweep.tasks.ledger.claim:CLAIMS"))
     assert set(registry.FOLLOWED) < set(
-        resolve("gaitsweep.tasks.continuation.conditions:CONDITIONS")
+        resolve("gaitsweep.tasks.branches.conditions:CONDITIONS")
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gaitsweep.tasks.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 _open, _hidden = open, os.environ.get("TOY_WITHOUT")
 

@@ -7,7 +7,6 @@ import pytest
 from flint import arb, arb_mat, ctx
 
 from exact_gaits import GAITS, guess, reference, setting
-from gaitsweep.tasks import prove_gaits
 from gaitsweep.tasks.proofs.body import body
 from gaitsweep.tasks.proofs.enclosed_step import dimensions
 from gaitsweep.tasks.proofs.enclosure import NotProvedError, Piece
@@ -20,7 +19,8 @@ from gaitsweep.tasks.proofs.stability import (
     multipliers,
     step_derivative,
 )
-from gaitsweep.tasks.prove_gaits import prove_one
+from gaitsweep.tasks.studies import prove_gaits
+from gaitsweep.tasks.studies.prove_gaits import prove_one
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import gait, some

@@ -6,8 +6,8 @@ import shutil
 import pytest
 
 from exact_gaits import REFERENCE
-from gaitsweep.tasks.paper.certificates import backed
-from gaitsweep.tasks.paper.claim import BACKED, ClaimResult
+from gaitsweep.tasks.ledger.certificates import backed
+from gaitsweep.tasks.ledger.claim import BACKED, ClaimResult
 
 FLIP, FOLD = 0.015088437941119463, 0.0191228796947384
 

@@ -15,10 +15,11 @@ import extended
 from conftest import ROOT
 from exact_gaits import GAITS, REFERENCE
 from gaitsweep.pipeline.study import files
-from gaitsweep.tasks import prove_gaits, write_certificates
-from gaitsweep.tasks.follow_branches import branch
-from gaitsweep.tasks.solve_at_slope import solve_one
-from gaitsweep.tasks.solve_points import atlas
+from gaitsweep.tasks.ledger import write_certificates
+from gaitsweep.tasks.studies import prove_gaits
+from gaitsweep.tasks.studies.follow_branches import branch
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.studies.solve_points import atlas
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import some
 from oracle import Oracle

@@ -8,11 +8,11 @@ import pytest
 from flint import arb, ctx, fmpq
 
 from exact_gaits import GAITS, REFERENCE, guess, reference
-from gaitsweep.tasks import write_certificates
+from gaitsweep.tasks.ledger import write_certificates
 from gaitsweep.tasks.proofs import covers, crossings, tubes
 from gaitsweep.tasks.proofs.enclosure import NotProvedError
 from gaitsweep.tasks.proofs.keys import decimal, exact
-from gaitsweep.tasks.prove_gaits import prove_one
+from gaitsweep.tasks.studies.prove_gaits import prove_one
 
 KEPT = {
     path.stem: json.loads(path.read_text())

@@ -9,34 +9,35 @@ import numpy as np
 import pytest
 
 import gaitsweep
-from gaitsweep.tasks import solve_at_slope, solve_guesses, status
-from gaitsweep.tasks.accuracy import (
+from gaitsweep.tasks.charts.box import roots
+from gaitsweep.tasks.charts.sheet import Asked, Sampled, fit_sheets
+from gaitsweep.tasks.charts.span import Span
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.accuracy import (
     OF_INTEGRATION,
     is_interpolated,
     nodes_for,
     significant_bits,
 )
-from gaitsweep.tasks.families.box import roots
-from gaitsweep.tasks.families.sheet import Asked, Sampled, fit_sheets
-from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.fixed_points.multipliers import (
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.gaits.multipliers import (
     characteristic_errors,
     multiplier_bounds,
     multipliers,
 )
-from gaitsweep.tasks.fixed_points.newton import curvature
-from gaitsweep.tasks.fixed_points.rounding import rounding_std
-from gaitsweep.tasks.interpolate import (
+from gaitsweep.tasks.gaits.newton import curvature
+from gaitsweep.tasks.gaits.rounding import rounding_std
+from gaitsweep.tasks.measures.gaits import Part, Wanted, round_bits, to_accuracy
+from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies import solve_at_slope, solve_guesses
+from gaitsweep.tasks.studies.interpolate import (
     Interpolation,
     _Places,
     _tied,
     panels_over,
 )
-from gaitsweep.tasks.measures.gaits import Part, Wanted, round_bits, to_accuracy
-from gaitsweep.tasks.measures.smooth import Smooth
-from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import atlas, points
-from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT, branches, solved
 

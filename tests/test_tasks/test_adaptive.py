@@ -5,11 +5,11 @@ import pytest
 
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.parse import parse
-from gaitsweep.tasks.continuation.atlas import to_arrays
-from gaitsweep.tasks.continuation.sampling import apart, chosen, plane
-from gaitsweep.tasks.fixed_points.multipliers import multipliers
-from gaitsweep.tasks.follow_branches import _dense, branch
+from gaitsweep.tasks.branches.atlas import to_arrays
+from gaitsweep.tasks.branches.sampling import apart, chosen, plane
+from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.mechanics.kernel import flow
+from gaitsweep.tasks.studies.follow_branches import _dense, branch
 from lines import branches
 
 

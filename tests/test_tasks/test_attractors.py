@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.dynamics import attractors as capturing
-from gaitsweep.tasks.dynamics import walk as walks
-from gaitsweep.tasks.dynamics.attractors import Neighbourhoods, attractors
-from gaitsweep.tasks.dynamics.crisis import surviving_slopes
-from gaitsweep.tasks.dynamics.initial_states import gaits_at
-from gaitsweep.tasks.dynamics.walk import Walk
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.orbits import attractors as capturing
+from gaitsweep.tasks.orbits import walk as walks
+from gaitsweep.tasks.orbits.attractors import Neighbourhoods, attractors
+from gaitsweep.tasks.orbits.crisis import surviving_slopes
+from gaitsweep.tasks.orbits.initial_states import gaits_at
+from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import FORWARD, STRUCK, stride
 from gaitsweep.tasks.walkers.resolve import resolve

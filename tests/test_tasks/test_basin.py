@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import count_gaits
-from gaitsweep.tasks.count_gaits import census, deflated, starts
-from gaitsweep.tasks.dynamics.stable_manifold import saddle_at
-from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.map_basin import basin
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.orbits.stable_manifold import saddle_at
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.studies import count_gaits
+from gaitsweep.tasks.studies.count_gaits import census, deflated, starts
+from gaitsweep.tasks.studies.map_basin import basin
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, solved
 

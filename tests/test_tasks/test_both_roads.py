@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import extended
-from gaitsweep.tasks import solve_planes
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.families.box import Box, Refused
-from gaitsweep.tasks.families.cell import Lines, _Maker
-from gaitsweep.tasks.families.division import make_cells
-from gaitsweep.tasks.families.family import Family
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.charts.box import Box, Refused
+from gaitsweep.tasks.charts.cell import Lines, _Maker
+from gaitsweep.tasks.charts.division import make_cells
+from gaitsweep.tasks.charts.family import Family
+from gaitsweep.tasks.contract.registry import ALWAYS, GAITS
 from gaitsweep.tasks.measures.gaits import Wanted
-from gaitsweep.tasks.registry import ALWAYS, GAITS
-from gaitsweep.tasks.solve_planes import lines, solve
-from gaitsweep.tasks.solve_points import lines as lines_side_by_side
-from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.studies import solve_planes
+from gaitsweep.tasks.studies.solve_planes import lines, solve
+from gaitsweep.tasks.studies.solve_points import lines as lines_side_by_side
+from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import KEYS, WalkerError
 from lines import FAILURES

@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import columns, locate_cascade
-from gaitsweep.tasks.continuation import passings
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.continuation.special_points import flips as flips_of
-from gaitsweep.tasks.dynamics import crisis
-from gaitsweep.tasks.dynamics.crisis import surviving_slopes
-from gaitsweep.tasks.dynamics.initial_states import gaits_at
+from gaitsweep.tasks.branches import passings
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.branches.special_points import flips as flips_of
+from gaitsweep.tasks.contract import columns
+from gaitsweep.tasks.contract.registry import OPTIONS
 from gaitsweep.tasks.fits.feigenbaum import DELTA, accumulation, ratios
-from gaitsweep.tasks.locate_cascade import cascade
-from gaitsweep.tasks.registry import OPTIONS
+from gaitsweep.tasks.orbits import crisis
+from gaitsweep.tasks.orbits.crisis import surviving_slopes
+from gaitsweep.tasks.orbits.initial_states import gaits_at
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies import locate_cascade
+from gaitsweep.tasks.studies.locate_cascade import cascade
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
 

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.families.box import Refused, roots
-from gaitsweep.tasks.families.chart import Chart, fit
-from gaitsweep.tasks.families.sheet import Asked, Sampled, Sheet, fit_sheets
-from gaitsweep.tasks.families.span import Span
-from gaitsweep.tasks.interpolate import _away_from_ends, panels_over
+from gaitsweep.tasks.charts.box import Refused, roots
+from gaitsweep.tasks.charts.chart import Chart, fit
+from gaitsweep.tasks.charts.sheet import Asked, Sampled, Sheet, fit_sheets
+from gaitsweep.tasks.charts.span import Span
+from gaitsweep.tasks.studies.interpolate import _away_from_ends, panels_over
 
 
 def growing(

@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import checks, tracking
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.checks import checked
-from gaitsweep.tasks.continuation.lockstep import run
-from gaitsweep.tasks.continuation.pseudo_arclength import Tracks
-from gaitsweep.tasks.continuation.refine import COARSE, measure
-from gaitsweep.tasks.continuation.sampling import within
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.continuation.tracking import correct
-from gaitsweep.tasks.solve_points import _reasons, atlas
-from gaitsweep.tasks.status import outside, ranges
+from gaitsweep.tasks.branches import checks, tracking
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.checks import checked
+from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.pseudo_arclength import Tracks
+from gaitsweep.tasks.branches.refine import COARSE, measure
+from gaitsweep.tasks.branches.sampling import within
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.branches.tracking import correct
+from gaitsweep.tasks.contract.status import outside, ranges
+from gaitsweep.tasks.studies.solve_points import _reasons, atlas
 from lines import branches
 
 

@@ -9,12 +9,13 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.check_claims import claims
-from gaitsweep.tasks.paper import claim as rule
-from gaitsweep.tasks.paper import kneed_chaos, lines, zero_slope
-from gaitsweep.tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
-from gaitsweep.tasks.paper.lines import paper_of
-from gaitsweep.tasks.paper.rounding_intervals import (
+from gaitsweep.tasks.contract.registry import TASKS
+from gaitsweep.tasks.ledger import claim as rule
+from gaitsweep.tasks.ledger import kneed_chaos, lines, zero_slope
+from gaitsweep.tasks.ledger.check_claims import claims
+from gaitsweep.tasks.ledger.claim import CLAIMS, VERDICTS, Claim, ClaimResult
+from gaitsweep.tasks.ledger.lines import paper_of
+from gaitsweep.tasks.ledger.rounding_intervals import (
     HALF_UNITS,
     LANDMARKS,
     changed,
@@ -22,8 +23,7 @@ from gaitsweep.tasks.paper.rounding_intervals import (
     place,
     sensitivities,
 )
-from gaitsweep.tasks.paper.zero_slope import mass_limit
-from gaitsweep.tasks.registry import TASKS
+from gaitsweep.tasks.ledger.zero_slope import mass_limit
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.statics import is_tuned
 

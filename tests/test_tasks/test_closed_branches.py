@@ -5,10 +5,10 @@ gaits is one.
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.atlas import _loop
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import lines
+from gaitsweep.tasks.branches.atlas import _loop
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.studies.solve_points import lines
 from lines import FAILURES, branches, repeats, solved
 
 #: A loop of gaits between folds at slopes of 0.0032 and 0.0186, apart from the branch

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gaitsweep.tasks.continuation import atlas
-from gaitsweep.tasks.continuation.atlas import survey
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.equations import Equations, solve
-from gaitsweep.tasks.continuation.joint import evaluate
-from gaitsweep.tasks.continuation.lockstep import run
-from gaitsweep.tasks.continuation.pseudo_arclength import Point
-from gaitsweep.tasks.continuation.refine import COARSE, FINE, without_jumps
-from gaitsweep.tasks.continuation.root import bracketed_root
-from gaitsweep.tasks.continuation.special_points import passings, special_points
-from gaitsweep.tasks.continuation.tracking import correct, follow
-from gaitsweep.tasks.fixed_points.newton import LONGEST_PERIOD
-from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
-from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.branches import atlas
+from gaitsweep.tasks.branches.atlas import survey
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.equations import Equations, solve
+from gaitsweep.tasks.branches.joint import evaluate
+from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.refine import COARSE, FINE, without_jumps
+from gaitsweep.tasks.branches.root import bracketed_root
+from gaitsweep.tasks.branches.special_points import passings, special_points
+from gaitsweep.tasks.branches.tracking import correct, follow
+from gaitsweep.tasks.contract.registry import GAITS, STATUSES
+from gaitsweep.tasks.gaits.newton import LONGEST_PERIOD
+from gaitsweep.tasks.gaits.polish import UNKNOWN, settle
+from gaitsweep.tasks.gaits.search import search
 from gaitsweep.tasks.mechanics.lumped import lump
-from gaitsweep.tasks.registry import GAITS, STATUSES
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

@@ -8,24 +8,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import curves
-from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.curves import (
+from gaitsweep.tasks.branches import curves
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.curves import (
     follow,
     follow_both_directions,
     turning,
     walks,
 )
-from gaitsweep.tasks.continuation.equations import (
+from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
     System,
     correct_on_curve,
 )
-from gaitsweep.tasks.continuation.joint import rounding_step
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.follow_curves import _is_ordinary, curve
-from gaitsweep.tasks.map_step import map_step
+from gaitsweep.tasks.branches.joint import rounding_step
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.studies.follow_curves import _is_ordinary, curve
+from gaitsweep.tasks.studies.map_step import map_step
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, branches

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_cycle_slope, steps_of
-from gaitsweep.tasks import locate_cascade
-from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.equations import slope_error
-from gaitsweep.tasks.continuation.special_points import special_points
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.equations import slope_error
+from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.mechanics.lumped import lump
 from gaitsweep.tasks.step.extended_precision import _extended_step_map
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import joined, sections
+from gaitsweep.tasks.studies import locate_cascade
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, some

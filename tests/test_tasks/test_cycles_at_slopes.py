@@ -10,14 +10,12 @@ import gaitsweep
 import oracle
 from exact_special_points import steps_of
 from extended import Walker, _derivative
-from gaitsweep.tasks.continuation.atlas import from_arrays, to_arrays
-from gaitsweep.tasks.continuation.flips import begun_at_flips
-from gaitsweep.tasks.continuation.locate import _is_near
-from gaitsweep.tasks.continuation.special_points import flips
-from gaitsweep.tasks.continuation.tracking import HALVED, correct
-from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
-from gaitsweep.tasks.follow_cycles import cycle_branches
-from gaitsweep.tasks.solve_at_slope import solve_one
+from gaitsweep.tasks.branches.atlas import from_arrays, to_arrays
+from gaitsweep.tasks.branches.flips import begun_at_flips
+from gaitsweep.tasks.branches.locate import _is_near
+from gaitsweep.tasks.branches.special_points import flips
+from gaitsweep.tasks.branches.tracking import HALVED, correct
+from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.step.several_steps import (
     begun_at,
     distances_of_steps,
@@ -25,6 +23,8 @@ from gaitsweep.tasks.step.several_steps import (
     joined,
     sections,
 )
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import branches as atlas_of
 from test_tasks.test_gaits_beside_folds import points

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import extremes, passings
-from gaitsweep.tasks.continuation.atlas import survey
-from gaitsweep.tasks.continuation.extremes import Points, Sought, find
-from gaitsweep.tasks.continuation.refine import COARSE
-from gaitsweep.tasks.map_designs import _Rows, _walkers, design
-from gaitsweep.tasks.registry import GAITS
+from gaitsweep.tasks.branches import extremes, passings
+from gaitsweep.tasks.branches.atlas import survey
+from gaitsweep.tasks.branches.extremes import Points, Sought, find
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies.map_designs import _Rows, _walkers, design
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, solved
 

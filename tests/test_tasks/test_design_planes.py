@@ -10,39 +10,39 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gaitsweep.tasks.continuation import extremes
-from gaitsweep.tasks.continuation import passings as module_of_passings
-from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.conditions import (
+from gaitsweep.tasks.branches import extremes
+from gaitsweep.tasks.branches import passings as module_of_passings
+from gaitsweep.tasks.branches.atlas import survey_lines
+from gaitsweep.tasks.branches.conditions import (
     CONDITIONS,
     Condition,
     foot_radius,
     is_located,
     log_froude,
 )
-from gaitsweep.tasks.continuation.equations import Equations, newton_step, solve
-from gaitsweep.tasks.continuation.extremes import Points, Sought, best, find
-from gaitsweep.tasks.continuation.joint import evaluate
-from gaitsweep.tasks.continuation.refine import COARSE
-from gaitsweep.tasks.families import cut as cuts
-from gaitsweep.tasks.families import extension as extensions
-from gaitsweep.tasks.families import landscape as landscapes
-from gaitsweep.tasks.families import manifold_maker
-from gaitsweep.tasks.families.box import Box, Refused, roots
-from gaitsweep.tasks.families.chart import Chart
-from gaitsweep.tasks.families.cut import Cut
-from gaitsweep.tasks.families.division import divide
-from gaitsweep.tasks.families.extension import Extension
-from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.landscape import _Surveyor, is_known, make
-from gaitsweep.tasks.families.maker import Maker
-from gaitsweep.tasks.families.manifold import Region
-from gaitsweep.tasks.families.manifold_maker import make_manifold, measured
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio
-from gaitsweep.tasks.map_designs import _Rows, _solve, design
+from gaitsweep.tasks.branches.equations import Equations, newton_step, solve
+from gaitsweep.tasks.branches.extremes import Points, Sought, best, find
+from gaitsweep.tasks.branches.joint import evaluate
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.charts import cut as cuts
+from gaitsweep.tasks.charts import extension as extensions
+from gaitsweep.tasks.charts import landscape as landscapes
+from gaitsweep.tasks.charts import manifold_maker
+from gaitsweep.tasks.charts.box import Box, Refused, roots
+from gaitsweep.tasks.charts.chart import Chart
+from gaitsweep.tasks.charts.cut import Cut
+from gaitsweep.tasks.charts.division import divide
+from gaitsweep.tasks.charts.extension import Extension
+from gaitsweep.tasks.charts.family import Family
+from gaitsweep.tasks.charts.landscape import _Surveyor, is_known, make
+from gaitsweep.tasks.charts.maker import Maker
+from gaitsweep.tasks.charts.manifold import Region
+from gaitsweep.tasks.charts.manifold_maker import make_manifold, measured
+from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.mechanics.lumped import common_structure
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.studies.map_designs import _Rows, _solve, design
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.statics import statics
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import gaitsweep
-from gaitsweep.tasks.disturb_designs import attractors_beside
-from gaitsweep.tasks.map_designs import design
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.simulate import step_onto, stride
+from gaitsweep.tasks.studies.disturb_designs import attractors_beside
+from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from lines import gait
 

@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import status
-from gaitsweep.tasks.continuation import locate
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.locate import locate_root, settle_on_branches
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.fixed_points import polish
-from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.branches import locate
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.locate import locate_root, settle_on_branches
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import GAITS, STATUSES
+from gaitsweep.tasks.gaits import polish
+from gaitsweep.tasks.gaits.polish import UNKNOWN, settle
+from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.measures.gaits import describe
 from gaitsweep.tasks.mechanics.lumped import lump
-from gaitsweep.tasks.registry import GAITS, STATUSES
-from gaitsweep.tasks.solve_points import lines
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.verify_step import strikes_fall_in_order, verify
+from gaitsweep.tasks.studies.solve_points import lines
 from lines import FAILURES, branches, of_label, repeats, solved
 from soak.bounds import compared
 

@@ -7,17 +7,17 @@ import re
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.conditions import CONDITIONS
-from gaitsweep.tasks.continuation.curves import follow_both_directions
-from gaitsweep.tasks.continuation.equations import (
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.curves import follow_both_directions
+from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
     correct_on_curve,
     sensitivity,
     solve,
 )
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.kinds import FOLLOWED, KINDS
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract.kinds import FOLLOWED, KINDS
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError

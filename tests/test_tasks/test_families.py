@@ -10,31 +10,31 @@ import numpy as np
 import pytest
 
 from gaitsweep.pipeline.graph.graph import boxes
-from gaitsweep.tasks import interpolate, solve_planes
-from gaitsweep.tasks.continuation.atlas import survey_lines
-from gaitsweep.tasks.continuation.refine import COARSE
-from gaitsweep.tasks.families import cell as cells
-from gaitsweep.tasks.families import division, pieces, sheet
-from gaitsweep.tasks.families.box import Box, Refused, roots
-from gaitsweep.tasks.families.cell import Cell, Lines, _Maker
-from gaitsweep.tasks.families.chart import Chart
-from gaitsweep.tasks.families.division import Cells, make_cells
-from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.patch import measured, near_predictions
-from gaitsweep.tasks.families.pieces import Piece
-from gaitsweep.tasks.families.span import along, coordinate
-from gaitsweep.tasks.families.tuning import Tuning
-from gaitsweep.tasks.fixed_points.newton import curvature
-from gaitsweep.tasks.fixed_points.polish import settle
-from gaitsweep.tasks.fixed_points.rounding import rounding_std
+from gaitsweep.tasks.branches.atlas import survey_lines
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.charts import cell as cells
+from gaitsweep.tasks.charts import division, pieces, sheet
+from gaitsweep.tasks.charts.box import Box, Refused, roots
+from gaitsweep.tasks.charts.cell import Cell, Lines, _Maker
+from gaitsweep.tasks.charts.chart import Chart
+from gaitsweep.tasks.charts.division import Cells, make_cells
+from gaitsweep.tasks.charts.family import Family
+from gaitsweep.tasks.charts.patch import measured, near_predictions
+from gaitsweep.tasks.charts.pieces import Piece
+from gaitsweep.tasks.charts.span import along, coordinate
+from gaitsweep.tasks.charts.tuning import Tuning
+from gaitsweep.tasks.contract.registry import ALWAYS
+from gaitsweep.tasks.gaits.newton import curvature
+from gaitsweep.tasks.gaits.polish import settle
+from gaitsweep.tasks.gaits.rounding import rounding_std
 from gaitsweep.tasks.measures.gaits import Wanted, nothing_solved
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.mechanics.lumped import common_structure, constants_of
-from gaitsweep.tasks.registry import ALWAYS
-from gaitsweep.tasks.solve_planes import lines
-from gaitsweep.tasks.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies import interpolate, solve_planes
+from gaitsweep.tasks.studies.solve_planes import lines
+from gaitsweep.tasks.studies.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from gaitsweep.tasks.walkers.walker import NUMBERS, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -750,7 +750,7 @@ def test_a_box_is_not_divided_when_lines_are_surveyed_in_vain(
                 raise Refused("it is made to", len(made) % 2)
         return Cell(box, None, [], why)
 
-    monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
+    monkeypatch.setattr("gaitsweep.tasks.charts.division.make_cell", refusing)
     family, whole = (
         Family.of({"walker": "B", "set": {}}, ("m_s", "R")),
         Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)),
@@ -796,7 +796,7 @@ def test_a_box_of_many_lines_is_halved_for_others(monkeypatch):
             raise Refused("it is made to", at=0.02)
         return Cell(box, None, [], why)
 
-    monkeypatch.setattr("gaitsweep.tasks.families.division.make_cell", refusing)
+    monkeypatch.setattr("gaitsweep.tasks.charts.division.make_cell", refusing)
     monkeypatch.setattr(solve_planes, "is_interpolated", lambda *_: False)
     plane = {
         "keys": ["m_s"],
@@ -1028,7 +1028,7 @@ def test_polynomials_are_not_fitted_to_gaits_that_are_not_those_predicted(monkey
     family, cell = cell_of("B")
     assert interpolate.sheets(family, cell, ANGLE, 10**6)
     monkeypatch.setattr(
-        "gaitsweep.tasks.families.patch.near_predictions",
+        "gaitsweep.tasks.charts.patch.near_predictions",
         lambda at, *_: np.arange(len(at.bound)) != 3,
     )
     assert not interpolate.sheets(family, cell, ANGLE, 10**6)

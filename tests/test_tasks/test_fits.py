@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gaitsweep.tasks.fit_laws import scaling
-from gaitsweep.tasks.fit_laws import transition as transition_table
 from gaitsweep.tasks.fits import power_law, transition
+from gaitsweep.tasks.studies.fit_laws import scaling
+from gaitsweep.tasks.studies.fit_laws import transition as transition_table
 from lines import solved
 
 

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.atlas import to_arrays
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.fixed_points import polish
-from gaitsweep.tasks.fixed_points.multipliers import multipliers, other_multipliers
-from gaitsweep.tasks.fixed_points.rounding import rounding
-from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.branches.atlas import to_arrays
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract.registry import ALWAYS, GAITS
+from gaitsweep.tasks.gaits import polish
+from gaitsweep.tasks.gaits.multipliers import multipliers, other_multipliers
+from gaitsweep.tasks.gaits.rounding import rounding
+from gaitsweep.tasks.gaits.search import search
 from gaitsweep.tasks.measures.losses import heelstrike_losses
-from gaitsweep.tasks.registry import ALWAYS, GAITS
-from gaitsweep.tasks.solve_points import points
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.verify_step import verify
+from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import branches, gait, solved
 from oracle import Oracle, StepFailed

@@ -7,14 +7,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import atlas
-from gaitsweep.tasks.continuation.refine import FINE
-from gaitsweep.tasks.continuation.special_points import flips, special_points
-from gaitsweep.tasks.follow_cycles import cycle_branches
-from gaitsweep.tasks.registry import GAITS, STATUSES
-from gaitsweep.tasks.request import Request
-from gaitsweep.tasks.solve_points import _solve_branches
+from gaitsweep.tasks.branches import atlas
+from gaitsweep.tasks.branches.refine import FINE
+from gaitsweep.tasks.branches.special_points import flips, special_points
+from gaitsweep.tasks.contract.registry import GAITS, STATUSES
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_points import _solve_branches
 from gaitsweep.tasks.walkers.resolve import WalkerError, resolve
 
 WANT = ("stance_angle", "branch", "piece", "error_bound")

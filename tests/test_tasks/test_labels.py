@@ -12,16 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conftest import ROOT
-from gaitsweep.tasks import solve_at_slope, status
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.tracking import MIN_SLOPE
-from gaitsweep.tasks.dynamics.initial_states import gaits_at
-from gaitsweep.tasks.fixed_points.labels import places
-from gaitsweep.tasks.follow_branches import branch as follow
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.tracking import MIN_SLOPE
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.measures.gaits import Part, nothing_solved, store
-from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import atlas, points, solve_line
-from gaitsweep.tasks.trace_motion import trace
+from gaitsweep.tasks.orbits.initial_states import gaits_at
+from gaitsweep.tasks.studies import solve_at_slope
+from gaitsweep.tasks.studies.follow_branches import branch as follow
+from gaitsweep.tasks.studies.solve_points import atlas, points, solve_line
+from gaitsweep.tasks.studies.trace_motion import trace
 from lines import WANT, _atlas, branches, gait, solved
 
 #: Slopes of the machine's branches, folds at 0.0191 and 0.0530 and ends on the way

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.fits.transition import fitted_lines
-from gaitsweep.tasks.locate_landmarks import corners, crises, landmarks
-from gaitsweep.tasks.paper.lines import paper_of
-from gaitsweep.tasks.solve_points import atlas
+from gaitsweep.tasks.ledger.lines import paper_of
+from gaitsweep.tasks.ledger.locate_landmarks import corners, crises, landmarks
+from gaitsweep.tasks.studies.solve_points import atlas
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

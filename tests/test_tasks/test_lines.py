@@ -5,11 +5,11 @@ road.
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import solve_points
+from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.mechanics.kernel import LANES
-from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import atlas, lines, points
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies import solve_points
+from gaitsweep.tasks.studies.solve_points import atlas, lines, points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import WANT
 

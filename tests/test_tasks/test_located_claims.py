@@ -11,13 +11,13 @@ import pytest
 from gaitsweep.pipeline.graph.layers import line_params
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.study import parse
-from gaitsweep.tasks.check_claims import claims
-from gaitsweep.tasks.paper import kneed_chaos
-from gaitsweep.tasks.paper.claim import CLAIMS
-from gaitsweep.tasks.paper.lines import Paper, paper_of
-from gaitsweep.tasks.registry import options
-from gaitsweep.tasks.solve_points import atlas
-from gaitsweep.tasks.trace_motion import trace
+from gaitsweep.tasks.contract.registry import options
+from gaitsweep.tasks.ledger import kneed_chaos
+from gaitsweep.tasks.ledger.check_claims import claims
+from gaitsweep.tasks.ledger.claim import CLAIMS
+from gaitsweep.tasks.ledger.lines import Paper, paper_of
+from gaitsweep.tasks.studies.solve_points import atlas
+from gaitsweep.tasks.studies.trace_motion import trace
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

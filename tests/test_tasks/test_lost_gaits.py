@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation import atlas
-from gaitsweep.tasks.continuation.refine import COARSE, FINE
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.fixed_points.newton import newton
-from gaitsweep.tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
-from gaitsweep.tasks.fixed_points.search import lattice_size, starts
-from gaitsweep.tasks.fixed_points.step_check import verify_steps
+from gaitsweep.tasks.branches import atlas
+from gaitsweep.tasks.branches.refine import COARSE, FINE
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.contract.registry import GAITS, STATUSES
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.gaits.polish import UNKNOWN, settle, unmeasured
+from gaitsweep.tasks.gaits.search import lattice_size, starts
+from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.mechanics.small_gaits import small_gaits
-from gaitsweep.tasks.registry import GAITS, STATUSES
-from gaitsweep.tasks.solve_at_slope import solve_one
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.verify_step import strike_distance
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import FAILURES, branches, of_label, repeats, solved, some
@@ -262,7 +262,7 @@ def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them
     tells.
     """
-    from gaitsweep.tasks.continuation.lockstep import run
+    from gaitsweep.tasks.branches.lockstep import run
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
@@ -385,7 +385,7 @@ def test_no_point_of_a_random_line_fails(count):
     """Walkers near A, C and the physical one, masses, lengths and offsets off by a
     fifth, or detuned; by both roads.
     """
-    from gaitsweep.tasks.solve_points import lines
+    from gaitsweep.tasks.studies.solve_points import lines
     from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
     keys, failed = (
@@ -426,7 +426,7 @@ def test_no_point_of_a_random_line_fails(count):
 
 def test_a_fold_at_a_node_gets_no_node_beside_it():
     """Two nodes that are one but for the last digit have no polynomial between them."""
-    from gaitsweep.tasks.solve_points import lines
+    from gaitsweep.tasks.studies.solve_points import lines
 
     near_c = {
         "m_t": 2.5842990949854276,
@@ -648,7 +648,7 @@ def test_a_survey_misses_few_gaits_that_a_dense_search_finds(draw, numbers, rate
 
 def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     monkeypatch.setattr(
-        "gaitsweep.tasks.continuation.atlas.survey_lines",
+        "gaitsweep.tasks.branches.atlas.survey_lines",
         lambda problem, tolerance: [[] for _ in problem.lanes],
     )
     outcome = missed(range(4, 8))

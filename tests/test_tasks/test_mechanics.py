@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.fixed_points.search import search
+from gaitsweep.tasks.gaits.search import search
 from gaitsweep.tasks.mechanics.lumped import constants_of, structure_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE

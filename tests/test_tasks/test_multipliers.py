@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from gaitsweep import gaits
-from gaitsweep.tasks.fixed_points.multipliers import (
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.gaits.multipliers import (
     characteristic,
     characteristic_errors,
     multiplier_bounds,
     multiplier_changes,
     multipliers,
 )
-from gaitsweep.tasks.fixed_points.newton import curvature
-from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
-from gaitsweep.tasks.fixed_points.rounding import characteristic_scale
-from gaitsweep.tasks.follow_cycles import cycle_branches
-from gaitsweep.tasks.registry import GAITS
-from gaitsweep.tasks.solve_points import atlas, lines, points
+from gaitsweep.tasks.gaits.newton import curvature
+from gaitsweep.tasks.gaits.polish import settle, unmeasured
+from gaitsweep.tasks.gaits.rounding import characteristic_scale
 from gaitsweep.tasks.step.extended_precision import Start, _extended_step_map, solved
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.solve_points import atlas, lines, points
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT, branches
 

@@ -16,28 +16,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.continuation.joint import evaluate, rounding_step
-from gaitsweep.tasks.continuation.pseudo_arclength import bordered_matrix
-from gaitsweep.tasks.families.box import Box
-from gaitsweep.tasks.families.chart import Chart
-from gaitsweep.tasks.families.family import Family
-from gaitsweep.tasks.families.pieces import pieces_of
-from gaitsweep.tasks.fixed_points.multipliers import (
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.branches.joint import evaluate, rounding_step
+from gaitsweep.tasks.branches.pseudo_arclength import bordered_matrix
+from gaitsweep.tasks.charts.box import Box
+from gaitsweep.tasks.charts.chart import Chart
+from gaitsweep.tasks.charts.family import Family
+from gaitsweep.tasks.charts.pieces import pieces_of
+from gaitsweep.tasks.gaits.multipliers import (
     characteristic,
     characteristic_errors,
     multiplier_bounds,
     multiplier_changes,
     multipliers,
 )
-from gaitsweep.tasks.fixed_points.newton import (
+from gaitsweep.tasks.gaits.newton import (
     curvature,
     newton,
     newton_step,
     relative_sizes,
 )
-from gaitsweep.tasks.fixed_points.polish import settle, unmeasured
-from gaitsweep.tasks.fixed_points.rounding import (
+from gaitsweep.tasks.gaits.polish import settle, unmeasured
+from gaitsweep.tasks.gaits.rounding import (
     characteristic_scale,
     reported,
     reported_sizes,
@@ -45,16 +45,16 @@ from gaitsweep.tasks.fixed_points.rounding import (
     rounding_std,
     sensitivity,
 )
-from gaitsweep.tasks.fixed_points.step_check import gait_ratio, verified
+from gaitsweep.tasks.gaits.step_check import gait_ratio, verified
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.gaits import describe, measured_multipliers, to_accuracy
 from gaitsweep.tasks.measures.kinematics import travel
 from gaitsweep.tasks.measures.losses import contact_mass, heelstrike_losses
 from gaitsweep.tasks.measures.smooth import Smooth
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
-from gaitsweep.tasks.solve_points import atlas
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.solve_points import atlas
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import WANT
 

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import solve_guesses, solve_planes, solve_points
-from gaitsweep.tasks.accuracy import OF_INTEGRATION, is_interpolated
-from gaitsweep.tasks.continuation import atlas as atlases
-from gaitsweep.tasks.continuation.branch import Branch
-from gaitsweep.tasks.continuation.lockstep import side_by_side
-from gaitsweep.tasks.fixed_points import search
-from gaitsweep.tasks.fixed_points.polish import UNKNOWN
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.lockstep import side_by_side
+from gaitsweep.tasks.contract.accuracy import OF_INTEGRATION, is_interpolated
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.gaits import search
+from gaitsweep.tasks.gaits.polish import UNKNOWN
 from gaitsweep.tasks.mechanics import kernel
-from gaitsweep.tasks.registry import GAITS
 from gaitsweep.tasks.step import problem, step_map
+from gaitsweep.tasks.studies import solve_guesses, solve_planes, solve_points
 from lines import WANT
 
 ROOT = Path(__file__).parent.parent.parent

@@ -7,22 +7,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gaitsweep.tasks import iterate_orbits as orbits
-from gaitsweep.tasks import map_basin as basins
-from gaitsweep.tasks.continuation.atlas import from_arrays
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.dynamics import initial_states
-from gaitsweep.tasks.dynamics import walk as walks
-from gaitsweep.tasks.dynamics.initial_states import gaits_at, r_sequence
-from gaitsweep.tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
-from gaitsweep.tasks.dynamics.walk import Walk
-from gaitsweep.tasks.follow_branches import branch
-from gaitsweep.tasks.iterate_orbits import orbit
-from gaitsweep.tasks.map_basin import basin
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.orbits import initial_states
+from gaitsweep.tasks.orbits import walk as walks
+from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
+from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate, orthogonalised
+from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step import simulate
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import stride
-from gaitsweep.tasks.trace_motion import trace
+from gaitsweep.tasks.studies import iterate_orbits as orbits
+from gaitsweep.tasks.studies import map_basin as basins
+from gaitsweep.tasks.studies.follow_branches import branch
+from gaitsweep.tasks.studies.iterate_orbits import orbit
+from gaitsweep.tasks.studies.map_basin import basin
+from gaitsweep.tasks.studies.trace_motion import trace
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas, branches, gait
 from oracle import Oracle, SimplestWalker

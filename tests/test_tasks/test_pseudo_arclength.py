@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.tasks.continuation.pseudo_arclength import (
+from gaitsweep.tasks.branches.pseudo_arclength import (
     Newton,
     StepControl,
     Tracks,
     bordered_newton,
 )
-from gaitsweep.tasks.continuation.root import hermite
+from gaitsweep.tasks.branches.root import hermite
 
 #: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x
 #: y beside them.

@@ -7,8 +7,8 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.tasks.map_step import map_step
-from gaitsweep.tasks.simulate_steps import simulate_steps
+from gaitsweep.tasks.studies.map_step import map_step
+from gaitsweep.tasks.studies.simulate_steps import simulate_steps
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import gait
 from oracle import SHANK, Oracle, SimplestWalker, _turn

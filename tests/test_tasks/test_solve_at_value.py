@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.measures.levels import measures
-from gaitsweep.tasks.solve_at_slope import solve_one
-from gaitsweep.tasks.solve_at_value import solve_at_value
-from gaitsweep.tasks.solve_points import points
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.studies.solve_at_value import solve_at_value
+from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_earlier_strike, exact_slope
-from gaitsweep.tasks import follow_curves
-from gaitsweep.tasks.continuation.atlas import survey
-from gaitsweep.tasks.continuation.conditions import CONDITIONS, is_located
-from gaitsweep.tasks.continuation.refine import COARSE
-from gaitsweep.tasks.continuation.special_points import special_points
-from gaitsweep.tasks.continuation.tracking import correct
+from gaitsweep.tasks.branches.atlas import survey
+from gaitsweep.tasks.branches.conditions import CONDITIONS, is_located
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.studies import follow_curves
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas

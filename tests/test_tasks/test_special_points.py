@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.continuation.atlas import survey, to_arrays
-from gaitsweep.tasks.continuation.special_points import passings
-from gaitsweep.tasks.follow_branches import branch
-from gaitsweep.tasks.map_step import map_step
-from gaitsweep.tasks.solve_points import atlas
+from gaitsweep.tasks.branches.atlas import survey, to_arrays
+from gaitsweep.tasks.branches.special_points import passings
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.follow_branches import branch
+from gaitsweep.tasks.studies.map_step import map_step
+from gaitsweep.tasks.studies.solve_points import atlas
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import branches
 

@@ -5,11 +5,10 @@ lane.
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.contract.registry import ALWAYS
+from gaitsweep.tasks.contract.status import CONVERGED
 from gaitsweep.tasks.mechanics.kernel import Flow, integrating_seconds
 from gaitsweep.tasks.mechanics.lumped import structure_of
-from gaitsweep.tasks.registry import ALWAYS
-from gaitsweep.tasks.solve_points import lines
-from gaitsweep.tasks.status import CONVERGED
 from gaitsweep.tasks.step import simulate
 from gaitsweep.tasks.step.crossing import crossing
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -22,6 +21,7 @@ from gaitsweep.tasks.step.verify_step import (
     _unclear,
     _zero,
 )
+from gaitsweep.tasks.studies.solve_points import lines
 from gaitsweep.tasks.walkers.resolve import resolve, resolve_many
 from oracle import Oracle, SimplestWalker, StepFailed
 from soak.stress import random_walker

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gaitsweep
-from gaitsweep.tasks.registry import VARIABLES, Variable
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.contract.registry import VARIABLES, Variable
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 
 #: Enough slopes for polynomials to give the gaits of a line.

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import oracle
-from gaitsweep.tasks.follow_branches import contact_lost
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES, VIOLATIONS
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.mechanics.contact import Chain
-from gaitsweep.tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from gaitsweep.tasks.solve_at_slope import solve_one
-from gaitsweep.tasks.solve_points import atlas, points
+from gaitsweep.tasks.studies.follow_branches import contact_lost
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.statics import statics

@@ -19,8 +19,8 @@ from gaitsweep.tasks.mechanics.lumped import (
 )
 from gaitsweep.tasks.proofs.body import body
 from gaitsweep.tasks.proofs.keys import doubles
-from gaitsweep.tasks.solve_at_slope import solve_one
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.describe import describe, drawing
 from gaitsweep.tasks.walkers.resolve import (

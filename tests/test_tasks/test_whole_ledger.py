@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.check_claims import claims
+from gaitsweep.tasks.ledger.check_claims import claims
 
 KEPT = Path(__file__).parents[2] / "data" / "reference" / "ledger.json"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")

@@ -1,0 +1,272 @@
+"""Curves of points that solve equations with one freedom left, in a window of the
+unknowns beside state and event times: folds, flips and ends of walking over slope and a
+key, or over two keys; gaits at a fixed slope over a key.
+
+A point is X (`tasks.branches.equations`), whose last unknowns are ln slope, unless
+it is fixed, and keys over their ranges. Nothing is singular where strikes turn
+tangential or coincide, so ends are followed as folds and flips are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches import pseudo_arclength as engine
+from gaitsweep.tasks.branches.equations import (
+    DIFFERENCE,
+    Equations,
+    correct_on_curve,
+)
+from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Track, joined
+from gaitsweep.tasks.branches.root import OnCurve, bracketed_root, hermite
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers, PerLane
+from gaitsweep.tasks.mechanics.sums import norm, total
+from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.step.simulate import STRUCK
+from gaitsweep.tasks.step.simulate import stride as simulate_step
+
+#: Steps grow where the predictor's error over their length is below the target, and are
+#: kept elsewhere.
+_CONTROL = engine.StepControl(
+    shortest=5e-4,
+    longest=0.1,
+    min_cosine=0.95,
+    target=0.03,
+    power=np.inf,
+    growth=(1.0, 1.5),
+    reduction=0.4,
+    max_bend=0.1,
+)
+#: Length of the first step, and most points of a curve.
+_FIRST_STEP, _MAX_POINTS = 0.02, 5000
+#: Why a curve is followed no further within its window.
+BORDER = "border"
+#: Largest difference of event times from those of a simulated step.
+_SAME_TIMES = 1e-3
+#: Rounding of rates and durations at an end of walking.
+_AT_END = 1e-6
+#: Share of the way to a border at which a curve begins on it; and that of a segment to
+#: which a turning is located.
+_BEGINS_THERE, _TURNING = 1e-9, 1e-11
+
+
+def walks(equations: Equations, X: Gait) -> bool:
+    """Return whether a point's step happens, or at an end of walking is the limit of
+    steps that do.
+
+    Parameters
+    ----------
+    equations : Equations
+    X : ndarray, shape (u,)
+    """
+    problem, Z = equations.problem_at(X[:, None]), equations.split(X[:, None])[0]
+    times = Z[problem.m : -1]
+    if any(condition.walking for condition in equations.conditions):
+        # Kneestrike is not late, and the foot does not rise as it strikes.
+        stride, _ = problem.stride(Z[:-1], Z[-1])
+        is_in_order = (times > 0).all() and (np.diff(times[:, 0]) > -_AT_END).all()
+        return bool(is_in_order and stride.closing[-1, 0] < _AT_END * stride.y[0, 0])
+
+    y = np.exp(Z[:1]) * np.vstack([np.ones((1, 1)), Z[1 : problem.m]])
+    step = simulate_step(problem, y, np.exp(Z[-1]), exact=False)
+    has_struck = step.outcome[0] == STRUCK
+    return bool(has_struck and np.abs(step.times - times).max() < _SAME_TIMES)
+
+
+class _Followed(engine.Tracks):
+    """One curve in progress in a window of ln slope and key, whose edges are (2, 2).
+
+    `end` is the last point that it has within the window, and the tangent there, both
+    (c, 1): that on the border. Where the curve begins on the border and leaves there is
+    none, both (c, 0).
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        first: engine.Point,
+        direction: float,
+        edges: ndarray,
+    ):
+        self.equations, self.edges = equations, edges
+        tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
+        super().__init__(_CONTROL, first.Z, tangent, _FIRST_STEP)
+        self.end = self.Z[:, :0], self.tangent[:, :0]
+
+    def correct(
+        self, tracks: Numbers, guess: Coordinates, border: Coordinates
+    ) -> engine.Point:
+        return correct_on_curve(self.equations, guess, border)
+
+    def judge(
+        self,
+        tracks: Numbers,
+        point: engine.Point,
+        guess: Coordinates,
+        error: PerLane,
+    ) -> tuple[ndarray, ndarray]:
+        # Beyond the window a step is fair if it leads to a point on the border: a
+        # shorter one may.
+        fair = not point.ok[0] or self._is_inside(point.Z) or self._ends(point)
+        return np.array([fair]), error / self.step
+
+    def reasons(
+        self, tracks: Numbers, point: engine.Point, last: Coordinates
+    ) -> ndarray:
+        return np.array(["" if self._is_inside(point.Z) else BORDER])
+
+    def _inside(self, Z: Coordinates) -> ndarray:
+        """The nearest values of the last unknowns within the window, (f, 1)."""
+        low, high = self.edges[:, :1], self.edges[:, 1:]
+        return np.clip(Z[-len(self.edges) :], low, high)
+
+    def _is_inside(self, Z: Coordinates) -> bool:
+        return bool((self._inside(Z) == Z[-len(self.edges) :]).all())
+
+    def _ends(self, beyond: engine.Point) -> bool:
+        """Whether the curve's point on the border is found, between its last point and
+        one beyond the window.
+        """
+        f, nearest = len(self.edges), self._inside(beyond.Z)
+        out = np.flatnonzero(nearest != beyond.Z[-f:])
+        shares = ((nearest - self.Z[-f:]) / (beyond.Z - self.Z)[-f:])[out, 0]
+        share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
+        if share < _BEGINS_THERE:
+            return True
+
+        tangent = beyond.oriented(self.tangent).direction
+        length = norm(beyond.Z - self.Z)
+        guess = hermite((self.Z, self.tangent), (beyond.Z, tangent), length, share)
+        guess[component] = nearest[component]
+        border = np.eye(len(guess))[:, [component]]
+        found = correct_on_curve(self.equations, guess, border)
+        if found.ok[0]:
+            self.end = found.Z, found.oriented(self.tangent).direction
+        return bool(found.ok[0])
+
+
+def follow(
+    equations: Equations, first: engine.Point, direction: float, window: ndarray
+) -> Track:
+    """Follow a curve from a point on it up to the window's border, or until it closes.
+
+    Parameters
+    ----------
+    equations : Equations
+        One fewer than unknowns.
+    first : Point
+        Where it begins.
+    direction : float
+        1 towards increasing values of the last unknown, -1 towards decreasing ones.
+    window : ndarray, shape (f, 2)
+        Least and largest value of each of the f last unknowns, those beside state and
+        event times, as X counts them.
+    """
+    tracks = _Followed(equations, first, direction, window)
+    (track,) = tracks.follow(_MAX_POINTS)
+
+    if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
+        track.Z[:, -1], track.tangent[:, -1] = track.Z[:, 0], track.tangent[:, 0]
+    if track.stop_reason != BORDER:
+        return track
+
+    # The last point lies beyond the window: that on the border takes its place.
+    X, tangent = tracks.end
+    return Track(
+        np.hstack([track.Z[:, :-1], X]),
+        np.hstack([track.tangent[:, :-1], tangent]),
+        BORDER,
+    )
+
+
+def follow_both_directions(
+    equations: Equations, first: engine.Point, window: ndarray
+) -> tuple[ndarray, ndarray, tuple[str, str]]:
+    """Follow a curve from a point on it in both directions, or once round.
+
+    Parameters
+    ----------
+    equations, first, window
+        As for `follow`.
+
+    Returns
+    -------
+    X, tangent : ndarray, shape (p, u)
+        Points in the order of increasing arclength, and the tangents there.
+    stopped : tuple of str
+        Why it was followed no further at the first and at the last.
+    """
+    up = follow(equations, first, 1.0, window)
+    if up.stop_reason == CLOSED:
+        return up.Z.T, up.tangent.T, (CLOSED, CLOSED)
+    down = follow(equations, first, -1.0, window)
+    X, tangent = joined(down, up)
+    return X.T, tangent.T, (down.stop_reason, up.stop_reason)
+
+
+def turning(
+    equations: Equations, a: OnCurve, b: OnCurve, component: int
+) -> tuple[ndarray, float] | None:
+    """Locate where a component of the curve's tangent vanishes between two points; None
+    where it keeps its sign.
+
+    Parameters
+    ----------
+    equations : Equations
+    a, b : OnCurve
+    component : int
+        -1 for the last unknown, -2 for the one before.
+
+    Returns
+    -------
+    X : ndarray, shape (u,)
+    error : float
+        Of the last unknown but one: Newton's last step, how far the tangent shows that
+        the turning lies from the point, and how far it moves when the tangent's
+        differences are taken over twice the step.
+
+    Notes
+    -----
+    Where the key turns along a curve of folds, two branches of gaits touch and exchange
+    their halves; where the slope turns as well, two folds annihilate (a cusp).
+    """
+    at_a, at_b = a[1][component], b[1][component]
+    if at_a * at_b >= 0:
+        return None
+    length = float(np.linalg.norm(b[0] - a[0]))
+    chord = ((b[0] - a[0]) / length)[:, None]
+
+    def corrected(share: float) -> engine.Point:
+        guess = hermite(a, b, length, share)[:, None]
+        return correct_on_curve(equations, guess, chord).oriented(chord)
+
+    def rate(share: float) -> float:
+        return float(corrected(share).direction[component, 0])
+
+    try:
+        share = bracketed_root(rate, 0.0, 1.0, _TURNING)
+    except ValueError:
+        # Corrected anew, both points have the component on one side by rounding: the
+        # nearer one is the turning.
+        share = float(abs(at_a) > abs(at_b))
+    turn = corrected(share)
+    if not turn.ok[0]:
+        return None
+
+    rates = abs(at_b - at_a) / length
+    moved = _off(equations, turn, component) / rates + _TURNING * length
+    error = turn.last_step[0] + moved * abs(turn.direction[-2, 0])
+    return turn.Z[:, 0], float(error) + 8 * EPS
+
+
+def _off(equations: Equations, turn: engine.Point, component: int) -> float:
+    """How far a component of the tangent is from zero at a turning, and from what it is
+    by differences over twice the step.
+    """
+    tangent = turn.direction[:, 0]
+    derivative = equations.at(turn.Z, 2 * DIFFERENCE).derivative[..., 0]
+    coarse = np.linalg.svd(derivative)[2][-1]
+    coarse = coarse * np.sign(total(coarse * tangent))
+    change = abs(coarse[component] - tangent[component])
+    return float(change + abs(tangent[component]))

@@ -1,0 +1,309 @@
+"""Special points of a branch: where a condition is fulfilled along it, evaluated at
+corrected points.
+
+Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike
+meets kneestrike, heelstrike turns tangential or an earlier strike occurs; and the
+hyperextension of the released knee, beyond which the branch continues.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches.branch import LOST, Branch
+from gaitsweep.tasks.branches.conditions import (
+    CONDITIONS,
+    Condition,
+    is_located,
+)
+from gaitsweep.tasks.branches.equations import slope_error
+from gaitsweep.tasks.branches.joint import Evaluation, evaluate
+from gaitsweep.tasks.branches.locate import locate_root
+from gaitsweep.tasks.branches.lockstep import side_by_side
+from gaitsweep.tasks.branches.passings import Nodes, guess_passings, locate
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.tracking import branch_point_determinant, correct
+from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.gaits.rounding import rounding
+from gaitsweep.tasks.step.lanes import lanes_of
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.sameness import SAME_GAIT, same
+from gaitsweep.tasks.step.several_steps import from_largest
+
+#: Rates at the start of a step.
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
+#: Height of the foot at kneestrike, in angles of order one, that is rounding.
+_ON_GROUND = 1e-12
+#: Share of a segment by which rounding moves a point beyond its node.
+_AT_NODE = 1e-9
+#: Points from which the slope of vanishing steps is extrapolated, and how far they
+#: reach, over the first's distance.
+_EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore")
+def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
+    """Locate every special point of a branch, in order along it, its ends included.
+
+    Returns
+    -------
+    list of dict
+        `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and
+        shank [sqrt(g/leg)], `period` [sqrt(leg/g)], `error_bound` (relative, of the
+        slope), the point `Z`, shape (c,), and `place`: the number of its node, or a
+        number between those of its neighbours.
+    """
+    nodes = corrected(problem, branch)
+    kinds = [
+        name
+        for name, kind in KINDS.items()
+        if kind.is_passed and (problem.walker.knees or not kind.needs_knee)
+    ]
+    found = [
+        (float(node), kind, nodes, node, error)
+        for kind, node, error in turns_and_ends(branch)
+    ]
+    for kind in kinds:
+        for place, point in passings(problem, branch, kind):
+            found.append((place, kind, point, 0, 0.0))
+
+    records = []
+    for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
+        error = _error(kind, point, lane, known)
+        described = record(kind, point.at, lane, error)
+        if kind == "end_zero_step":
+            described |= _limit_of_short_steps(branch, lane)
+        records.append({**described, "place": place})
+    return records
+
+
+def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
+    """Return the folds and the ends of a branch, which are nodes: their kinds, nodes,
+    and known errors of ln slope.
+    """
+    found = [("fold", node, 0.0) for node in branch.turns()]
+    for side, why in enumerate(branch.why):
+        # Both ends of a closed branch are one fold.
+        if not (side and branch.why == ("fold", "fold")):
+            found.append(
+                (
+                    "lost" if why in LOST else why,
+                    side * (len(branch.q) - 1),
+                    branch.end_errors[side],
+                )
+            )
+    return found
+
+
+def corrected(problem: Problem, branch: Branch) -> Point:
+    """Return the nodes of a branch as points."""
+    nodes = correct(problem, branch.Z, branch.direction)
+    for end in np.flatnonzero(
+        np.array(branch.why) == "branch_point"
+    ):  # a flip, known better than by these equations
+        nodes.Z[:, -end] = branch.Z[:, -end]
+    return nodes.oriented(branch.direction)
+
+
+def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
+    """Return the flips of a branch of anthropomorphic gaits.
+
+    Returns
+    -------
+    list of Evaluation
+        Of one lane each.
+    """
+    return [
+        point.at
+        for place, point in passings(problem, branch, "flip")
+        if branch.leg_passes[int(place)] == 1
+    ]
+
+
+def passings(problem: Problem, branch: Branch, kind: str) -> list[tuple[float, Point]]:
+    """Locate where a branch passes points of a kind between its nodes.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker.
+    branch : Branch
+    kind : str
+        Of CONDITIONS, or `branch_point`.
+
+    Returns
+    -------
+    list of (float, Point)
+        Places in their order, numbers of segments plus shares of them, and the points
+        there, of one lane, evaluated.
+    """
+    if kind not in CONDITIONS:
+        return _branch_points(problem, branch)
+    return where_fulfilled(problem, branch, CONDITIONS[kind])
+
+
+def where_fulfilled(
+    problem: Problem, branch: Branch, condition: Condition
+) -> list[tuple[float, Point]]:
+    """Locate where a branch fulfils a condition between its nodes, as `passings`
+    returns it.
+    """
+    nodes = Nodes(problem, [[branch]], [condition])
+    guesses = guess_passings(problem, nodes, condition)
+    if not len(guesses.node):
+        return []
+
+    solved = locate(problem, nodes, guesses)
+    solved.at = evaluate(problem, solved.Z)
+    share = branch.place_of(guesses.node, solved.Z) - guesses.node
+    solved.ok &= (share > -_AT_NODE) & (share < 1 + _AT_NODE)
+    place = guesses.node + np.clip(share, _AT_NODE, 1 - _AT_NODE)
+    found: list[tuple[float, Point]] = []
+    for lane in np.flatnonzero(solved.ok).tolist():
+        point = lanes_of(solved, np.array([lane]))
+        is_known = any(same(point.Z, other.Z, SAME_GAIT)[0] for _, other in found)
+        if not is_known and _is_genuine(condition, point):
+            found.append((float(place[lane]), point))
+    return sorted(found, key=lambda each: each[0])
+
+
+def _branch_points(problem: Problem, branch: Branch) -> list[tuple[float, Point]]:
+    """Where branches cross: between two nodes Newton's equations are singular, and the
+    root of their determinant is bracketed.
+    """
+
+    def determinant(point: Point) -> float:
+        return float(branch_point_determinant(point, point.direction)[0])
+
+    nodes = corrected(problem, branch)
+    values = branch_point_determinant(nodes, nodes.direction)
+    crosses = np.sign(values[1:]) != np.sign(values[:-1])
+    crosses &= np.isfinite(values[1:]) & np.isfinite(values[:-1])
+    # Nodes beside an end may lie on either side of it by rounding.
+    for segment, end in zip((0, -1), branch.why, strict=True):
+        crosses[segment] &= end != "branch_point"
+
+    segments = np.flatnonzero(crosses).tolist()
+    searches = [locate_root(branch, segment, determinant) for segment in segments]
+    points = side_by_side(problem, [0] * len(segments), searches)
+    located = zip(segments, points, strict=True)
+    return [
+        (segment + 0.5, point)
+        for segment, point in located
+        if point.ok[0] and np.isfinite(point.at.jacobians).all()
+    ]
+
+
+def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
+    """Slope, with its error, at which the steps of a branch's end vanish.
+
+    Notes
+    -----
+    Where the fastest rate vanishes more slowly than the angle, the slope is a smooth function of angle/rate and is
+    extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the
+    angle has vanished in doubles.
+    """
+    order = slice(None) if end == 0 else slice(None, None, -1)
+    Z, tangent = branch.Z[:, order], branch.tangent[:, order]
+    rates = np.abs(Z[1 : branch.m, 0])
+    share = 1 / np.abs(Z[1 + int(rates.argmax())])
+    slope = np.exp(Z[-1])
+
+    value = float(slope[0])
+    left = abs(float(tangent[-1, 0] / tangent[0, 0]))
+    beyond = share > _EXTRAPOLATION_SPAN * share[0]
+    count = int(beyond.argmax()) if beyond.any() else len(share)
+    if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
+        values = _extrapolated(share[:count], slope[:count])
+        value = float(values[-1])
+        # Rounding, which extrapolation enlarges, may be alike in the last three: they
+        # were up to 3.6 times as far off.
+        left = 4 * float(np.ptp(values[-3:]) / value)
+    return {"slope": value, "error_bound": 4 * left + 8 * EPS}
+
+
+def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
+    """Values at zero of polynomials of rising degree through points (n,), by Neville's
+    scheme over Chebyshev's points, the first value of y before them.
+    """
+    angles = np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1)
+    wanted = x[0] + (x[-1] - x[0]) * (0.5 - 0.5 * np.cos(angles))
+    nearest = np.unique(np.abs(x[:, None] - wanted).argmin(axis=0))
+
+    values, x, row = [y[0]], x[nearest], y[nearest]
+    for k in range(1, len(x)):
+        weighted = x[k:] * row[:-1] - x[:-k] * row[1:]
+        row = weighted / (x[k:] - x[:-k])
+        values.append(row[0])
+    return np.array(values)
+
+
+def _is_genuine(condition: Condition, point: Point) -> bool:
+    """Whether a root of a condition's scalar is a point of its kind."""
+    jacobian = point.at.jacobians[0]
+    if not np.isfinite(jacobian).all():
+        return False
+    if condition.is_genuine is None:
+        return True
+    return condition.is_genuine(np.linalg.eigvals(jacobian))
+
+
+def _strikes_with_knee(point: Point, lane: int) -> bool:
+    """Whether the foot is on the ground at kneestrike, where its height has a corner,
+    and not in a smooth minimum.
+    """
+    knee = point.at.stride.one.knee
+    return len(knee) > 0 and bool(
+        np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND
+    )
+
+
+def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
+    """State at the start of a point's step, of several that with the largest stance
+    angle.
+
+    Returns
+    -------
+    dict
+        `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
+    """
+    problem = point.problem
+    y, scale = problem.section(
+        from_largest(point.w[:, [lane]], problem.m, problem.steps)
+    )
+    state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
+    return {"stance_angle": state[0], "rates": tuple(state[1:])}
+
+
+def _error(kind: str, point: Point, lane: int, known: float) -> float:
+    """Bound on the relative error of a special point's slope, of which a part is known."""
+    error, problem, Z = known, point.at.problem, point.Z[:, lane]
+    if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
+        error += slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
+    elif is_located(kind) and kind != "window":
+        error += slope_error(problem, CONDITIONS[kind], Z)
+    elif not (
+        kind == "branch_point" and known
+    ):  # that of a flip at which the branch begins is known
+        error += float(
+            np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max()
+        )
+    return error + 8 * EPS
+
+
+def record(
+    kind: str, point: Evaluation, lane: int, error_bound: float
+) -> dict[str, Any]:
+    """Describe a special point as `special_points` does, but for its place."""
+    return {
+        "kind": kind,
+        "slope": float(np.exp(point.q[lane])),
+        **state_at(point, lane),
+        "period": float(point.times[-1, lane]),
+        "error_bound": error_bound,
+        "Z": tuple(point.Z[:, lane].tolist()),
+    }

@@ -1,0 +1,1 @@
+"""What others may rely on: tasks, variables, options, kinds of points, costs."""

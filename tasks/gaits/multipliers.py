@@ -1,0 +1,221 @@
+"""Stability of a gait: the eigenvalues of its step map."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.mechanics.sums import norm, polynomial
+
+#: Radius around an eigenvalue that is tried, over that which a linear change would
+#: need.
+_ROUCHE = 1.25
+#: Largest move of an eigenvalue, over its distance from the next, that is found to
+#: first order.
+_SIMPLE = 1e-3
+
+
+def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
+    """Eigenvalues of the step map, largest magnitude first, its exact zeros last.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
+        Derivative of the map on its section.
+    width : int
+        Number of multipliers, at least m; those beyond the section's dimension are
+        exactly zero (paper, section 2.2).
+
+    Returns
+    -------
+    ndarray of complex, shape (n, width)
+        NaN where the derivative is not finite.
+    """
+    m, n = jacobian.shape[0], jacobian.shape[2]
+    values = _of_two(jacobian) if m == 2 else _of_any(jacobian)
+    real, imaginary = values.real, values.imag
+    order = np.lexsort((-imaginary, -real, -np.abs(values)), axis=-1)
+    padded = np.zeros((n, width), complex)
+    padded[:, :m] = np.take_along_axis(values, order, axis=1)
+    return padded
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _of_two(jacobian: np.ndarray) -> np.ndarray:
+    """Eigenvalues (n, 2) of matrices (2, 2, n)."""
+    (a, b), (c, d) = jacobian
+    middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
+    root = np.sqrt(np.abs(gap))
+    # The larger root without cancellation, the smaller from the determinant.
+    large = middle + np.where(middle < 0, -root, root)
+    small = np.where(large != 0, (a * d - b * c) / large, 0.0)
+    first = np.where(gap >= 0, large, middle + 1j * root)
+    second = np.where(gap >= 0, small, middle - 1j * root)
+    return np.stack([first, second], axis=1)
+
+
+def _of_any(jacobian: np.ndarray) -> np.ndarray:
+    """Eigenvalues (n, m) of matrices (m, m, n); NaN of those that are not finite."""
+    matrices = np.moveaxis(jacobian, -1, 0)
+    values = np.full(matrices.shape[:2], np.nan, complex)
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    values[finite] = np.linalg.eigvals(matrices[finite])
+    return values
+
+
+def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
+    """Coefficients of the characteristic polynomial: c of z^m - c_1 z^(m-1) + c_2
+    z^(m-2) - ...
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
+        m is 2 or 3.
+    sign : float
+        That of odd permutations: 1 for permanents, which of absolute values show how
+        the coefficients round.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        Sums of the principal minors of order 1 to m.
+    """
+    if len(jacobian) == 2:
+        (a, b), (c, d) = jacobian
+        return np.stack([a + d, a * d + sign * b * c])
+    (a, b, c), (d, e, f), (g, h, i) = jacobian
+    minors = (a * e + sign * b * d) + (a * i + sign * c * g) + (e * i + sign * f * h)
+    determinant = (
+        a * (e * i + sign * f * h)
+        + b * (f * g + sign * d * i)
+        + c * (d * h + sign * e * g)
+    )
+    return np.stack([a + e + i, minors, determinant])
+
+
+def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Bounds of the errors of the coefficients, for an error of the derivative.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
+    error : ndarray, shape (n,)
+        Bound of the Frobenius norm of its error.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+
+    Notes
+    -----
+    A trace is at most sqrt(m) times a norm, so the derivatives of c_1, c_2 = (tr(J)^2 - tr(J^2))/2 and c_3 = det(J) are
+    at most sqrt(m), (m + 1) |J| (for m = 2, |J|) and |J|^2.
+    """
+    m = len(jacobian)
+    largest = norm(np.concatenate(jacobian)) + error
+    factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
+    powers = [np.ones_like(largest), largest, largest * largest][:m]
+    return np.stack(
+        [factor * power * error for factor, power in zip(factors, powers, strict=True)]
+    )
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """How eigenvalues move with the coefficients of the characteristic polynomial, to
+    first order.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (n, m)
+    change : ndarray, shape (m, n)
+        Of the coefficients.
+
+    Returns
+    -------
+    ndarray of complex, shape (n, m)
+        Zero where eigenvalues are too near each other for that.
+    """
+    m = len(change)
+    alternating = change * (-1.0) ** np.arange(m)[:, None]
+    moved = np.zeros(values.shape, complex)
+    for i in range(m):
+        z = values[:, i]
+        gaps = np.array([z - values[:, k] for k in range(m) if k != i])
+        moved[:, i] = polynomial(alternating, z) / math.prod(gaps)
+        moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
+    moved.imag[values.imag == 0] = 0.0  # which rounds beside a complex pair
+    return moved
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Bound of the error of every eigenvalue, for errors of the coefficients of the
+    characteristic polynomial.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (n, width)
+        The eigenvalues, as `multipliers` gives them.
+    error : ndarray, shape (m, n)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Absolute.
+
+    Notes
+    -----
+    At an eigenvalue the true polynomial, a product of distances from its zeros, is no larger than the polynomial's
+    change d there: one zero lies within d^(1/m). By Rouche's theorem one lies within r
+    if on that circle the product of the distances from all eigenvalues exceeds the
+    change; if eigenvalues are simple, an r little above d over the product of the
+    distances of the others.
+    """
+    m = len(error)
+    worst = np.zeros(error.shape[1])
+    for i in range(m):
+        size = np.abs(values[:, i])
+        change = polynomial(error, size)
+        gaps = np.array(
+            [np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i]
+        )
+        radius = _ROUCHE * change / math.prod(gaps)
+        on_circle = radius * math.prod(gaps - radius)
+        is_simple = (radius < gaps.min(axis=0)) & (
+            on_circle >= polynomial(error, size + radius)
+        )
+        worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
+    return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
+
+
+def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
+    """Return the largest magnitude of the multipliers that do not define a special
+    point.
+
+    Parameters
+    ----------
+    kind : str
+        Of a flip -1 is left out, of a fold 1, of a Neimark-Sacker point the pair.
+    jacobian : ndarray, shape (m, m, n)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Infinite where the derivative is not finite, and where a pair is real.
+    """
+    values = _of_any(jacobian)
+    sizes = np.abs(values)
+    lanes = np.arange(len(values))
+    critical = KINDS[kind].critical if kind in KINDS else None
+    if isinstance(critical, float):
+        sizes[lanes, np.abs(values - critical).argmin(axis=1)] = 0.0
+    elif critical == "pair":
+        turning = np.abs(values.imag)
+        pair = np.argsort(-turning, axis=1)[:, :2]
+        sizes[lanes[:, None], pair] = 0.0
+        sizes[turning.max(axis=1) < 1e-9] = np.inf
+    sizes[np.isnan(values)] = np.inf
+    return np.asarray(sizes.max(axis=1))

@@ -1,0 +1,228 @@
+"""How far rounding moves a fixed point: measured by a change of units, and estimated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gaitsweep.tasks.gaits.multipliers import characteristic
+from gaitsweep.tasks.mechanics.arrays import (
+    LogSlopes,
+    Parameters,
+    Sections,
+    Slopes,
+    Times,
+    Unknowns,
+)
+from gaitsweep.tasks.mechanics.sums import matvec, norm, total
+from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, scale_of, sizes
+from gaitsweep.tasks.step.several_steps import AnyStride
+
+
+def reported(
+    problem: Problem, y: Sections, times: Times, parameters: Parameters
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is reported of gaits: the angle and the rates with which they start, and the
+    period.
+
+    Parameters
+    ----------
+    y : ndarray, shape (m, n)
+        Section coordinates.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Event times.
+    parameters : ndarray, shape (n_parameters, n)
+
+    Returns
+    -------
+    state : ndarray, shape (angles, n)
+        Just after heelstrike.
+    values : ndarray, shape (o, n)
+        Angle, rates and period.
+    by_unknowns : ndarray, shape (o, m + k, n)
+        Their derivatives by y and the event times.
+    """
+    width = problem.map.start_size
+    start = problem.map.start(y, parameters)
+    state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
+    rows = [0, *range(width // 2, width)]
+    values = np.vstack([state[rows], times[-1:]])
+    by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
+    by_unknowns[:-1, : by_y.shape[1]] = by_y[rows]
+    by_unknowns[-1, -1] = 1.0
+    return state, values, by_unknowns
+
+
+def reported_sizes(values: np.ndarray) -> np.ndarray:
+    """Scales (o, n) of the errors of what is reported: for rates the largest of them,
+    which alone cannot vanish.
+    """
+    return np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
+
+
+def sensitivity(
+    stride: AnyStride, values: np.ndarray, by_unknowns: np.ndarray
+) -> np.ndarray:
+    """How far relative errors of 1 of image and legs' angles at the strikes move what
+    is reported, (o, n).
+    """
+    residual = residual_sizes(stride.y + stride.newton, len(stride.newton_times))
+    return reported_sizes(values) + matvec(
+        np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual)
+    )
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def characteristic_scale(stride: AnyStride) -> np.ndarray:
+    """How far a relative error of 1 on the way moves the coefficients of the
+    derivative's characteristic polynomial.
+
+    Eliminating the event times divides by the rates of the guards, twice: the
+    derivative, and their own error.
+
+    Parameters
+    ----------
+    stride : Stride
+
+    Returns
+    -------
+    ndarray, shape (d, n)
+        d are the coordinates of a section.
+    """
+    m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
+    relative = stride.jacobian * (size[None, :d] / size[:d, None])
+    length = norm(np.concatenate(relative))
+    by_time = norm(np.concatenate(stride.derivative[:m, m:-1] / size[:, None]))
+    slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
+    powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
+    return np.asarray(powers * (1 + by_time / slowest))
+
+
+#: Units in which a step is evaluated to see how it rounds; a number divisible by
+#: fifteen is exact in each.
+UNITS = (1.0, 0.75, 1.25, 0.9375)
+#: Distance of neighbouring states: enough to round differently, and near enough to the
+#: gait even for long steps.
+_NEIGHBOUR = 1e-11
+
+
+def by_fifteen(y: np.ndarray) -> np.ndarray:
+    """Return numbers near others that are exact in each of the units: divisible by
+    fifteen, with few bits.
+
+    Parameters
+    ----------
+    y : ndarray
+
+    Returns
+    -------
+    ndarray, same shape
+    """
+    mantissa, exponent = np.frexp(y / 15)
+    return np.asarray(15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45))
+
+
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def rounding_std(
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, near: int = 1
+) -> np.ndarray:
+    """Standard deviation that rounding gives angle, rates and period of a fixed point,
+    over their `sensitivity`.
+
+    And the coefficients of the derivative's characteristic polynomial, over their
+    `characteristic_scale`.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+        Gaits in similarity coordinates.
+    log_slope : ndarray, shape (n,)
+        ln of the slope in rad.
+    near : int
+        Number of neighbouring states over which the variance is averaged.
+
+    Returns
+    -------
+    ndarray, shape (o + d, n)
+        The d coefficients last. NaN where there is no step.
+
+    Notes
+    -----
+    Measured, not estimated: a step is evaluated in several units, in each of which every operation rounds anew.
+    """
+    variances = []
+    for neighbour in range(near):
+        moved = w.copy()
+        moved[0] += _NEIGHBOUR * neighbour
+        variances.append(_variance(problem, moved, np.exp(log_slope)))
+    known = np.isfinite(variances)
+    return np.sqrt(total(np.where(known, variances, 0.0)) / known.sum(axis=0))
+
+
+def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> np.ndarray:
+    """Variances of what `rounding_std` measures, at one state of each gait."""
+    m = problem.m
+    angle = np.exp(w[0])
+    power = scale_of(angle)
+    y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / power)
+    found = []
+    for unit in UNITS:
+        parameters = problem.parameters(slope, power * unit)
+        stride = problem.map(y / unit, w[m:], parameters)
+        at_gait = stride.y + stride.newton
+        _, values, by_unknowns = reported(
+            problem, at_gait, stride.newton_times, parameters
+        )
+        coefficients = characteristic(stride.jacobian)
+        found.append(np.vstack([values[:-1] * unit, values[-1:], coefficients]))
+
+    off = found - total(found) / len(UNITS)
+    # The sensitivity is the same in all units but for rounding: the last serves.
+    by_image = sensitivity(stride, values, by_unknowns)
+    of_coefficients = characteristic_scale(stride)
+    scale = np.vstack([by_image[:-1] * unit, by_image[-1:], of_coefficients])
+    return np.asarray(total(off * off) / (len(UNITS) - 1) / scale**2)
+
+
+def rounding(stride: AnyStride) -> np.ndarray:
+    """Estimate how far rounding of the step map alone can move the fixed point,
+    relative to `sizes`.
+
+    Parameters
+    ----------
+    stride : Stride
+        The step at or near the fixed point.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+
+    Notes
+    -----
+    With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
+    the step, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. Rounding on
+    the way lies between the two. The estimate tells Newton when to stop; bounds measure
+    it (`rounding_std`, `equations.slope_error`).
+    """
+    size = sizes(stride.y)
+    # Off balance, a short step has rates that far exceed its section's; their rounding
+    # accumulates on the way. Where a strike is tangential to the last digit neither the
+    # image nor the rates are corrected.
+    one, n = stride.one, size.shape[1]
+    impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
+    at_impact = impact.reshape(-1, n).max(axis=0)
+    at_start = np.abs(one.start).reshape(-1, n).max(axis=0)
+    fastest = np.maximum(at_impact, at_start)
+    beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
+
+    # Angles and rates mix on the way, so the rounding of all is that of the largest. A
+    # point foot's motion has few constants; that of others many, each of them rounded,
+    # and several times the operations.
+    m = len(size)
+    share = 0.5 if len(stride.jacobian) == 2 else 3.0
+    largest = (size + np.abs(stride.residual[:m] + stride.y)).max(axis=0)
+    image = np.broadcast_to(share * largest, size.shape)
+
+    inverse = stride.inverse[:m, :m]
+    of_image = matvec(np.abs(inverse), image + beyond)
+    through = np.abs(inverse - np.eye(m)[:, :, None])
+    return EPS * (of_image + matvec(through, size + beyond)) / size

@@ -1,0 +1,322 @@
+"""Fixed points without a known gait to begin with: from a lattice of initial guesses
+over the section, and from the gaits of small angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.gaits.step_check import verify_steps
+from gaitsweep.tasks.mechanics.small_angles import SmallAngles
+from gaitsweep.tasks.mechanics.small_gaits import small_gaits
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.several_steps import AnyStride
+from gaitsweep.tasks.step.verify_step import StepCheck
+from gaitsweep.tasks.walkers.walker import Walker
+
+#: Coarse Newton steps of a guess: what is not near a gait by then hardly ever
+#: converges.
+_MAX_ITERATIONS = 15
+#: Guesses whose first, second, ... Newton step is larger are given up: hardly one
+#: converges, and others reach its gait. By the number of phases of a step.
+_MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
+#: Guesses in one cell of this size after three steps converge to one gait: the nearest
+#: to it continues.
+_MERGE_CELL = 0.1
+#: Stance angles of the lattice, and its periods over the time in which the leg swings
+#: by itself: with straight legs, and with knees. Gaits of random walkers have periods
+#: of 0.5 to 1.8 swings.
+_ANGLES, _ANGLES_KNEED = 9, 7
+_PERIODS, _PERIODS_KNEED = (
+    (0.5, 0.65, 0.8, 0.95, 1.1, 1.27, 1.6),
+    (0.58, 0.7, 0.8, 0.9, 1.02, 1.18, 1.42),
+)
+#: Periods farther apart have another between them [sqrt(leg/g)]: a slow leg's steps
+#: nearly end upright.
+_LARGEST_GAP = 1.25
+#: Rates of kneed legs just before heelstrike, the swing leg's over the stance leg's: of
+#: long and of short gaits.
+_RATIOS = (0.8, 0.0)
+#: Periods of the lattice replaced by those in which point feet exchange places.
+_EXCHANGED = (2, 3)
+#: Largest rate over angle of a guess.
+_MAX_RATE = 20.0
+#: Largest rate [sqrt(g/leg)] to which linear theory is of use, and the swing leg's over
+#: the angle of a guess beyond.
+_LINEAR_UP_TO, _PLAIN_SWING = 1.0, -0.5
+
+
+def starts(
+    walker: Walker, slopes: Sequence[float], shares: int = 1
+) -> list[np.ndarray]:
+    """Return the initial guesses at some slopes, from a lattice over step length and
+    period and, for straight legs, from the gaits of small angles.
+
+    Parameters
+    ----------
+    walker : Walker
+    slopes : sequence of float [rad]
+    shares : int
+        Slopes that follow each other share the lattice, so many at a time.
+
+    Returns
+    -------
+    list of ndarray, shape (m + phases, n)
+        For each slope, in similarity coordinates.
+
+    Notes
+    -----
+    Stance angles run from the linear (slope) to the cube-root scaling, periods are
+    those of `periods`. The rates are those with which, to first order in the angles,
+    the legs exchange places in the period. Where these are too large for linear theory,
+    as on steep slopes, only the stance leg reaches the other's place. With knees it
+    does so always, but for the rate of an inverted pendulum on steep slopes. With point
+    feet heelstrike fixes the ratio of the rates, so that both legs exchange places in
+    certain periods only: the two shortest take the place of two of the lattice.
+
+    Knees whose return small angles do not tell have a second guess each, with another
+    time of kneestrike (`SmallAngles.kneed_exchange`).
+    """
+    linear = SmallAngles(walker)
+    lattices = _lattices(linear, slopes, shares)
+    counts = [lattice.shape[1] for lattice in lattices]
+    number = np.repeat(np.arange(len(slopes)), counts)
+    log_angle, period, *ratio = np.hstack(lattices)
+    at_slope = np.asarray(slopes)[number]
+
+    if walker.knees:
+        w, chosen = _kneed_guesses(linear, log_angle, period, ratio[0], at_slope)
+        number = number[chosen]
+        return [w[:, number == i] for i in range(len(slopes))]
+
+    rows = _straight_guesses(linear, np.exp(log_angle), period, at_slope)
+    w = np.vstack([log_angle, *rows])
+    small = _small_guesses(linear, slopes)
+    return [np.hstack([w[:, number == i], small[i]]) for i in range(len(slopes))]
+
+
+def _lattices(
+    linear: SmallAngles,
+    slopes: Sequence[float],
+    shares: int,
+) -> list[np.ndarray]:
+    """The slopes' shares of the lattice: ln angles, periods and, with knees, ratios of
+    rates, shape (2 or 3, n).
+    """
+    periods = _periods(linear)
+    angles = _ANGLES_KNEED if linear.has_knees else _ANGLES
+    ratios = [_RATIOS] if linear.has_knees else []
+    lattices = []
+    for i, slope in enumerate(slopes):
+        top = _largest_angle(slope)
+        bottom = max(0.7 * slope, 0.01 * top)
+        log_angles = np.linspace(np.log(bottom), np.log(min(top, 1.2)), angles)
+
+        grid = np.meshgrid(log_angles, periods, *ratios, indexing="ij")
+        whole = np.array([axis.ravel() for axis in grid])
+        lattices.append(whole[:, i % shares :: shares])
+    return lattices
+
+
+def _largest_angle(slope: float) -> float:
+    """Angle of steps that lose more energy than a gentle slope gives [rad]."""
+    return float(2.0 * slope ** (1 / 3))
+
+
+def lattice_size(walker: Walker, slopes: Sequence[float], shares: int) -> int:
+    """Number of guesses on the lattice, as for `starts`."""
+    lattices = _lattices(SmallAngles(walker), slopes, shares)
+    return sum(lattice.shape[1] for lattice in lattices)
+
+
+def periods(walker: Walker) -> np.ndarray:
+    """Periods of the guesses, from that in which the walker's leg swings by itself,
+    shape (k,) [sqrt(leg/g)].
+    """
+    return _periods(SmallAngles(walker))
+
+
+def _periods(linear: SmallAngles) -> np.ndarray:
+    lattice = np.array(_PERIODS_KNEED if linear.has_knees else _PERIODS) * linear.swing
+    wide = np.diff(lattice) > _LARGEST_GAP
+    between = (lattice[:-1] + lattice[1:])[wide] / 2
+    return np.sort(np.concatenate([lattice, between]))
+
+
+def _straight_guesses(
+    linear: SmallAngles, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
+) -> list[np.ndarray]:
+    """Rates over the angle and periods of guesses for straight legs."""
+    if linear.point_foot:
+        lattice = _periods(linear)
+        for place, exchange in zip(
+            _EXCHANGED, linear.exchange_periods(angle, slope), strict=True
+        ):
+            period = np.where(
+                (period == lattice[place]) & np.isfinite(exchange), exchange, period
+            )
+
+    rates = linear.exchange_rates(angle, period, slope)
+    swing = np.full(len(period), _PLAIN_SWING)
+    stance = linear.stance_rate(angle, period, swing * angle, slope) / angle
+    plain = np.array([np.clip(stance, -_MAX_RATE, _MAX_RATE), swing])
+
+    # A fast leg swings through small angles at high rates.
+    quickness = max(1.0, np.pi / linear.swing)
+    limits = _LINEAR_UP_TO * np.array([[1.0], [quickness]])
+    is_linear = (np.abs(rates) <= limits).all(axis=0)
+    largest = _MAX_RATE * quickness
+    rates = np.where(is_linear, np.clip(rates / angle, -largest, largest), plain)
+
+    # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
+    return [*(rates[:1] if linear.point_foot else rates), period]
+
+
+def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray]:
+    """Guesses that are gaits of straight legs to first order, for each slope."""
+    fastest = _MAX_RATE * max(1.0, np.pi / linear.swing)
+    found = []
+    for slope, gaits in zip(slopes, small_gaits(linear, slopes), strict=True):
+        angle, *rates, period = gaits
+        used = rates[:1] if linear.point_foot else rates
+        w = np.array([np.log(angle), *used, period])
+
+        # Larger angles lose more energy than the slope gives; to first order none is
+        # lost.
+        is_small = angle < _largest_angle(slope)
+        is_slow = (np.abs(used) < fastest).all(axis=0)
+        found.append(w[:, is_small & is_slow])
+    return found
+
+
+def _kneed_guesses(
+    linear: SmallAngles,
+    log_angle: np.ndarray,
+    period: np.ndarray,
+    ratio: np.ndarray,
+    slope: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Guesses for legs with knees, with rates over the angle just before heelstrike,
+    and which of the lattice each belongs to.
+    """
+    angle = np.exp(log_angle)
+    rate, kneestrike = linear.kneed_exchange(angle, period, ratio, slope)
+    is_linear = np.abs(rate) <= _LINEAR_UP_TO
+    plain = -1.0 / np.tanh(period / 2)
+    rate = np.where(is_linear, np.clip(rate / angle, -_MAX_RATE, _MAX_RATE), plain)
+
+    guessed = np.isfinite(kneestrike)
+    at = np.nonzero(guessed)[1]
+    rate, kneestrike = rate[guessed], kneestrike[guessed]
+    swing_rate = ratio[at] * rate
+    w = np.array([log_angle[at], rate, swing_rate, kneestrike, period[at]])
+    return w, at
+
+
+def search(
+    problem: Problem, slope: float
+) -> tuple[np.ndarray, AnyStride | None, StepCheck | None]:
+    """Find the distinct fixed points that the lattice of guesses leads to at one slope,
+    in order of the stance angle.
+
+    Parameters
+    ----------
+    slope : float [rad]
+
+    Returns
+    -------
+    w : ndarray, shape (m + phases, n)
+        In similarity coordinates.
+    stride : Stride or None
+        Their steps; None where there is no fixed point.
+    check : StepCheck or None
+        Whether these happen.
+    """
+    w = search_lines(Lanes([problem.walker]), [slope])[0][0]
+    if not w.shape[1]:
+        return w, None, None
+    return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
+
+
+def search_lines(
+    problem: Lanes, slopes: Sequence[float], shares: int = 1
+) -> list[list[np.ndarray]]:
+    """Find the distinct fixed points that the lattice of guesses leads to, whether they
+    are steps or not.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of one lane for each line.
+    slopes : sequence of float [rad]
+    shares : int
+        As for `starts`.
+
+    Returns
+    -------
+    list of list of ndarray, shape (m + phases, n)
+        In similarity coordinates, for each slope one array a line.
+    """
+    lines = range(len(problem.lanes))
+    lattice = [
+        w for line in lines for w in starts(problem.walker_of(line), slopes, shares)
+    ]
+    # A group is a slope of a line.
+    group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
+    w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
+
+    def solve(
+        w: np.ndarray, group: np.ndarray, apart: float, **options: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        lanes = problem.some(group // len(slopes))
+        w, converged = newton(
+            lanes, w, log_slope[group % len(slopes)], group=group, **options
+        )
+        w, group = w[:, converged], group[converged]
+        kept, _ = distinct(w, group, apart)
+        return w[:, kept], group[kept]
+
+    limits = {
+        "max_iterations": _MAX_ITERATIONS,
+        "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases],
+    }
+    # Only what converges with coarse integration is integrated exactly.
+    w, group = solve(w, group, 1e-3, coarse=True, merge_cell=_MERGE_CELL, **limits)
+    w, group = solve(w, group, 1e-5)
+    return [
+        [w[:, group == i + len(slopes) * line] for line in lines]
+        for i in range(len(slopes))
+    ]
+
+
+def distinct(
+    w: np.ndarray, group: np.ndarray, apart: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which solutions remain, in a fixed order, if those nearer than `apart` to one
+    that remains of their group go.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+    group : ndarray of int, shape (n,)
+    apart : float
+
+    Returns
+    -------
+    kept : ndarray of int, shape (k,)
+        Their numbers.
+    same : ndarray of int, shape (n,)
+        For each solution the place in `kept` of that which stands for it.
+    """
+    kept, same, first = list[int](), np.zeros(w.shape[1], int), 0
+    for i in np.lexsort([*np.round(w, 6)[::-1], group]).tolist():
+        if kept and group[kept[-1]] != group[i]:
+            first = len(kept)
+        near = np.abs(w[:, kept[first:]] - w[:, [i]]).max(axis=0) <= apart
+        same[i] = first + near.argmax() if near.any() else len(kept)
+        kept += [] if near.any() else [i]
+    return np.array(kept, int), same

@@ -1,0 +1,163 @@
+"""Attractors: the gait that captures an orbit, the period with which it repeats, or
+neither.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from gaitsweep.tasks.mechanics.sums import matvec, norm
+from gaitsweep.tasks.orbits.walk import Walk, change
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
+
+#: Longest period identified, and the name of an orbit with none up to it.
+LONGEST_PERIOD, WALKS_ON = 32, "walks on"
+#: Relative change after a period up to which an orbit no longer changes, and up to
+#: which it repeats if it changes so little after twice the period too.
+_AT_REST, _REPEATS = 1e-11, 1e-5
+#: Largest distance at which a stable gait captures orbits, in coordinates along its
+#: eigenvectors and over its norm; how much larger than measured the curvature of the
+#: step map may be; and least volume of the eigenvectors, which have length one, of a
+#: gait that captures any.
+_NEAR, _SAFETY, _MIN_VOLUME = 1e-4, 8.0, 1e-8
+
+
+class Neighbourhoods:
+    """Where orbits surely converge to their gaits.
+
+    In coordinates c along the eigenvectors of the step map's derivative at a gait, a
+    step takes c to something no larger than r |c| + k |c|^2, with the spectral radius
+    r, the curvature k, and |c| the largest coordinate. So it shortens all |c| below (1
+    - r)/k; half of that distance is taken. The curvature is measured at the sums of
+    eigenvectors, which determine a quadratic map. Unstable gaits, and gaits with hardly
+    independent eigenvectors, have no neighbourhood.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of n lanes.
+    y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+        Section coordinates of gaits.
+    slope : ndarray, shape (n,) [rad]
+    """
+
+    def __init__(self, problem: Problem, y: np.ndarray, slope: np.ndarray):
+        m, n = y.shape
+        self.y, self.radius = y, np.zeros(n)
+        self._coordinates = np.full((m, m, n), np.nan, complex)
+        at = stride(problem, y, slope)
+        lanes = np.flatnonzero(at.outcome == STRUCK)
+        values, vectors = np.linalg.eig(np.moveaxis(at.jacobian[:, :, lanes], -1, 0))
+        radius = np.abs(values).max(axis=1)
+        good = (radius < 1) & (np.abs(np.linalg.det(vectors)) > _MIN_VOLUME)
+        lanes, radius, values = lanes[good], radius[good], values[good]
+        vectors = vectors[good] * norm(y[:, lanes])[:, None, None]
+        self._coordinates[:, :, lanes] = np.moveaxis(np.linalg.inv(vectors), 0, -1)
+        # Real and imaginary part stand for the vectors of a pair.
+        real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
+        sums = np.array(list(itertools.product((0, 1), repeat=m))[1:])
+        off = _NEAR * matvec(
+            real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]
+        ).swapaxes(1, 2).reshape(m, -1)
+        each = np.repeat(lanes, len(sums))
+        image = stride(
+            problem.some(each), y[:, each] + off, slope[each], exact=False
+        ).image
+        rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
+        curvature = (
+            (self._size(rest, each) / self._size(off, each) ** 2)
+            .reshape(-1, len(sums))
+            .max(axis=1)
+        )
+        self.radius[lanes] = np.minimum(
+            np.nan_to_num(0.5 * (1 - radius) / (_SAFETY * curvature)), _NEAR
+        )
+
+    def some(self, lanes: np.ndarray) -> Neighbourhoods:
+        """Return those of some lanes (k,)."""
+        some = copy.copy(self)
+        some.y, some.radius = self.y[:, lanes], self.radius[lanes]
+        some._coordinates = self._coordinates[:, :, lanes]
+        return some
+
+    def hold(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        """Whether states (m, k) of some lanes (k,) lie in them."""
+        return self._distance(y, lanes) < self.radius[lanes]
+
+    def lie_near(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        """Whether states (m, k) of some lanes (k,) lie as near to stable gaits as any
+        neighbourhood extends.
+        """
+        return self._distance(y, lanes) < _NEAR
+
+    def _distance(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        return self._size(y - self.y[:, lanes], lanes)
+
+    def _size(self, off: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        """Largest coordinate of deviations (m, k) along the eigenvectors of some lanes
+        (k,).
+        """
+        return np.asarray(
+            np.abs(matvec(self._coordinates[:, :, lanes], off)).max(axis=0)
+        )
+
+
+def attractors(
+    walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int
+) -> np.ndarray:
+    """Find the attractor of each orbit.
+
+    Parameters
+    ----------
+    walk : Walk
+        Of n walkers at their initial states.
+    homes : mapping
+        Neighbourhoods of gaits by name, one gait for each walker.
+    steps : int
+        Steps after which the period of an orbit that still changes is told, from the
+        steps that follow.
+
+    Returns
+    -------
+    ndarray of str, shape (n,)
+        A name of `homes`, `period k` with k up to LONGEST_PERIOD, WALKS_ON for all that
+        repeats less often, or how the walker fell.
+    """
+    n = walk.y.shape[1]
+    found = np.full(n, WALKS_ON, "U24")
+    names = np.array([f"period {p}" for p in range(1, LONGEST_PERIOD + 1)])
+    seen, seen_at, period = walk.y.copy(), 0, np.zeros(n, int)
+    for taken in walk.steps(steps + 2 * LONGEST_PERIOD):
+        lanes, elapsed = walk.lanes, taken - seen_at
+        y = walk.y[:, lanes]
+        moved = change(seen[:, lanes], y)
+        if elapsed <= LONGEST_PERIOD:
+            # Beside a flip an orbit alternates while it settles: after twice its period
+            # it is at rest much sooner.
+            period[lanes[(moved < _REPEATS) & (period[lanes] == 0)]] = elapsed
+        repeats = (taken > steps) & (moved < _REPEATS) & (elapsed == 2 * period[lanes])
+        known = (period[lanes] > 0) & (repeats | (moved < _AT_REST))
+        found[lanes[known]] = names[period[lanes[known]] - 1]
+        for name, home in homes.items():
+            held = home.hold(y, lanes)
+            found[lanes[held]] = name
+            known |= held
+        walk.lanes = lanes[~known]
+        if taken == steps or (taken < steps and elapsed == LONGEST_PERIOD):
+            seen, seen_at, period = walk.y.copy(), taken, np.zeros(n, int)
+    for (
+        name,
+        home,
+    ) in (
+        homes.items()
+    ):  # beside a flip a neighbourhood may be too small to hold what settles there
+        single = np.flatnonzero(found == names[0])
+        found[single[home.lie_near(walk.y[:, single], single)]] = name
+    fell = walk.outcome != STRUCK
+    found[fell] = np.array(CAUSES)[walk.outcome[fell]]
+    return found

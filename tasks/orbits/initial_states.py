@@ -1,0 +1,104 @@
+"""Initial states of orbits: a line's gaits at given slopes, and a low-discrepancy
+sequence to distribute states.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.gaits.labels import places
+from gaitsweep.tasks.gaits.polish import Polished
+from gaitsweep.tasks.gaits.step_check import gait_ratio
+from gaitsweep.tasks.step.problem import Problem
+
+#: What is said of a slope without a gait that was found and verified.
+NO_START = "no gait to start from"
+#: Generalised golden ratios: the roots of x^(m + 1) = x + 1, by the dimension m.
+_GOLDEN_RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
+
+
+def r_sequence(m: int, count: int) -> np.ndarray:
+    """Return the first points of a low-discrepancy sequence in the unit cube.
+
+    Returns
+    -------
+    ndarray, shape (m, count)
+
+    Notes
+    -----
+    The R sequence, an additive recurrence by powers of the generalised golden ratio (M. Roberts, "The unreasonable
+    effectiveness of quasirandom sequences", 2018). A longer sequence begins with the
+    shorter one.
+    """
+    steps = np.array([_GOLDEN_RATIO[m] ** -(i + 1) for i in range(m)])
+    return (0.5 + steps[:, None] * np.arange(1, count + 1)) % 1
+
+
+def labelled(
+    problem: Problem, branches: list[Branch], slope: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, Polished]]:
+    """Find a line's gaits at given slopes, piece by piece.
+
+    Parameters
+    ----------
+    branches : list of Branch
+        The line's atlas.
+    slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    list of (index, place, gaits)
+        Of each piece of a branch the indices of the slopes that it covers; the labels
+        of the gaits there as `places` has them, -1 where none was found and verified to
+        be a step; and these gaits.
+    """
+    found, keys = [], []
+    for branch in branches:
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            guesses = branch.known_guesses(Z, segment, slope[index])
+            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
+            converged, key = at.converged & at.step, np.full((2, len(slope)), np.nan)
+            # As in `points`, one that is lost still counts for the labels of the
+            # others, as its branch's gait.
+            key[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
+            key[1, index] = np.where(
+                converged, gait_ratio(at.stride), branch.ratio_on(segment)
+            )
+            found.append((index, converged, at))
+            keys.append(key)
+    every = places(*np.array(keys).reshape(-1, 2, len(slope)).swapaxes(0, 1))
+    return [
+        (index, np.where(ok, place[index], -1), at)
+        for place, (index, ok, at) in zip(every, found, strict=True)
+    ]
+
+
+def gaits_at(
+    problem: Problem, branches: list[Branch], slope: np.ndarray, label: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find a line's gaits of one label at given slopes.
+
+    Parameters
+    ----------
+    branches : list of Branch
+        The line's atlas.
+    slope : ndarray, shape (n,) [rad]
+    label : str
+        Of GAITS.
+
+    Returns
+    -------
+    index : ndarray of int, shape (k,)
+        Indices of the slopes at which one was found and verified to be a step, rising.
+    y : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
+        Their section coordinates.
+    """
+    sections = np.full((problem.m, len(slope)), np.nan)
+    for index, place, at in labelled(problem, branches, slope):
+        own = place == GAITS.index(label)
+        sections[:, index[own]] = (at.y * at.scale)[:, own]
+    known = np.flatnonzero(np.isfinite(sections).all(axis=0))
+    return known, sections[:, known]

@@ -1,0 +1,262 @@
+"""The task `branch`: solution branches over a window of slopes, with their special
+points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.locate import locate_root
+from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.sampling import chosen, within
+from gaitsweep.tasks.branches.special_points import RATES, record, special_points
+from gaitsweep.tasks.branches.tracking import correct
+from gaitsweep.tasks.contract.status import over
+from gaitsweep.tasks.contract.tables import nothing, stacked, table
+from gaitsweep.tasks.gaits.multipliers import multipliers
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.several_steps import from_largest
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+
+#: Columns of the tables `branches` and `special_points`.
+COLUMNS = (
+    *("branch", "slope", "stance_angle", *RATES),
+    *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
+)
+SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
+#: Largest number of points between two nodes; a window that needs more is too narrow.
+_MAX_PARTS = 65536
+#: Least share of ln slope in a branch's direction for points to be corrected at their
+#: slopes.
+_STEEP = 1e-2
+
+
+def branch(
+    params: Mapping[str, Any], inputs: list[dict[str, ndarray]]
+) -> dict[str, ndarray]:
+    """Sample a line's branches, continued through folds to their ends.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of
+        points of a branch in it, or `adaptive`, the tolerance of linear interpolation
+        between them; `steps` after which the gaits repeat.
+    inputs : list
+        The line's atlas, of the same `steps`.
+
+    Returns
+    -------
+    dict
+        Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate,
+        shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
+        `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
+        shank_rate, period, error_bound), in the walker's units.
+    """
+    walker = walker_of_line(params["line"])
+    problem = Problem(walker, int(params.get("steps", 1)))
+    low, high = float(params["slope_from"]), float(params["slope_to"])
+    least = int(params.get("n", 2))
+    tolerance = float(params.get("adaptive", 0.0))
+    parts: list[tuple[Any, ...]] = []
+    points: list[tuple[Any, ...]] = []
+    for number, curve in enumerate(atlases.from_arrays(inputs[0])):
+        if tolerance:
+            Z = chosen(problem, curve, low, high, tolerance)
+        else:
+            Z = _dense(problem, curve, low, high, least)
+        if Z.shape[1]:
+            parts.append((number, *_columns(problem, Z)))
+            for point in _special_within(problem, curve, low, high):
+                points.append((number, *_special_row(problem, point)))
+
+    tables = stacked("branches", parts, COLUMNS)
+    tables |= table("special_points", points, SPECIAL)
+    if not parts:
+        gait = "gait"
+        if problem.steps > 1:
+            gait += f" of {problem.steps} steps"
+        tables |= nothing(over(gait, np.array([low, high])))
+    return tables
+
+
+def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
+    """Columns of the table `branches` after the first, of points of a branch."""
+    walker = problem.walker
+    w = from_largest(Z[:-1], problem.m, problem.steps)
+    slope = np.exp(Z[-1])
+    stride, scale = problem.stride(w, Z[-1])
+    state = problem.start(stride.y * scale, slope)
+    rates = state[1:] / walker.time_unit
+    jacobian = stride.jacobian
+    magnitudes = np.abs(multipliers(jacobian, len(jacobian)))
+    radius = magnitudes.max(axis=1)
+    times = w[problem.m :] * walker.time_unit
+    kneestrike = times[0] if walker.knees else np.nan
+    return (
+        slope,
+        np.exp(w[0]),
+        *rates,
+        times[-1],
+        kneestrike,
+        radius,
+        (radius < 1).astype("i1"),
+        np.where(gait_ratio(stride) < LONG_BELOW, "long", "short"),
+    )
+
+
+def _special_within(
+    problem: Problem, branch: Branch, low: float, high: float
+) -> list[dict[str, Any]]:
+    """Special points of a branch in a window, and where it leaves the window."""
+    found = special_points(problem, branch)
+    found += contact_lost(problem, branch, low, high)
+    inside = []
+    for point in found:
+        if low <= point["slope"] <= high and point["kind"] != "window":
+            inside.append(point)
+    return inside + _leaves_window(problem, branch, low, high)
+
+
+def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
+    """Row of the table `special_points` after the first column."""
+    time_unit = problem.walker.time_unit
+    return (
+        point["kind"],
+        point["slope"],
+        point["stance_angle"],
+        *(np.array(point["rates"]) / time_unit),
+        point["period"] * time_unit,
+        point["error_bound"],
+    )
+
+
+def contact_lost(
+    problem: Problem, branch: Branch, low: float, high: float
+) -> list[dict[str, Any]]:
+    """Locate the points at which the least normal force over a step vanishes, so that
+    the foot would lift off.
+
+    Parameters
+    ----------
+    problem : Problem
+    branch : Branch
+    low, high : float [rad]
+        Window of slopes.
+
+    Returns
+    -------
+    list of dict
+        As `special_points`, of kind `end_contact_lost`. The step map does not model it,
+        and the branch continues.
+    """
+
+    def least(point: Point) -> float:
+        return float(_least_force(problem, point.Z)[0])
+
+    near = _nodes_near(branch, low, high)
+    if not len(near):
+        return []
+
+    force = np.full(len(branch.q), np.nan)
+    force[near] = _least_force(problem, branch.Z[:, near])
+    records: list[dict[str, Any]] = []
+    changes = force[1:] * force[:-1] < 0
+    for segment in np.flatnonzero(changes).tolist():
+        point = run(problem, locate_root(branch, segment, least))
+        # Closer samples show the error of the minimum of a sampled force.
+        finer = _least_force(problem, point.Z, 2 * violations.SAMPLES)[0]
+        share = finer / (force[segment + 1] - force[segment])
+        length = branch.q[segment + 1] - branch.q[segment]
+        error = abs(float(share * length)) + 64 * EPS
+        records.append(record("end_contact_lost", point.at, 0, error))
+    return records
+
+
+def _nodes_near(branch: Branch, low: float, high: float) -> Numbers:
+    """Nodes of the segments that meet a window, which may lie within one."""
+    left, right = branch.q[:-1], branch.q[1:]
+    meets = np.minimum(left, right) <= np.log(high)
+    meets &= np.maximum(left, right) >= np.log(low)
+    beside = np.convolve(meets, np.ones(2))
+    return np.flatnonzero(beside)
+
+
+def _least_force(
+    problem: Problem, Z: Coordinates, samples: int = violations.SAMPLES
+) -> PerLane:
+    """Least normal force over the steps of gaits, as `violations` measures it."""
+    stride, scale = problem.stride(Z[:-1], Z[-1], samples=samples)
+    singles = stride.singles
+    scale, slope = np.tile([scale, np.exp(Z[-1])], stride.steps)
+    motion = [part * scale for part in singles.motion]
+    # A step begins with the heelstrike that ends the one before it.
+    impact = np.roll(singles.impact, Z.shape[1], axis=1) * scale
+    measured = violations.measure(problem.walker, motion, impact, singles.times, slope)
+    force: PerLane = measured["least_normal_force"]
+    return force.reshape(stride.steps, -1).min(axis=0)
+
+
+def _leaves_window(
+    problem: Problem, branch: Branch, low: float, high: float
+) -> list[dict[str, Any]]:
+    """Find the points at which a branch goes on beyond a window of slopes.
+
+    Parameters
+    ----------
+    problem : Problem
+    branch : Branch
+    low, high : float [rad]
+        The window.
+
+    Returns
+    -------
+    list of dict
+        As `special_points`, of kind `window`, at the slopes of its edges. Nothing
+        happens to the gaits there.
+    """
+    edges = np.array([low, high])
+    records: list[dict[str, Any]] = []
+    for index, Z, _ in branch.guesses(np.log(edges)):
+        point = correct(problem, Z, None)
+        for lane in np.flatnonzero(point.ok).tolist():
+            edge = {"slope": float(edges[index[lane]])}
+            records.append(record("window", point.at, lane, 8 * EPS) | edge)
+    return records
+
+
+def _dense(
+    problem: Problem, branch: Branch, low: float, high: float, least: int
+) -> Coordinates:
+    """Points of the branch within the window, its nodes and as many between as `least`
+    points need.
+    """
+    parts = 1
+    window = np.log(low), np.log(high)
+    place, Z = within(branch, *window, parts)
+    while 0 < len(place) < least and parts < _MAX_PARTS:
+        parts *= 2
+        place, Z = within(branch, *window, parts)
+    if branch.steps == 1:
+        return Z
+
+    # The polynomials of gaits of several steps are coarse. Beside folds, slopes do not
+    # tell gaits apart.
+    between = np.flatnonzero(place % 1 > 0)
+    if len(between):
+        border = branch.direction[:, place[between].astype(int)]
+        along_slope = np.eye(len(border))[:, [-1]]
+        border[:, np.abs(border[-1]) > _STEEP] = along_slope
+        point = correct(problem, Z[:, between], border)
+        Z[:, between[point.ok]] = point.Z[:, point.ok]
+    return Z

@@ -1,0 +1,330 @@
+"""The task `curve`: folds, flips and ends of branches, continued in slope and one key
+of the walker.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.curves import (
+    follow_both_directions,
+    turning,
+    walks,
+)
+from gaitsweep.tasks.branches.equations import (
+    DIFFERENCE,
+    Equations,
+    Keys,
+    correct_on_curve,
+    slope_error,
+)
+from gaitsweep.tasks.branches.special_points import RATES, special_points
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
+from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
+
+#: Why a line has no curve.
+_NO_START = (
+    "No point to start a curve from was found, neither at the value of the walker nor "
+    "at the ends of the range."
+)
+#: Share of the range of the key at which its value is ordinary; and of the way there
+#: from a value that is not, at which a curve begins.
+_ORDINARY, _BESIDE = 0.4871, 1e-3
+#: Distance of a key from where a curve began that is rounding.
+_AT_BORDER = 1e-9
+#: Columns of the tables.
+_PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
+_CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
+_TURNINGS = ("curve", "kind", "turn", *_PLACE)
+
+
+def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Continue a line's special points as one key varies.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, at which the curves begin if its value of the key lies in the range and
+        it has such points, else at an end of the range, the nearer first; `slope`,
+        ndarray [rad], whose ends are the window; and the study's options: `key` (a
+        walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
+        walker's units, and `kinds` of points.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate,
+        thigh_rate, shank_rate, period, error_bound, walks, and at its ends `stopped`:
+        why it was followed no further) and `turnings` (turning points of key or slope
+        along a curve: curve, kind, turn, and from slope to error_bound the same), in
+        the walker's units.
+
+    Raises
+    ------
+    WalkerError
+        If the walker has no such key, or the range is empty.
+    """
+    line, options = params["line"], registry.options("curve", params)
+    key = str(options["key"])
+    keys = _keys(line, key, float(options["from"]), float(options["to"]))
+    slope = np.asarray(params["slope"], float)
+    window = _Window((slope.min(), slope.max()), keys)
+    tables = _Tables([], [])
+    value = _value_of_line(line, key)
+    for begin in _beginnings(value, keys):
+        problem = Problem(keys.walker_at(begin))
+        if begin == value:
+            branches = atlases.from_arrays(inputs[0])
+        else:
+            branches = atlases.survey(problem)
+        seeds = _seeds(problem, branches, options["kinds"], window)
+        if _follow_all(seeds, begin, window, tables):
+            break
+
+    found = table("curves", tables.curves, _CURVES)
+    found |= table("turnings", tables.turnings, _TURNINGS)
+    return found if tables.curves else found | nothing(_NO_START)
+
+
+def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
+    """A line's key as an unknown, over its range."""
+    if not low < high:
+        raise WalkerError("from", low, f"must be less than `to` = {high!r}")
+
+    def walker_at(value: float) -> Walker:
+        return resolve(line["walker"], {**line.get("set", {}), key: value})
+
+    # Away from any special value: the equations that hold there hold throughout the
+    # range.
+    ordinary = low + _ORDINARY * (high - low)
+    walker_at(ordinary)
+    return Keys((key,), walker_at, (low,), (high,), (ordinary,))
+
+
+@dataclass(frozen=True)
+class _Window:
+    """The ends of slopes [rad], and the key with its range."""
+
+    slopes: tuple[float, float]
+    keys: Keys
+
+    @property
+    def edges(self) -> ndarray:
+        """Least and largest ln slope and key, as points count them, shape (2, 2)."""
+        log_slopes = np.log(self.slopes)
+        ends = np.hstack([self.keys.low, self.keys.high])
+        return np.array([log_slopes, ends / self.keys.scale])
+
+    def holds(self, log_slope: float) -> bool:
+        """Whether a ln slope lies in the window."""
+        low, high = np.log(self.slopes)
+        return bool(low <= log_slope <= high)
+
+    def inside(self, X: ndarray) -> ndarray:
+        """A point (u,) whose ln slope is moved to the window's edge if it lies beyond
+        by rounding.
+        """
+        moved = X.copy()
+        moved[-2] = np.clip(X[-2], *np.log(self.slopes))
+        return moved
+
+
+class _Tables(NamedTuple):
+    """Rows of both tables."""
+
+    curves: list[tuple[Any, ...]]
+    turnings: list[tuple[Any, ...]]
+
+
+def _follow_all(
+    seeds: list[tuple[str, ndarray]], begin: float, window: _Window, tables: _Tables
+) -> bool:
+    """Follow the curves through special points at one value of the key, each once; and
+    whether there is any.
+    """
+    seen: list[tuple[str, ndarray]] = []
+    for kind, Z in seeds:
+        equations = Equations(window.keys, [CONDITIONS[kind]])
+        guess = np.append(Z, begin / window.keys.scale)[:, None]
+        first = correct_on_curve(equations, guess, _across_key(guess))
+        on_curve = [X for other, X in seen if other == kind]
+        if not first.ok[0] or any(same(first.Z[:, 0], X, SAME_POINT) for X in on_curve):
+            continue
+
+        points, tangents, stopped = follow_both_directions(
+            equations, first, window.edges
+        )
+        # A curve that returns to the line it began on passes through another of its
+        # points.
+        seen += [(kind, X) for X in _returns(equations, points, first.Z)]
+        number = len({row[0] for row in tables.curves})
+        tables.curves.extend(_rows(number, kind, equations, points, stopped, window))
+        tables.turnings.extend(
+            _turning_rows(number, kind, equations, points, tangents, window)
+        )
+    return bool(seen)
+
+
+def _across_key(X: ndarray) -> ndarray:
+    """The direction (u, 1) of the key."""
+    return np.eye(len(X))[:, [-1]]
+
+
+def _rows(
+    number: int,
+    kind: str,
+    equations: Equations,
+    points: ndarray,
+    stopped: tuple[str, str],
+    window: _Window,
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of a curve's points (p, u)."""
+    reasons = [""] * len(points)
+    reasons[0] = stopped[0]
+    reasons[-1] = stopped[1]
+    for X, reason in zip(points, reasons, strict=True):
+        error = _error(equations, X, window)
+        is_step = int(walks(equations, X))
+        place = _place(equations, X, window)
+        yield (number, kind, *place, error, is_step, reason)
+
+
+def _turning_rows(
+    number: int,
+    kind: str,
+    equations: Equations,
+    points: ndarray,
+    tangents: ndarray,
+    window: _Window,
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the turning points of a curve, of its key first."""
+    along = list(zip(points, tangents, strict=True))
+    for component, turn in ((-1, "key"), (-2, "slope")):
+        for a, b in itertools.pairwise(along):
+            found = turning(equations, a, b, component)
+            if found is not None:
+                X, error = found
+                yield (number, kind, turn, *_place(equations, X, window), error)
+
+
+def _beginnings(value: float, keys: Keys) -> Iterator[float]:
+    """Values at which curves may begin, moved where they are not ordinary: the walker's
+    own, or the nearest in the range; then the ends of the range, the nearer one first.
+    """
+    (low,), (high,), (ordinary,) = keys.low, keys.high, keys.ordinary
+    nearest = min(max(value, low), high)
+    ends = [low, high]
+    ends.sort(key=lambda end: abs(end - value))
+    for begin in dict.fromkeys([nearest, *ends]):
+        beside = begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0])
+        beside = np.clip(beside, low, high)
+        if not _is_ordinary(keys.walker_at, beside.tolist(), ordinary):
+            begin += _BESIDE * (ordinary - begin)
+        yield begin
+
+
+def _is_ordinary(
+    walker_at: Callable[[float], Walker], values: list[float], ordinary: float
+) -> bool:
+    """Whether a curve can begin among neighbouring values: walkers exist, and their
+    maps have the usual dimension.
+    """
+    point_foot = walker_at(ordinary).point_foot
+    try:
+        return all(walker_at(value).point_foot == point_foot for value in values)
+    except WalkerError:
+        return False
+
+
+def _place(equations: Equations, X: ndarray, window: _Window) -> tuple[Any, ...]:
+    """Slope, key, its value, state at the start of the step and period of a point, in
+    the walker's units.
+    """
+    slope = float(np.exp(window.inside(X)[-2]))
+    ((value,),) = window.keys.values(X[-1:, None]).tolist()
+    time_unit = window.keys.walker_at(value).time_unit
+    period = float(X[-3]) * time_unit
+
+    problem = equations.problem_at(X[:, None])
+    y, scale = problem.section(X[:-2, None])
+    state = problem.start(y * scale, np.array([slope]))[:, 0]
+    angle, *rates = state.tolist()
+    rates = [rate / time_unit for rate in rates]
+    key = window.keys.names[0]
+    return (slope, key, value, angle, *rates, period)
+
+
+def _error(equations: Equations, X: ndarray, window: _Window) -> float:
+    """Bound on the relative error of a point's slope, at its value of the key; infinite
+    where the key turns.
+    """
+    (condition,) = equations.conditions
+    problem = equations.problem_at(X[:, None]).alone(0)
+    Z = window.inside(X)[:-1]
+    return slope_error(problem, condition, Z) + 8 * EPS
+
+
+def _value_of_line(line: Mapping[str, Any], key: str) -> float:
+    """The line's value of a key."""
+    walker = walker_of_line(line)
+    settings = line.get("set", {})
+    if key in settings:
+        return float(settings[key])
+
+    # A walker's table may be detuned too.
+    table = line["walker"] if isinstance(line["walker"], Mapping) else {}
+    derived = {
+        "detuning": table.get("detuning", 0.0),
+        "foot_mass_ratio": walker.m_s / walker.total_mass,
+    }
+    if is_one_link(table):
+        derived |= {name: table.get(name, 0.0) for name in ONE_LINK}
+    return float(derived[key] if key in derived else getattr(walker, key))
+
+
+def _seeds(
+    problem: Problem, branches: list[Branch], kinds: Any, window: _Window
+) -> list[tuple[str, ndarray]]:
+    """Special points of a line's branches at which curves begin: kind, and Z (c,)."""
+    seeds = []
+    for branch in branches:
+        for point in special_points(problem, branch):
+            kind = str(point["kind"])
+            Z = np.array(point["Z"])
+            if kind in kinds and window.holds(Z[-1]):
+                seeds.append((kind, Z))
+    return seeds
+
+
+def _returns(equations: Equations, points: ndarray, first: ndarray) -> list[ndarray]:
+    """Points of a curve at the value of the key at which it began, `first` (u, 1)."""
+    value = first[-1, 0]
+    returns = [first[:, 0]]
+    # One that began at the border of the range ends there.
+    for end in (points[0], points[-1]):
+        if abs(end[-1] - value) < _AT_BORDER:
+            returns.append(end)
+
+    for a, b in itertools.pairwise(points):
+        if (a[-1] - value) * (b[-1] - value) < 0:
+            share = (value - a[-1]) / (b[-1] - a[-1])
+            guess = ((1 - share) * a + share * b)[:, None]
+            passed = correct_on_curve(equations, guess, _across_key(guess))
+            if passed.ok[0]:
+                returns.append(passed.Z[:, 0])
+    return returns

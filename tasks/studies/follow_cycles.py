@@ -1,0 +1,125 @@
+"""Branches of gaits that repeat after n steps: from the flips of gaits of n/2 steps,
+and from a search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches.atlas import branches_along, is_known, ranked
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.flips import doubled
+from gaitsweep.tasks.branches.joint import Evaluation
+from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.branches.special_points import corrected, flips
+from gaitsweep.tasks.branches.tracking import MAX_MULTIPLIER, follow
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.locate_cascade import search_cycles
+
+#: Slopes of the search for gaits that no flip begins, over the slope of the first flip,
+#: and initial states at each.
+_SEARCHED, _STARTS = np.linspace(0.8, 1.4, 9), 300
+#: First step along a branch that a search finds.
+_FIRST_STEP = 2e-3
+#: Length in ln slope that a doubled branch is taken to have: its first point is near
+#: enough to its flip for a cubic.
+_EXPECTED = 5e-4
+
+
+def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Branch]:
+    """Follow every branch of gaits of n steps that a flip begins or a search finds.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one step.
+    branches : list of Branch
+        The line's atlas.
+    n : int
+        Number of steps after which the gaits repeat, at least 2.
+
+    Returns
+    -------
+    list of Branch
+        By their lowest slopes. Nothing is measured on them but whether they walk: what
+        points need is measured there.
+    """
+    single = _flips_of(problem, branches)
+    steps = n // (n & -n)  # the odd part
+    followed = _searched(problem, branches, steps, single, [])
+    begins = single if steps == 1 else _flips_of(problem, followed)
+    while steps < n:
+        steps *= 2
+        followed = []
+        for flip in begins:
+            begun = doubled(flip, _EXPECTED)
+            if begun and not is_known(followed, begun[0].Z[:, 0]):
+                followed += _along(problem.of_steps(steps), begun[0], begun[2], begins)
+        followed += _searched(problem, branches, steps, single, followed)
+        begins = _flips_of(problem, followed)
+    return ranked(followed)
+
+
+def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
+    found: list[Evaluation] = []
+    for branch in branches:
+        found += flips(problem.of_steps(branch.steps), branch)
+    return found
+
+
+def _along(
+    problem: Problem, gait: Point, step: float, begins: Sequence[Evaluation]
+) -> list[Branch]:
+    """The branch through a gait, followed both ways, in parts that walk."""
+    ((down, up),) = follow(problem, gait.Z, step)
+    return run(problem, branches_along(problem, down, up, COARSE, begins))
+
+
+def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
+    """Slopes at which gaits have doubled already, as those of heavy feet at vanishing
+    slopes, shape (n,) [rad].
+    """
+    medians = []
+    for branch in branches:
+        nodes = corrected(problem, branch)
+        is_beyond = CONDITIONS["flip"].residual(nodes.at) < 0
+        q = branch.q[is_beyond & (branch.leg_passes == 1)]
+        if len(q):
+            medians.append(np.exp(np.median(q)))
+    return np.array(medians)
+
+
+def _searched(
+    problem: Problem,
+    branches: list[Branch],
+    n: int,
+    flips: list[Evaluation],
+    known: list[Branch],
+) -> list[Branch]:
+    """Branches of gaits of n steps that a search near the first flip of one step finds
+    besides the known ones.
+
+    If there is no flip, gaits of two steps are searched for at slopes at which those of
+    one step have doubled.
+    """
+    slopes = np.zeros(0)
+    if flips and n > 2:
+        first = float(np.exp(min(flip.q[0] for flip in flips)))
+        slopes = first * _SEARCHED
+    elif not flips and n == 2:
+        slopes = _beyond_flips(problem, branches)
+
+    followed: list[Branch] = []
+    for slope in slopes.tolist():
+        for gait in search_cycles(problem, branches, slope, n, _STARTS):
+            if abs(gait.at.multipliers[0, 0]) > MAX_MULTIPLIER:
+                continue
+            if not is_known([*known, *followed], gait.Z[:, 0]):
+                followed += _along(problem.of_steps(n), gait, _FIRST_STEP, [])
+    return followed

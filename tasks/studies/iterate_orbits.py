@@ -1,0 +1,235 @@
+"""The task `orbit`: steps from many initial conditions at many slopes, their attractors
+and falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.status import over
+from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.gaits.polish import SAFETY_FACTOR
+from gaitsweep.tasks.orbits.initial_states import NO_START, gaits_at, r_sequence
+from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate
+from gaitsweep.tasks.orbits.walk import Walk
+from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+
+#: Steps over which the directions of growth align before exponents are averaged, and
+#: blocks of the average.
+_ALIGNMENT, _BLOCKS = 16, 8
+#: Columns of a row.
+_SHOWN = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "period",
+    "error_bound",
+)
+#: Longest period at which an orbit is tested for repetition.
+_MAX_PERIOD = 64
+
+
+def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Iterate the step map from initial conditions near a gait, at every slope.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `gait`
+        around which the initial conditions lie, `starts` (their number at each slope),
+        `spread` (their relative distance), `transient` (steps dropped), `steps` (kept,
+        over which exponents are averaged), `shown` (the last of them, tabulated).
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `orbits` (slope, start, stride; angle and rates just after the heelstrike
+        that begins the step, its period, and the error bound of its image; repeats_to,
+        how closely the orbit repeats), `lyapunov` (slope, index, exponent,
+        standard_error, strides, reason), `falls` (slope, start, steps, cause) and
+        `survival` (slope, starts, falls, strides, lifetime: steps per fall), in the
+        walker's units. Exponents are per step; only orbits that walk to the end are in
+        the first two.
+
+    Notes
+    -----
+    Transients are integrated to about 1e-8, kept steps to full precision. Exponents are those of the map on its
+    section; the superficial zero multipliers (paper, section 2.2) would add minus
+    infinities.
+    """
+    options = registry.options("orbit", params)
+    walker = walker_of_line(params["line"])
+    problem = Problem(walker)
+    slope = np.asarray(params["slope"], float)
+    known, gaits = gaits_at(
+        problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"])
+    )
+    count = int(options["starts"])
+    # The same offsets at every slope, so that an orbit does not depend on the study's
+    # other slopes.
+    offsets = np.tile(2 * r_sequence(problem.m, count) - 1, (1, len(known)))
+    y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
+    lane_slope = np.repeat(slope[known], count)
+    start = np.tile(np.arange(count), len(known))
+    unit = walker.time_unit
+    walk, strides = Walk(problem, y, lane_slope), int(options["steps"])
+    _settle(walk, int(options["transient"]))
+    rows, means = _keep(walk, strides, min(int(options["shown"]), strides))
+    walks = walk.outcome == STRUCK
+    kept = (
+        rows[:, :, walks]
+        * np.array([1, 1 / unit, 1 / unit, 1 / unit, unit, 1])[:, None]
+    )
+    shown, n = len(kept), int(walks.sum())
+    out = {
+        "orbits/slope": np.repeat(lane_slope[walks], shown),
+        "orbits/start": np.repeat(start[walks], shown),
+        "orbits/stride": np.tile(np.arange(strides - shown, strides), n),
+        **{f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)},
+        "orbits/repeats_to": np.repeat(_repeats(kept[:, 0]), shown),
+    }
+    without = np.setdiff1d(np.arange(len(slope)), known)
+    out |= {
+        "falls/slope": np.concatenate([lane_slope[~walks], slope[without]]),
+        "falls/start": np.concatenate([start[~walks], np.full(len(without), -1)]),
+        "falls/steps": np.concatenate(
+            [walk.taken[~walks], np.zeros(len(without), int)]
+        ),
+        "falls/cause": np.array(
+            [CAUSES[c] for c in walk.outcome[~walks]] + [NO_START] * len(without), "U24"
+        ),
+    }
+    out |= {} if len(known) else nothing(over(f"{options['gait']} gait", slope))
+    out |= _survival(lane_slope, walk.taken, ~walks)
+    return out | _exponents(means[:, :, walks], lane_slope[walks], strides - _ALIGNMENT)
+
+
+def _repeats(angles: np.ndarray) -> np.ndarray:
+    """Largest relative change of each orbit's angles (steps, n) after the period that
+    changes them least.
+    """
+    periods = range(1, min(_MAX_PERIOD, len(angles) // 2) + 1)
+    if not periods:
+        return np.full(angles.shape[1], np.nan)
+    return np.min(
+        [np.abs(angles[p:] / angles[:-p] - 1).max(axis=0) for p in periods], axis=0
+    )
+
+
+def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Arrays:
+    """Survival times at every slope: all steps over all falls."""
+    slopes, which = np.unique(lane_slope, return_inverse=True)
+    strides = np.bincount(which, steps, len(slopes))
+    falls = np.bincount(which, fell, len(slopes))
+    with np.errstate(divide="ignore"):
+        lifetime = strides / falls
+    return {
+        "survival/slope": slopes,
+        "survival/starts": np.bincount(which, minlength=len(slopes)),
+        "survival/falls": falls.astype(int),
+        "survival/strides": strides.astype(int),
+        "survival/lifetime": lifetime,
+    }
+
+
+def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Arrays:
+    """The table of exponents, averaged over each slope's orbits; NaN, with a reason,
+    where steps are too few.
+    """
+    reason = ""
+    if strides < _BLOCKS:
+        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
+        means, strides = np.full_like(means, np.nan), 0
+    rows = []
+    for s in np.unique(lane_slope):
+        at_slope = lane_slope == s
+        value, error = estimate(means[:, :, at_slope])
+        for i, k in enumerate(np.argsort(-value, kind="stable").tolist()):
+            rows.append(
+                (s, i, value[k], error[k], strides * int(at_slope.sum()), reason)
+            )
+    return table(
+        "lyapunov",
+        rows,
+        ("slope", "index", "exponent", "standard_error", "strides", "reason"),
+    )
+
+
+def _settle(walk: Walk, transient: int) -> None:
+    """Walk through the transient.
+
+    Notes
+    -----
+    An orbit that settles on a gait repeats in the end to the last bit, for the state after a step depends on nothing
+    but the state before it. Of an orbit found to repeat whole periods are left out.
+    Each state is compared with the one after the last power of two steps (R. P. Brent,
+    BIT 20 (1980) 176-184).
+    """
+    last, seen, seen_at = np.full(len(walk.lanes), transient), walk.y.copy(), 0
+    for k in walk.steps(transient):
+        lanes = walk.lanes
+        repeats = lanes[
+            (walk.y[:, lanes] == seen[:, lanes]).all(axis=0)
+            & (last[lanes] == transient)
+        ]
+        last[repeats] = k + (transient - k) % (k - seen_at)
+        walk.lanes = lanes[last[lanes] > k]
+        if k == max(1, 2 * seen_at):
+            seen, seen_at = walk.y.copy(), k
+    walk.lanes = np.flatnonzero(walk.outcome == STRUCK)
+    walk.taken[walk.lanes] = transient
+
+
+def _keep(walk: Walk, strides: int, shown: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the last of some steps, shape (shown, len(_SHOWN), n), and means of the
+    growth over them.
+    """
+    m, n = walk.y.shape
+    rows = np.full((shown, len(_SHOWN), n), np.nan)
+    growth = Exponents.begin(m, n, _BLOCKS)
+    for k in walk.steps(strides, exact=True):
+        block = (
+            (k - 1 - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT)
+            if k > _ALIGNMENT
+            else None
+        )
+        growth.step(walk.jacobian, walk.lanes, block)
+        if k > strides - shown and len(walk.lanes):
+            rows[k - 1 - strides + shown][:, walk.lanes] = _row(walk)
+    return rows, growth.means()
+
+
+def _row(walk: Walk) -> np.ndarray:
+    """Columns of the last steps of those that walk on, shape (len(_SHOWN), k).
+
+    Notes
+    -----
+    The step is integrated again in another unit, in which every operation rounds differently; the bound is the change
+    times the factor that a gait's bound takes of its standard deviation.
+    """
+    lanes, problem = walk.lanes, walk.problem
+    y = walk.before
+    image = walk.y[:, lanes]
+    times = walk.times[:, lanes]
+    slope = walk.slope[lanes]
+    unit = 0.75 * scale_of(y[0])
+    again = problem.map(y / unit, times, problem.parameters(slope, unit))
+    error = np.vstack(
+        [
+            np.abs(again.image * unit - image) / sizes(image),
+            np.abs(again.times[-1] / times[-1] - 1),
+        ]
+    )
+    return np.vstack(
+        [problem.start(y, slope), times[-1], SAFETY_FACTOR * (error.max(axis=0) + EPS)]
+    )

@@ -1,0 +1,526 @@
+"""The task `cascade`: gaits of period 1, 2, 4, ... and of other periods, from folds
+through period doublings.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.equations import slope_error
+from gaitsweep.tasks.branches.flips import doubled
+from gaitsweep.tasks.branches.joint import Evaluation
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.special_points import RATES, passings, state_at
+from gaitsweep.tasks.branches.tracking import check_steps, correct, points_along
+from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.status import over
+from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.fits import feigenbaum as scaling
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.mechanics.arrays import Slopes, Unknowns
+from gaitsweep.tasks.orbits.crisis import lost
+from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
+from gaitsweep.tasks.orbits.walk import Walk
+from gaitsweep.tasks.step.lanes import lanes_of
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
+from gaitsweep.tasks.step.several_steps import (
+    distance,
+    distances_of_steps,
+    joined,
+    sections,
+)
+from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+
+#: Orbits that locate the loss of walking, their relative distance from the last gait
+#: (chaos separates them), and how far beyond the accumulation they search, relative to
+#: its distance from the first flip.
+_ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
+#: First step along a branch over the window, and the longest interval to the next flip,
+#: in ln slope, that is expected: the first intervals of a cascade need not follow
+#: Feigenbaum's law.
+_FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
+#: Largest step of Newton's method by which a guess is not lost.
+_MAX_STEP = 1.0
+#: Most points of a branch on which no event is found.
+_MAX_POINTS = 400
+#: Distance of a gait's sections from each other, over the first angle, beyond which it
+#: does not repeat sooner; difference of the ln slopes of one fold.
+_APART, _SAME_SLOPE = 1e-5, 1e-9
+#: How far beyond the window a branch is followed, in ln slope.
+_MARGIN = 0.05
+#: Columns of the tables.
+_CASCADE = (
+    "family",
+    "period",
+    "kind",
+    "slope",
+    "error_bound",
+    "ratio",
+    "stance_angle",
+    *RATES,
+    "walks",
+)
+_ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
+_UNKNOWN = (np.nan,) * 4
+_LOST = ("family", "low", "high", "starts", "strides", "reason")
+
+
+@dataclass(frozen=True)
+class _Event:
+    """A fold or flip of a family, the relative error of its slope, and the gaits
+    between which it lies.
+    """
+
+    kind: str
+    gait: Evaluation
+    error: float
+    beside: tuple[Point, ...] = ()
+
+    @property
+    def q(self) -> float:
+        """Its ln slope."""
+        return float(self.gait.q[0])
+
+    @property
+    def slope(self) -> float:
+        """Its slope [rad]."""
+        return float(np.exp(self.q))
+
+
+@dataclass(frozen=True)
+class _Family:
+    """A family of gaits: its events in order, and why no more follow."""
+
+    events: list[_Event]
+    stopped: str
+
+    @property
+    def flips(self) -> ndarray:
+        """Slopes of its flips, shape (k,) [rad]."""
+        return np.array([event.slope for event in self.events if event.kind == "flip"])
+
+
+def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Locate the flips and folds of a line's families of period-n gaits within a window
+    of slopes.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray [rad], whose ends are the window and whose values are
+        searched for families of other periods than one; and the study's options:
+        `periods`, the longest; `families`, first periods; `starts`, initial conditions
+        of the search at each slope; `steps`, that walking must last (0: its end is not
+        located). Without slopes nothing is located. `near` may name another line, whose
+        atlas is given, from whose gaits the first of this one's are sought.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle,
+        stance_rate, thigh_rate, shank_rate, walks), a row for each fold and flip, in
+        the walker's units, `accumulation` (family, flips, slope, low, high, ratio,
+        stopped: why no further flip was located), and `lost` (family, low, high,
+        starts, strides, reason): the slopes [rad] between which the chaos beyond a
+        family's doublings ends, in falls or a period-one gait; `reason` says why one of
+        them is NaN.
+    """
+    options = registry.options("cascade", params)
+    problem = Problem(walker_of_line(params["line"]))
+    near = Problem(walker_of_line(params["near"])) if "near" in params else problem
+    slope = np.sort(np.asarray(params["slope"], float))
+    if not len(slope):
+        return {}
+
+    starts, longest = int(options["starts"]), int(options["periods"])
+    accumulations: list[tuple[Any, ...]] = []
+    families: dict[str, _Family] = {}
+    missing: list[str] = []
+    for period in map(int, options["families"]):
+        first = _first_gaits(problem, near, inputs[0], slope, period, starts)
+        found = _families(problem, first, slope, period, longest)
+        families |= found
+        for name, family in found.items():
+            accumulations.append(_accumulation_row(name, family))
+        if not found:
+            why = _no_family(period, slope)
+            missing.append(why)
+            accumulations.append((f"{period}", 0, *_UNKNOWN, why))
+
+    tables = _event_table(families, problem.walker.time_unit)
+    tables |= table("accumulation", accumulations, _ACCUMULATION)
+    tables |= _lost_table(problem, families, slope, int(options["steps"]))
+    if not families:
+        tables |= nothing(" ".join(missing))
+    return tables
+
+
+def _no_family(period: int, slope: Slopes) -> str:
+    """Why there is no family of a period."""
+    gait = "long gait" if period == 1 else f"gait of period {period} was found"
+    return over(gait, slope)
+
+
+def _families(
+    problem: Problem, first: list[Point], slope: Slopes, period: int, longest: int
+) -> dict[str, _Family]:
+    """The families that begin with some gaits, each once, by their names."""
+    window = float(np.log(slope[0])), float(np.log(slope[-1]))
+    families: list[_Family] = []
+    for gait in first:
+        known = [family.events[0] for family in families if family.events]
+        family = _follow_family(problem, gait, window, longest, known)
+        if family is not None:
+            families.append(family)
+
+    names = [f"{period}-{number}" for number in range(1, len(families) + 1)]
+    if len(families) == 1:
+        names = [f"{period}"]
+    return dict(zip(names, families, strict=True))
+
+
+def _event_table(families: dict[str, _Family], time_unit: float) -> Arrays:
+    """The table of the folds and flips of families, by their names."""
+    rows: list[tuple[Any, ...]] = []
+    for name, family in families.items():
+        rows += _event_rows(name, family, time_unit)
+    return table("cascade", rows, _CASCADE)
+
+
+def _event_rows(
+    name: str, family: _Family, time_unit: float
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of a family's folds and flips."""
+    ratio = iter(scaling.ratios(family.flips))
+    for event in family.events:
+        problem, state = event.gait.problem, state_at(event.gait, 0)
+        rates = (np.array(state["rates"]) / time_unit).tolist()
+        is_step = int(check_steps(problem, event.gait.Z).step[0])
+        yield (
+            name,
+            problem.steps,
+            event.kind,
+            event.slope,
+            event.error,
+            next(ratio) if event.kind == "flip" else np.nan,
+            state["stance_angle"],
+            *rates,
+            is_step,
+        )
+
+
+def _accumulation_row(name: str, family: _Family) -> tuple[Any, ...]:
+    """Row of where a family's flips accumulate."""
+    ratios = scaling.ratios(family.flips)
+    last = float(ratios[-1]) if len(ratios) else np.nan
+    bounds = scaling.accumulation(family.flips)
+    return (name, len(family.flips), *bounds, last, family.stopped)
+
+
+def _lost_table(
+    problem: Problem, families: dict[str, _Family], slope: Slopes, steps: int
+) -> Arrays:
+    """The table of where the chaos beyond the flips of families ends."""
+    rows: list[tuple[Any, ...]] = []
+    for name, family in families.items():
+        rows += _lost_rows(problem, name, family, slope, steps)
+    return table("lost", rows, _LOST)
+
+
+def _lost_rows(
+    problem: Problem, name: str, family: _Family, slope: Slopes, steps: int
+) -> list[tuple[Any, ...]]:
+    """Row of where the chaos beyond a family's flips ends, if these accumulate."""
+    accumulation = scaling.accumulation(family.flips)[0]
+    if not steps or not np.isfinite(accumulation):
+        return []
+    reach = accumulation + _MAX_EXTENT * (accumulation - family.flips[0])
+    end = float(np.clip(reach, slope[0], slope[-1]))
+    orbits = _spread_around(family.events[-1])
+    low, high = lost(problem, orbits, accumulation, end, steps)
+    reason = _unbracketed(low, high, accumulation, end)
+    # Doublings may lead to smaller slopes.
+    rises = accumulation > family.flips[0]
+    bracket = (low, high) if rises else (high, low)
+    return [(name, *bracket, _ORBITS, steps, reason)]
+
+
+def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:
+    """Why the loss of an attractor has no slope on one of its sides; empty where it has
+    both.
+    """
+    if np.isnan(low):
+        return f"Orbits are lost at the accumulation point already, at slope {accumulation:.6g}."
+    if np.isnan(high):
+        return f"Orbits persist to slope {end:.6g}, where the search ends."
+    return ""
+
+
+def _spread_around(event: _Event) -> ndarray:
+    """Initial conditions near the steps of a gait, in turn, shape (m, _ORBITS)."""
+    problem, w = event.gait.problem, event.gait.w
+    n = problem.steps
+    Y = np.exp(w[0]) * sections(w, problem.m, n)[0][:, :, 0].T
+    steps = np.arange(_ORBITS) * n // _ORBITS if n > _ORBITS else np.arange(_ORBITS) % n
+    return Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(Y), _ORBITS) - 1))
+
+
+def _is_same(a: _Event, b: _Event) -> bool:
+    """Whether two folds are one."""
+    if a.kind != b.kind or abs(a.q - b.q) >= _SAME_SLOPE:
+        return False
+    steps = a.gait.problem.steps
+    return distance(a.gait.w[:, 0], b.gait.w[:, 0], a.gait.m, steps) < SAME_POINT
+
+
+def _first_gaits(
+    problem: Problem,
+    near: Problem,
+    atlas: Arrays,
+    slope: Slopes,
+    n: int,
+    starts: int,
+) -> list[Point]:
+    """A gait of each family of period n, sought from those of a walker `near` and its
+    atlas.
+    """
+    branches = atlases.from_arrays(atlas)
+    if n == 1:
+        return _first_long_gait(problem, near, branches, slope)
+    for s in slope.tolist():
+        gaits = search_cycles(problem, branches, s, n, starts)
+        if gaits:
+            return gaits
+    return []
+
+
+def _first_long_gait(
+    problem: Problem, near: Problem, branches: list[Branch], slope: Slopes
+) -> list[Point]:
+    """The long gait of one step at the lowest slope of a window at which those of a
+    walker `near`, on its branches, lead to one.
+    """
+    low, high = slope[0], slope[-1]
+    tried = [low]
+    # A branch may begin above the window's lower edge: between nodes, for at a fold it
+    # has no derivative.
+    for branch in branches:
+        between = np.exp(0.5 * (branch.q[1:] + branch.q[:-1]))
+        tried.extend(between[(between > low) & (between < high)])
+
+    slopes = np.unique(tried)
+    known, y = gaits_at(near, branches, slopes, "long")
+    for k, start in zip(known, y.T, strict=True):
+        step = stride(problem, start[:, None], slopes[[k]])
+        durations = np.diff(step.times, axis=0, prepend=0)
+        guess = joined(0.0, start[None, :, None], durations[None])
+        has_struck = step.outcome == STRUCK
+        gaits = _solved(problem, guess[:, has_struck], float(slopes[k]))
+        if gaits:
+            return gaits
+    return []
+
+
+def _solved(problem: Problem, w: Unknowns, slope: float) -> list[Point]:
+    """Distinct gaits, of exactly so many steps, to which Newton's method leads from
+    guesses (m + k, n) at one slope.
+    """
+    m, n = problem.m, problem.steps
+    q = np.full(w.shape[1], np.log(slope))
+    w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
+    exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
+    kept: list[int] = []
+    for i in np.flatnonzero(converged & exact).tolist():
+        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in kept):
+            kept.append(i)
+    if not kept:
+        return []
+
+    Z = np.vstack([w, q])[:, kept]
+    gaits = correct(problem, Z, None)
+    walking = gaits.ok & check_steps(problem, Z).step
+    return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(walking)]
+
+
+def search_cycles(
+    problem: Problem, branches: list[Branch], slope: float, n: int, starts: int
+) -> list[Point]:
+    """Search for the distinct gaits of exact period n at one slope, in order of their
+    largest multiplier.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : list of Branch
+        The line's atlas.
+    slope : float [rad]
+    n : int
+        Number of steps after which the gaits repeat.
+    starts : int
+        Initial states.
+
+    Notes
+    -----
+    Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
+    paper's walkers; those that return close to themselves after n steps are polished by
+    Newton on all n sections.
+    """
+    known, y = gaits_at(problem, branches, np.array([slope]), "long")
+    if not len(known):
+        return []
+    y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
+    walk = Walk(problem, y, np.full(starts, slope))
+    after, times = [], []
+    for _ in walk.steps(n + 1):
+        after.append(walk.y.copy())
+        times.append(walk.times.copy())
+    if not len(walk.lanes):
+        return []
+
+    # The first step maps all initial conditions onto the strongly contracted image of
+    # the map.
+    off = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
+    nearest = walk.lanes[np.argsort(off, kind="stable")[:60]]
+    y = np.stack(after[:n])[..., nearest]
+    strikes = np.stack(times[1:])[..., nearest]
+    guesses = joined(0.0, y, np.diff(strikes, axis=1, prepend=0))
+    return sorted(_solved(problem.of_steps(n), guesses, slope), key=_largest_multiplier)
+
+
+def _largest_multiplier(gait: Point) -> float:
+    return float(np.abs(gait.at.multipliers[0, 0]))
+
+
+def _follow_family(
+    problem: Problem,
+    start: Point,
+    window: tuple[float, float],
+    longest: int,
+    known: Sequence[_Event] = (),
+) -> _Family | None:
+    """A family's fold, then its flips, switching at each to the branch of twice the
+    period; None where its fold is one of those `known`, of which it is the other side.
+
+    The window is of ln slope.
+    """
+    length = window[1] - window[0]
+    problem = problem.of_steps(start.at.stride.steps)
+    up = np.eye(len(start.Z))[-1]
+    events: list[_Event] = []
+    if problem.steps > 1:
+        # Down to the fold at which the family is born; of its two sides the one nearer
+        # stability cascades.
+        down: _Begun = (start, -up, _FIRST_STEP * length)
+        fold, _ = _first_event(problem, down, "fold", window)
+        if fold is not None:
+            if any(_is_same(fold, other) for other in known):
+                return None
+            events.append(fold)
+            start = min(fold.beside, key=_largest_multiplier)
+
+    flips_from: _Begun = (start, up, _FIRST_STEP * length)
+    stopped = _follow_flips(problem, flips_from, window, longest, events)
+    return _Family(events, stopped)
+
+
+def _follow_flips(
+    problem: Problem,
+    begun: _Begun | None,
+    window: tuple[float, float],
+    longest: int,
+    events: list[_Event],
+) -> str:
+    """Add to a family's events its flips, of ever twice the period, and return why no
+    more follow.
+    """
+    interval = 0.02 * (window[1] - window[0])
+    while begun is not None and problem.steps <= longest:
+        flip, why = _first_event(problem, begun, "flip", window)
+        if flip is None:
+            return f"No flip of period {problem.steps}: {why}."
+        if events:
+            # The next interval by Feigenbaum's law from the last.
+            interval = (flip.q - events[-1].q) / scaling.DELTA
+        events.append(flip)
+        problem = problem.of_steps(2 * problem.steps)
+        begun = None
+        if problem.steps <= longest:
+            begun = doubled(flip.gait, min(_MAX_INTERVAL, interval))
+
+    if problem.steps <= longest:
+        return f"No gait of period {problem.steps} was found beside the flip."
+    return f"The longest period of the search, {longest}, is reached."
+
+
+#: Where a branch is followed from: what `points_along` takes besides the problem.
+_Begun = tuple[Point, ndarray, float]
+
+
+def _first_event(
+    problem: Problem, begun: _Begun, kind: str, window: tuple[float, float]
+) -> tuple[_Event | None, str]:
+    """The first fold or flip along a branch inside a window of ln slope, or why there
+    is none.
+    """
+    low, high = window
+    points = points_along(problem, *begun)
+    slope = float(np.exp(begun[0].at.q[0]))
+    for number, (before, after) in enumerate(itertools.pairwise(points)):
+        if number == _MAX_POINTS:
+            why = f"none on {_MAX_POINTS} points of the branch, up to a slope of "
+            return None, f"{why}{slope:.6g}"
+        slope = float(np.exp(after.at.q[0]))
+
+        event, is_between = _event_between(problem, before, after, kind)
+        if is_between and event is None:
+            why = "the next one could not be located, near a slope of"
+            return None, f"{why} {slope:.6g}"
+        if event is not None and not low <= event.q <= high:
+            why = "the next one lies outside the window, at a slope of"
+            return None, f"{why} {event.slope:.6g}"
+        if event is not None:
+            return event, ""
+        if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
+            return None, f"the branch leaves the window at a slope of {slope:.6g}"
+    return None, f"the branch could not be continued beyond a slope of {slope:.6g}"
+
+
+def _event_between(
+    problem: Problem, before: Point, after: Point, kind: str
+) -> tuple[_Event | None, bool]:
+    """The fold or flip between two points of a branch, None where it is not found; and
+    whether there is one.
+    """
+    condition = CONDITIONS[kind]
+    at_before = float(condition.residual(before.at)[0])
+    at_after = float(condition.residual(after.at)[0])
+    if not at_before * at_after < 0:
+        return None, False
+
+    segment = Branch(
+        problem.m,
+        np.hstack([before.Z, after.Z]),
+        np.hstack([before.direction, after.direction]),
+        lipschitz=np.zeros(2),
+        why=("", ""),
+        steps=problem.steps,
+    )
+    located = passings(problem, segment, kind)
+    if not located:
+        return None, True
+    gait = located[0][1].at
+    error = slope_error(problem, condition, gait.Z[:, 0])
+    return _Event(kind, gait, error, (before, after)), True

@@ -1,0 +1,113 @@
+"""The step map at one state: its image, Jacobian, modes, event times and losses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.studies.simulate_steps import begin, take_step
+from gaitsweep.tasks.walkers.walker import WalkerError
+
+
+def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Map one state just after heelstrike to the next.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table), `set` (keys to change), `slope` [rad], and `state`,
+        three numbers: stance angle [rad], stance rate and thigh rate just after
+        heelstrike, in the walker's units.
+
+    Returns
+    -------
+    dict
+        In the walker's units: `state` (3,) after the step; its derivatives `jacobian`
+        (3, 3) by the state and `by_slope` (3,); `eigenvalues` (3,) of the Jacobian,
+        largest magnitude first, and `eigenvectors` (3, 3), its columns, of length one;
+        `kneestrike_time` and `heelstrike_time`; `loss_normal`, `loss_tangential` and
+        `loss_kneestrike`. What only knees have is None without them.
+
+    Raises
+    ------
+    WalkerError
+        If the walker or the state cannot be, or the step does not end in a heelstrike.
+
+    Notes
+    -----
+    The swing shank of a kneed walker starts with the rate that a heelstrike gives it, which the state determines. Point
+    feet are mapped in all three coordinates, although after a heelstrike the thigh's
+    rate follows from the others.
+    """
+    problem, parameters, y, start = begin(params)
+    walker, scale = problem.walker, parameters[1]
+    time_unit = walker.time_unit
+    units = np.array(
+        [1.0, time_unit, time_unit]
+    )  # by which the walker's are multiplied
+    located = take_step(problem, start, parameters[:, 0])
+    if located.outcome != STRUCK:
+        state, cause = np.array(params["state"], float), CAUSES[located.outcome]
+        raise WalkerError(
+            "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
+        )
+    step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
+    times = step.times
+    before, after = (
+        _start(problem, section, parameters) for section in (y, step.image)
+    )
+    image = after[0] * scale / units
+    jacobian = (
+        after[1]
+        @ step.jacobian[:, :, 0]
+        @ np.linalg.inv(before[1])
+        * units
+        / units[:, None]
+    )
+    values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
+    energy = walker.total_mass * walker.g * walker.leg
+    normal, tangential = heelstrike_losses(walker, image[:1], step.impact * scale)
+    return {
+        "state": image,
+        "jacobian": jacobian,
+        "by_slope": after[1] @ step.by_slope[:, 0] * scale / units,
+        "eigenvalues": values,
+        "eigenvectors": vectors,
+        "kneestrike_time": float(times[0, 0] * time_unit) if walker.knees else None,
+        "heelstrike_time": float(times[-1, 0] * time_unit),
+        "loss_normal": float(normal[0] * energy),
+        "loss_tangential": float(tangential[0] * energy),
+        "loss_kneestrike": float(kneestrike_loss(walker, step.knee * scale)[0] * energy)
+        if walker.knees
+        else None,
+    }
+
+
+def _start(
+    problem: Problem, y: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled angle, stance and thigh rate at the start of a step from section
+    coordinates (3, 1), and derivatives.
+    """
+    size = problem.map.start_size
+    start, by_y = np.split(problem.map.start(y, parameters)[:, 0], [size])
+    rows = [0, size // 2, size // 2 + 1]
+    return start[rows], by_y.reshape(size, 3)[rows]
+
+
+def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues, largest magnitude first, the last exactly zero where the map is
+    singular, and eigenvectors.
+    """
+    values, vectors = (x.astype(complex) for x in np.linalg.eig(jacobian))
+    order = np.lexsort((-values.imag, -values.real, -np.abs(values)))
+    values, vectors = values[order], vectors[:, order]
+    if singular:  # a heelstrike of these legs leaves the thigh's rate no freedom
+        values[2] = 0.0
+    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
+    return values, vectors * np.abs(largest) / largest

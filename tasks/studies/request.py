@@ -1,0 +1,44 @@
+"""What is asked of the gaits of lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.measures.gaits import Wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """The slopes at which gaits are solved, and what is wanted of them.
+
+    Attributes
+    ----------
+    slope : ndarray, shape (n,) [rad]
+    wanted : Wanted
+        Variables, labels, limits of violations and accuracy.
+    steps : int
+        After which the gaits repeat.
+    interpolated : bool
+        Whether polynomials give the gaits where they reach the accuracy.
+    """
+
+    slope: np.ndarray
+    wanted: Wanted
+    steps: int = 1
+    interpolated: bool = False
+
+    @classmethod
+    def of(cls, params: Mapping[str, Any]) -> Request:
+        """Return what the parameters of a task ask for, as
+        `tasks.studies.solve_points:points` has them.
+        """
+        return cls(
+            slope=np.asarray(params["slope"], float),
+            wanted=Wanted.of(params),
+            steps=int(params.get("steps", 1)),
+            interpolated=bool(params.get("interpolated", False)),
+        )

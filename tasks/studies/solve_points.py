@@ -1,0 +1,444 @@
+"""The tasks `atlas`, every branch of a line, `points`, the gaits at its slopes, and
+`lines`, both for several lines.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.branches.refine import COARSE, FINE
+from gaitsweep.tasks.branches.tracking import MAX_MULTIPLIER
+from gaitsweep.tasks.charts.pieces import Piece, pieces_of
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import GAITS, PROVED, VARIABLES
+from gaitsweep.tasks.gaits.polish import Guesses
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW
+from gaitsweep.tasks.measures.gaits import (
+    Arrays,
+    Part,
+    Wanted,
+    nothing_solved,
+    store,
+    to_accuracy,
+)
+from gaitsweep.tasks.mechanics.lumped import Structure, alike
+from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.interpolate import Interpolation
+from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_guesses import blocks, solve_guesses
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.walkers.walker import Walker
+
+#: Variables that a gait's proof is compared with, and the largest relative radius of
+#: its box.
+PROVED_FROM = (
+    "stance_angle",
+    "stance_rate",
+    "thigh_rate",
+    "shank_rate",
+    "period",
+    "kneestrike_time",
+    "error_bound",
+)
+PROOF_ACCURACY = 1e-12
+#: Branches of the latest lines by walker and tolerance: studies of one command often
+#: have lines in common. Nothing else decides them, so what a process has computed
+#: before changes no bit.
+_surveyed: OrderedDict[tuple[str, float], list[Branch]] = OrderedDict()
+_MAX_SURVEYED = 128
+
+
+def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Compute every branch of one line's gaits.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for
+        few points; `steps` after which the gaits repeat (1 if omitted).
+    inputs : list
+        Empty.
+
+    Returns
+    -------
+    dict
+        The branches as arrays, which `tasks.branches.atlas.from_arrays` reads.
+    """
+    problem = Problem(walker_of_line(params["line"]))
+    steps = int(params.get("steps", 1))
+    if steps > 1:
+        # They are followed far from the branches where they begin.
+        (single,) = _survey([problem.walker], problem.structure, FINE)
+        return atlases.to_arrays(cycle_branches(problem, single, steps))
+    (branches,) = _survey(
+        [problem.walker], problem.structure, COARSE if params.get("coarse") else FINE
+    )
+    return atlases.to_arrays(branches)
+
+
+def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Solve the gaits at the slopes of one line, each from the line's atlas alone.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`,
+        labels wanted; `violation_limits`, those of violations that are not the
+        registry's; `steps` after which the gaits repeat; `accuracy`, the largest error
+        bound wanted, 0 for as good a one as doubles give; `interpolated`, whether
+        polynomials give the points where they reach it.
+    inputs : list
+        The line's atlas, of the same `steps`.
+
+    Returns
+    -------
+    dict
+        Each wanted variable in the walker's units, shape (n, len(GAITS)[,
+        multipliers]), and `reasons`, the sentences that `reason` indexes.
+    """
+    branches = atlases.from_arrays(inputs[0])
+    return solve_line(params["line"], branches, Request.of(params))
+
+
+def solve_line(
+    line: Mapping[str, Any],
+    branches: list[Branch],
+    request: Request,
+) -> Arrays:
+    """Solve the gaits of one line, whose branches are known.
+
+    Parameters
+    ----------
+    line : mapping
+    branches : list of Branch
+        Its atlas.
+    request : Request
+
+    Returns
+    -------
+    dict
+        As `points` has it.
+    """
+    problem = Problem(walker_of_line(line), request.steps)
+    polynomials = None
+    if request.interpolated:
+        polynomials = Interpolation(problem, branches, request.wanted, request.slope)
+    (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
+    return solved
+
+
+def lines(
+    params: Mapping[str, Any], inputs: list[Arrays]
+) -> list[tuple[Arrays, Arrays]]:
+    """Compute the atlases of several lines side by side, for few points, and solve the
+    gaits at their slopes.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, the line of each; the others as `points` has them.
+    inputs : list
+        Empty.
+
+    Returns
+    -------
+    list of (dict, dict)
+        For each line what `atlas`, coarse, and `points` return; it does not depend on
+        the other lines.
+    """
+    solved = solve_lines(params["lines"], Request.of(params))
+    return [(atlases.to_arrays(branches), one) for branches, one in solved]
+
+
+def solve_lines(
+    lines: Sequence[Mapping[str, Any]], request: Request
+) -> list[tuple[list[Branch], Arrays]]:
+    """Survey lines side by side, for few points, and solve their gaits.
+
+    Parameters
+    ----------
+    lines : sequence of mapping
+    request : Request
+
+    Returns
+    -------
+    list of (list of Branch, dict)
+        For each line its branches, and what `points` returns.
+    """
+    walkers = [walker_of_line(line) for line in lines]
+    results: list[tuple[list[Branch], Arrays]] = [([], {})] * len(walkers)
+    for structure, numbers in alike(walkers).items():
+        some = [walkers[i] for i in numbers]
+        surveyed = _survey(some, structure, COARSE)
+        solved = _solve_branches(
+            Lanes(some, structure), [lines[i] for i in numbers], surveyed, request
+        )
+        for i, branches, one in zip(numbers, surveyed, solved, strict=True):
+            results[i] = branches, one
+    return results
+
+
+def _survey(
+    walkers: Sequence[Walker],
+    structure: Structure,
+    tolerance: float,
+) -> list[list[Branch]]:
+    """Branches of lines of one structure, reused for lines surveyed before."""
+    keys = [(repr(walker), tolerance) for walker in walkers]
+    new = [i for i, key in enumerate(keys) if key not in _surveyed]
+    if new:
+        problem = Lanes([walkers[i] for i in new], structure)
+        for i, branches in zip(
+            new, atlases.survey_lines(problem, tolerance), strict=True
+        ):
+            _surveyed[keys[i]] = branches
+    results = [_surveyed[key] for key in keys]
+    while len(_surveyed) > _MAX_SURVEYED:
+        _surveyed.popitem(last=False)
+    return results
+
+
+def _solve_branches(
+    problem: Problem,
+    lines: Sequence[Mapping[str, Any]],
+    atlas: Sequence[list[Branch]],
+    request: Request,
+    polynomials: Interpolation | None = None,
+) -> list[Arrays]:
+    """Solve the gaits of several lines of one structure; `problem` has a lane for each.
+
+    With `polynomials`, of a single line, only gaits that these do not give are
+    integrated.
+    """
+    n = len(request.slope)
+    wanted = request.wanted
+    names = _without_proofs(wanted.names)
+    void = dict.fromkeys((*names, *wanted.names))
+    results = [nothing_solved([*void], n, problem.walker.knees) for _ in lines]
+
+    asked = replace(request, wanted=replace(wanted, names=names))
+    for some in blocks(n, polynomials is not None):
+        block = replace(asked, slope=request.slope[some])
+        parts = _solve_block(problem, atlas, block, polynomials)
+        for out, of_line in zip(results, parts, strict=True):
+            store({name: out[name][some] for name in names}, of_line, wanted.labels)
+
+    if len(names) < len(void):
+        for line, out in zip(lines, results, strict=True):
+            _prove(out, line, request.slope)
+    return [
+        _answer(problem.alone(i), branches, wanted, out)
+        for i, (branches, out) in enumerate(zip(atlas, results, strict=True))
+    ]
+
+
+def _answer(
+    problem: Problem,
+    branches: list[Branch],
+    wanted: Wanted,
+    out: Arrays,
+) -> Arrays:
+    """What is wanted of a line's gaits, to the accuracy wanted, and the sentences that
+    `reason` indexes.
+    """
+    answer = {name: out[name] for name in wanted.names}
+    for some in blocks(len(out["status"]), is_interpolated=False):
+        block = {name: values[some] for name, values in answer.items()}
+        to_accuracy(block, wanted.accuracy)
+    return answer | {"reasons": np.array(_reasons(problem, branches))}
+
+
+def _without_proofs(names: Sequence[str]) -> Sequence[str]:
+    """Those of some variables that are solved, and those that proofs need, in the
+    archive's order.
+    """
+    solved = {name for name in names if VARIABLES[name].group != "proofs"}
+    if len(solved) < len(names):
+        solved.update(PROVED_FROM)
+    return [name for name in VARIABLES if name in solved]
+
+
+def _solve_block(
+    problem: Problem,
+    atlas: Sequence[list[Branch]],
+    request: Request,
+    polynomials: Interpolation | None,
+) -> list[list[Part]]:
+    """Gaits of several lines, of each its parts: those of the polynomials, and those
+    that are integrated.
+    """
+    given: list[Part] = []
+    integrated = None
+    if polynomials:
+        given, integrated = polynomials.parts(request.slope)
+    parts = [[*given] for _ in atlas]
+
+    guessed: list[_Guessed] = []
+    for i, branches in enumerate(atlas):
+        guessed += _guessed(i, branches, request, integrated)
+    if not guessed:
+        return parts
+
+    lines = np.concatenate([np.full(len(guess.index), guess.line) for guess in guessed])
+    alone = {guess.line: problem.alone(guess.line) for guess in guessed}
+    places = [
+        (alone[guess.line], guess.piece.branch, guess.segment) for guess in guessed
+    ]
+    settle = partial(
+        settle_on_branches, places=places, accuracy=request.wanted.accuracy
+    )
+    solved = solve_guesses(
+        problem.some(lines),
+        [guess.guesses for guess in guessed],
+        settle,
+        request.wanted,
+        [(walker, int((lines == i).sum())) for i, walker in alone.items()],
+    )
+    for k, guess in enumerate(guessed):
+        parts[guess.line].append(
+            solved.part(k, guess.index, guess.numbers, guess.ratio)
+        )
+    return parts
+
+
+def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
+    """Sentences that `reason` indexes, of one line."""
+    if problem.steps > 1:
+        outside = _outside(branches, problem.steps)
+        return status.reasons(outside, outside)
+    searched = f"searched from {atlases.searched(problem.walker)}"
+    lost = sorted(slope for branch in branches for slope in branch.lost())
+    long, short = (
+        status.outside(label, list(spans(branches, label)), searched, lost)
+        for label in GAITS[:2]
+    )
+    return status.reasons(long, short)
+
+
+def _outside(branches: list[Branch], n: int) -> str:
+    """Why no branch has a gait of n steps at some slope."""
+    if not branches:
+        return f"No gait of period {n} found: no flip of fewer steps begins one."
+    spans = status.ranges(
+        [(np.exp(branch.q.min()), np.exp(branch.q.max())) for branch in branches]
+    )
+    limit = f"followed up to multipliers of {MAX_MULTIPLIER:g}"
+    return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
+
+
+def _prove(
+    out: Arrays,
+    line: Mapping[str, Any],
+    slope: np.ndarray,
+) -> None:
+    """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or
+    so.
+    """
+    from gaitsweep.tasks.proofs.records import prove_stored  # needs the extra `proof`
+
+    for i, g in np.argwhere(np.isin(out["status"], status.SOLVED)).tolist():
+        request = {
+            "walker": line["walker"],
+            "set": line.get("set"),
+            "slope": float(slope[i]),
+            "gait": GAITS[g],
+        }
+        values = {name: float(out[name][i, g]) for name in PROVED_FROM}
+        proof = prove_stored({**request, "accuracy": PROOF_ACCURACY, "values": values})
+        if "proved" in out:
+            out["proved"][i, g] = PROVED["proved" if proof["proved"] else "not_proved"]
+        if "proved_radius" in out and proof["proved"]:
+            out["proved_radius"][i, g] = proof["radius"]
+
+
+@dataclass(frozen=True)
+class _Guessed:
+    """Guesses on one piece of a branch of a line: indices of their slopes, and their
+    segments.
+    """
+
+    line: int
+    piece: Piece
+    index: np.ndarray
+    segment: np.ndarray
+    guesses: Guesses
+
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """Those of the branch and of the piece."""
+        return self.piece.number, self.piece.place
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """Rate ratios that the branch has there."""
+        return self.piece.branch.ratio_on(self.segment)
+
+
+def _guessed(
+    line: int,
+    branches: list[Branch],
+    request: Request,
+    integrated: Mapping[tuple[int, int], np.ndarray] | None,
+) -> Iterator[_Guessed]:
+    """Guesses of a line's gaits that may have a wanted label, or of those that are to
+    be integrated.
+    """
+    q = np.log(request.slope)
+    for piece in pieces_of(branches):
+        index = piece.covered(q)
+        if integrated is not None:
+            index = integrated[piece.number, piece.first]
+        if not len(index):
+            continue
+        Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
+        keep = _may_hold(piece.branch, segment, request.wanted.labels)
+        if keep.any():
+            index = index[keep]
+            segment = segment[keep]
+            slope = request.slope[index]
+            guesses = piece.branch.known_guesses(Z[:, keep], segment, slope)
+            yield _Guessed(line, piece, index, segment, guesses)
+
+
+def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
+    """Least and largest slope of each run of the gaits of branches with one label
+    [rad].
+    """
+    for piece in pieces_of(branches):
+        branch = piece.branch
+        nodes = np.arange(piece.first, piece.last + 1)
+        has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (
+            branch.leg_passes == 1
+        )
+        for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):
+            if has_label[run[0]]:
+                slopes = np.exp(branch.q[run])
+                yield float(slopes.min()), float(slopes.max())
+
+
+def _may_hold(
+    branch: Branch,
+    segment: np.ndarray,
+    wanted: set[str],
+) -> np.ndarray:
+    """Whether segments may hold a wanted gait, shape (n,).
+
+    The label `long` does not depend on short gaits, nor `short` on long ones; all other
+    labels may depend on either. Where heelstrike is tangential a node has no ratio, and
+    its segments may hold any gait.
+    """
+    if wanted & set(GAITS[2:]):
+        return np.ones(len(segment), bool)
+    low = np.minimum(branch.ratio[segment], branch.ratio[segment + 1])
+    high = np.maximum(branch.ratio[segment], branch.ratio[segment + 1])
+    return (~(low > 0.6) & ("long" in wanted)) | (~(high < 0.4) & ("short" in wanted))
