@@ -42,7 +42,12 @@ from gaitsweep.tasks.continuation.refine import (
     without_jumps,
 )
 from gaitsweep.tasks.continuation.tracking import MIN_SLOPE, check_steps, follow
-from gaitsweep.tasks.fixed_points.search import lattice_size, periods, search_lines
+from gaitsweep.tasks.fixed_points.search import (
+    VANISHING,
+    lattice_size,
+    periods,
+    search_lines,
+)
 from gaitsweep.tasks.kinds import KINDS
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -369,9 +374,10 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[np.ndarray, np.ndarray]]
     """Anthropomorphic gaits of several lines that the search finds, for each anchor Z
     (c, n) and their lines.
     """
-    gaits = search_lines(problem, ANCHORS, _SHARES)
+    slopes = (*ANCHORS, VANISHING)
+    gaits = search_lines(problem, slopes, _SHARES)
     counts = np.array([[w.shape[1] for w in each] for each in gaits])
-    q = np.log(ANCHORS)
+    q = np.log(slopes)
     lines, at = (
         np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()),
         counts.sum(axis=1),
