@@ -45,7 +45,12 @@ from gaitsweep.tasks.branches.refine import (
 )
 from gaitsweep.tasks.branches.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.contract.kinds import KINDS
-from gaitsweep.tasks.gaits.search import lattice_size, periods, search_lines
+from gaitsweep.tasks.gaits.search import (
+    VANISHING,
+    lattice_size,
+    periods,
+    search_lines,
+)
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.lanes import slices
@@ -407,18 +412,19 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[ndarray, ndarray]]:
     """Anthropomorphic gaits of several lines that the search finds, for each anchor Z
     (c, n) and their lines.
     """
-    gaits = search_lines(problem, ANCHORS, _SHARES)
+    slopes = (*ANCHORS, VANISHING)
+    gaits = search_lines(problem, slopes, _SHARES)
     counts = np.array([[w.shape[1] for w in of_lines] for of_lines in gaits])
-    at_anchor = counts.sum(axis=1)
-    lines = np.tile(np.arange(counts.shape[1]), len(ANCHORS))
+    at_slope = counts.sum(axis=1)
+    lines = np.tile(np.arange(counts.shape[1]), len(slopes))
     lines = np.repeat(lines, counts.ravel())
     if not len(lines):
         return
 
     w = np.hstack(list(itertools.chain(*gaits)))
-    Z = np.vstack([w, np.repeat(np.log(ANCHORS), at_anchor)])
+    Z = np.vstack([w, np.repeat(np.log(slopes), at_slope)])
     check = check_steps(problem.some(lines), Z)
-    for lanes in slices(at_anchor.tolist()):
+    for lanes in slices(at_slope.tolist()):
         kept = lanes.start + np.flatnonzero(check.anthropomorphic[lanes])
         yield Z[:, kept], lines[kept]
 

@@ -50,6 +50,13 @@ _MAX_RATE = 20.0
 _LINEAR_UP_TO, _PLAIN_SWING = 1.0, -0.5
 
 
+#: Slope so gentle that gaits of small angles are nearly exact, even of legs that swing
+#: faster than this [sqrt(leg/g)]: of several slopes, this has their guesses alone.
+VANISHING, _FAST = 1e-6, 1.0
+#: Angles of guesses that lose no energy to first order, over the largest.
+_OF_LARGEST = (0.12, 0.25, 0.5, 1.0)
+
+
 def starts(
     walker: Walker, slopes: Sequence[float], shares: int = 1
 ) -> list[np.ndarray]:
@@ -118,6 +125,8 @@ def _lattices(
 
         grid = np.meshgrid(log_angles, periods, *ratios, indexing="ij")
         whole = np.array([axis.ravel() for axis in grid])
+        if slope == VANISHING and len(slopes) > 1:
+            whole = whole[:, :0]
         lattices.append(whole[:, i % shares :: shares])
     return lattices
 
@@ -178,19 +187,37 @@ def _straight_guesses(
 
 def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray]:
     """Guesses that are gaits of straight legs to first order, for each slope."""
+    is_fast = linear.swing < _FAST
+    chosen = [x for x in slopes if is_fast or x != VANISHING or len(slopes) == 1]
+    gaits = dict(zip(chosen, small_gaits(linear, chosen), strict=True))
+    none = np.zeros((4, 0))
+
     fastest = _MAX_RATE * max(1.0, np.pi / linear.swing)
     found = []
-    for slope, gaits in zip(slopes, small_gaits(linear, slopes), strict=True):
-        angle, *rates, period = gaits
+    for slope in slopes:
+        scaled = _scaled(
+            gaits.get(slope, none), slope, is_fast and slope == min(slopes)
+        )
+        angle, *rates, period = scaled
         used = rates[:1] if linear.point_foot else rates
         w = np.array([np.log(angle), *used, period])
-
-        # Larger angles lose more energy than the slope gives; to first order none is
-        # lost.
-        is_small = angle < _largest_angle(slope)
         is_slow = (np.abs(used) < fastest).all(axis=0)
-        found.append(w[:, is_small & is_slow])
+        found.append(w[:, is_slow])
     return found
+
+
+def _scaled(gaits: np.ndarray, slope: float, with_lossless: bool) -> np.ndarray:
+    """Gaits of small angles, and those that lose no energy to first order with angles
+    in proportion to the cube root of the slope, since to third they lose a little.
+    """
+    largest = _largest_angle(slope)
+    is_small = (gaits[0] > 0) & (gaits[0] < largest)
+    scaled = [gaits[:, is_small]]
+    for share in _OF_LARGEST if with_lossless else ():
+        lossless = gaits[:, np.abs(gaits[0]) >= largest]
+        lossless[0] = share * largest
+        scaled.append(lossless)
+    return np.hstack(scaled)
 
 
 def _kneed_guesses(

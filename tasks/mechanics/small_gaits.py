@@ -31,7 +31,8 @@ def small_gaits(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray
         For each slope, angles [rad], rates of the stance and of the swing leg over them
         [1/sqrt(leg/g)], and periods [sqrt(leg/g)]. Legs whose masses lie on a line have
         the same gaits on all slopes, with angles in proportion: they are those of the
-        smallest alone.
+        smallest alone. Angles out of all proportion, of either sign, are those of steps
+        that lose nothing to first order: these may have any.
     """
     periods = _PERIODS * linear.swing
     off_rest, off_slope = _determinants(linear, periods)
@@ -40,10 +41,11 @@ def small_gaits(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray
     smallest = min(slopes)
     found = []
     for slope in slopes:
-        off = off_rest + slope * off_slope
-        period = _roots(periods, off)
         if is_aligned and slope != smallest:
-            period = period[:0]
+            found.append(np.zeros((4, 0)))
+            continue
+        off = off_rest + slope * off_slope
+        period = np.concatenate([_crossings(periods, off), _pairs(periods, off)])
         found.append(_gaits(linear, period, slope))
     return found
 
@@ -59,8 +61,10 @@ def _determinants(
     return np.linalg.det(with_rest), np.linalg.det(with_slope)
 
 
-def _roots(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Roots of a function known at x, by linear interpolation."""
+def _crossings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Roots of a function known at x where it changes its sign, by linear
+    interpolation.
+    """
     at = np.flatnonzero(y[:-1] * y[1:] < 0)
     before = y[at]
     after = y[at + 1]
@@ -68,14 +72,37 @@ def _roots(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return x[at] + share * np.diff(x)[at]
 
 
+def _pairs(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Pairs of roots of a function known at equal distances x where it does not change
+    its sign, by a parabola through its values about a least one.
+    """
+    height = np.abs(y)
+    sign = np.sign(y)
+    left = height[:-2]
+    least = height[1:-1]
+    right = height[2:]
+    is_least = least <= np.minimum(left, right)
+    keeps_sign = np.abs(sign[:-2] + sign[1:-1] + sign[2:]) == 3
+
+    slant = (right - left) / 2
+    bend = right + left - 2 * least
+    square = slant**2 - 2 * bend * least
+    at = np.flatnonzero(is_least & keeps_sign & (square > 0))
+
+    step = (x[1] - x[0]) / bend[at]
+    root = np.sqrt(square[at])
+    lower = x[at + 1] - (slant[at] + root) * step
+    upper = x[at + 1] - (slant[at] - root) * step
+    return np.concatenate([lower, upper])
+
+
 def _gaits(linear: SmallAngles, period: np.ndarray, slope: float) -> np.ndarray:
-    """Those of some periods whose angle is positive, as `small_gaits` returns them."""
+    """Those of some periods, as `small_gaits` returns them."""
     by_unknown, rest = _repetition(linear, period)
     lack = -rest @ [[1.0], [slope]]
     solved = np.linalg.pinv(by_unknown) @ lack
 
     gaits = np.vstack([solved[:, :, 0].T, period])
-    gaits = gaits[:, gaits[0] > 0]
     gaits[1:3] /= gaits[0]
     return gaits
 
