@@ -242,7 +242,7 @@ def test_a_killed_worker_process_costs_nothing(toy, whole):
 
 
 def test_two_runs_on_one_archive_name_the_holder(toy):
-    process = toy.start("run", "toy.toml", "--chunk", 20, TOY_SECONDS="0.02")
+    process = toy.start("run", "toy.toml", "--chunk", 20, TOY_SECONDS="0.1")
     wait_for_points(toy, 1)
     second = toy("run", "toy.toml", expect=5)
     assert (
