@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures.style import (
     end_labels,
     inks,
     style,
+    thin,
     write_clear,
 )
 from gaitsweep.pipeline.report.pages import TEMPLATES
@@ -132,6 +133,16 @@ def test_a_stable_part_ends_where_the_multiplier_leaves_the_unit_circle(count):
     assert len(whole) == count + 1
 
 
+def test_borders_leave_the_choice_of_the_points_drawn_as_it_is():
+    curve = _curve(101)
+
+    drawn = thin(add_borders(curve), 11)
+
+    computed = drawn[~drawn["border"].astype(bool)]
+    assert computed["slope"].tolist() == thin(curve, 11)["slope"].tolist()
+    assert len(drawn) == 12
+
+
 def test_a_figure_draws_thick_up_to_the_flip_and_its_data_is_what_was_computed(
     tmp_path,
 ):
@@ -170,7 +181,7 @@ def test_names_at_the_ends_of_curves_overlap_neither_each_other_nor_the_frame(si
     with style():
         sketch = Sketch("linear", 350)
         (axes,) = sketch.panels
-        heights = [0.97, 0.98, 0.981, 0.99, 1.0, 0.01]
+        heights = [0.97, 0.98, 0.981, 0.99, 1.0, 0.0, 0.001, 0.002, 0.003]
         x = np.linspace(0, 1, 50)
         for height in heights:
             axes.plot(
