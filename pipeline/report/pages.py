@@ -29,10 +29,9 @@ from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.words import grouped, plain
 
-_TEMPLATES, _SCRIPTS = (
-    Path(__file__).parent / "templates",
-    Path(__file__).parent / "scripts",
-)
+#: HTML and CSS of the pages, and the modules of their script.
+TEMPLATES = Path(__file__).parent / "templates"
+_SCRIPTS = Path(__file__).parent / "scripts"
 
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
@@ -405,7 +404,7 @@ def _environment() -> jinja2.Environment:
     hash.
     """
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -418,7 +417,7 @@ def _environment() -> jinja2.Environment:
     }
     script = _script()
     environment.globals.update(
-        style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"),
+        style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
         script=script,
         digest=_digest(script),
         digest_of=_digest,

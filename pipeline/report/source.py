@@ -61,7 +61,8 @@ class Line:
 
     `at` is its place: `walker`, by name, then the values of the axes; `command` solves
     it, without the slope. `rows` are its rows of a table; of a line of the grid, which
-    has `data`, those of its branches, if the study follows them.
+    has `data`, those of its branches, if the study follows them. `called` is the walker
+    of the catalogue that it is, empty if it is none.
     """
 
     at: dict[str, Any]
@@ -69,6 +70,7 @@ class Line:
     command: str
     rows: pd.DataFrame
     data: xr.Dataset = field(default_factory=xr.Dataset)
+    called: str = ""
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
         """Yield a frame for each piece of a branch: `slope`, variables, state, `stable`
@@ -178,7 +180,7 @@ class Source:
         its measurements.
         """
         walkers = self.study.get("walker")
-        given = [*(walkers if isinstance(walkers, list) else [walkers]), self.toward]
+        given = [*_listed(walkers), self.toward]
         given += [
             each.get(key)
             for each in given
@@ -256,10 +258,7 @@ class Source:
         in the study.
         """
         given, stored = self.study.get("walker"), self.provenance.get("walkers", [])
-        named = [
-            _name(w, i)
-            for i, w in enumerate(given if isinstance(given, list) else [given])
-        ]
+        named = [_name(w, i) for i, w in enumerate(_listed(given))]
         return {
             name: dict(w)
             for name, w in zip(named, stored, strict=False)
@@ -418,6 +417,29 @@ class Source:
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
+    def called(self, at: Mapping[str, Any]) -> str:
+        """The named walker that a line is: its own where nothing is changed, or that
+        whose foot mass ratio it has; empty if it is none.
+        """
+        given = self.study.get("walker")
+        names = [name for name in _listed(given) if isinstance(name, str)]
+        changed = [key for key in at if key not in ("walker", "slope")]
+        if not changed:
+            return str(at["walker"]) if at["walker"] in names else ""
+        if changed == ["foot_mass_ratio"]:
+            return self._of_ratios.get(float(at["foot_mass_ratio"]), "")
+        return ""
+
+    @cached_property
+    def _of_ratios(self) -> dict[float, str]:
+        """Walkers by the foot mass ratios of which the archive has them as a pair."""
+        table = self.table("fits/transition_ratio", "pair", "foot_mass_ratios")
+        if table is None or len(table) != 1:
+            return {}
+        ratios = str(table["foot_mass_ratios"].iloc[0]).split(" / ")
+        pair = str(table["pair"].iloc[0]).split(" / ")
+        return dict(zip(map(float, ratios), pair, strict=True))
+
     @cached_property
     def lines(self) -> list[Line]:
         """Every line of the grid, in grid order."""
@@ -447,21 +469,28 @@ class Source:
                 if "walker" in at
                 else ""
             )
-            varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
-            named = (
-                {"walker": walker}
-                if self.grid.sizes.get("walker", 1) > 1 or not varying
-                else {}
-            )
-            label = axis_values({**named, **varying})
             line = {"walker": walker, **settings}
             yield Line(
                 line,
-                label,
+                self._label(line),
                 self.command(line),
                 rows_at(followed, line),
                 self.grid.isel(at),
+                self.called(line),
             )
+
+    def _label(self, at: Mapping[str, Any]) -> str:
+        """A line of the grid by the axes of several values; by its walker if there are
+        several, or no such axes.
+        """
+        varying = {
+            axis: value
+            for axis, value in at.items()
+            if axis != "walker" and self.grid.sizes[axis] > 1
+        }
+        is_named = self.grid.sizes.get("walker", 1) > 1 or not varying
+        named = {"walker": at["walker"]} if is_named else {}
+        return axis_values({**named, **varying})
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs;
@@ -497,7 +526,8 @@ class Source:
                 self.line_of(rows),
                 axis_values(dict(zip(columns, key, strict=True))),
             )
-            lines.append(Line(at, label, self.command(at), rows))
+            line = Line(at, label, self.command(at), rows, called=self.called(at))
+            lines.append(line)
         return lines
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
@@ -553,6 +583,11 @@ def _thinned(grid: xr.Dataset) -> xr.Dataset:
         if step > 1 and "slope" in grid.dims
         else grid
     )
+
+
+def _listed(given: Any) -> list[Any]:
+    """The walkers that a study gives, one or several."""
+    return given if isinstance(given, list) else [given]
 
 
 def _name(walker: Any, place: int) -> str:

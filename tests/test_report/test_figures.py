@@ -1,6 +1,5 @@
 import re
 import shlex
-import types
 
 import netCDF4
 import numpy as np
@@ -15,7 +14,6 @@ from gaitsweep.pipeline.report.figures import (
     Undrawn,
     design_maps,
     draw,
-    families,
     fields,
     landmarks,
 )
@@ -1012,30 +1010,30 @@ def test_ticks_of_a_logarithmic_axis_differ(low, high):
     assert len(labels) == len(set(labels)) > 1
 
 
-def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
+def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio(tmp_path):
     """The lightest feet had the lines of all ratios near zero."""
     ratios = np.array([1e-8, 1e-9])
-    table = pd.DataFrame(
-        {
-            "foot_mass_ratio": ratios,
-            "fitted_exponent": 1.0,
-            "fitted_amplitude": 1.0,
-            "fitted_cube_root": 1.0,
-            "slope_transition_fitted": [2e-4, 1e-4],
-        }
+    fits = {
+        "foot_mass_ratio": ratios,
+        "fitted_exponent": np.ones(2),
+        "fitted_amplitude": np.ones(2),
+        "fitted_cube_root": np.ones(2),
+        "slope_transition_fitted": np.array([2e-4, 1e-4]),
+    }
+    slope = np.geomspace(1e-6, 0.1, 30)
+    dims = ("foot_mass_ratio", "slope", "gait")
+    grid = {"stance_angle": (dims, np.tile(slope[:, None] ** (1 / 3), (2, 1, 2)))}
+    coords = {"foot_mass_ratio": ratios, "slope": slope, "gait": GAITS}
+    study = (
+        'name = "light"\nwalker = "E"\n[axes]\nslope = [0.1]\n'
+        "foot_mass_ratio = [1e-8, 1e-9]\n"
     )
-    data = xr.Dataset({"slope": [1e-5, 1e-2]})
-    lines = [
-        types.SimpleNamespace(at={"foot_mass_ratio": ratio}, data=data)
-        for ratio in ratios
-    ]
-    axes = Figure().subplots()
-    axes.loglog(data.slope, data.slope)
-    source = types.SimpleNamespace(
-        table=lambda name, *columns: {"fits/transition": table}.get(name)
-    )
-    words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
-    assert words == "They cross at 0.0002 (heavy) and 0.0001 (light)."
+    tables = {"fits/transition": fits}
+    archive = write(tmp_path / "light.nc", study, grid, coords, {"E": POINT}, tables)
+
+    said = FIGURES["loglog"](read(archive)).values["crossings"]
+
+    assert said == "They cross at 0.0002 (ρ = 10⁻⁸) and 0.0001 (ρ = 10⁻⁹)."
 
 
 def test_the_data_of_a_figure_says_in_words_what_is_stable():

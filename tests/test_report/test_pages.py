@@ -772,7 +772,7 @@ def test_colours_have_enough_contrast(scheme):
     if scheme == "dark":
         values |= dict(re.findall(r"--([\w]+): (#[0-9a-f]{6})", blocks[1]))
     for ground in ("paper", "wash"):
-        for words in ("ink", "muted", "link", "bad", *(f"line{k}" for k in range(6))):
+        for words in ("ink", "muted", "link", "bad", *(f"line{k}" for k in range(11))):
             assert _contrast(values[words], values[ground]) >= 4.5, (words, ground)
 
 

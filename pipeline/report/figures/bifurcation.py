@@ -1,4 +1,7 @@
-"""Bifurcation diagrams of orbits (figure 12)."""
+"""Bifurcation diagrams of orbits (figure 12), and where orbits are chaotic."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,15 +15,26 @@ from gaitsweep.pipeline.report.figures.style import (
     MAX_PANELS,
     MUTED,
     PRINTED,
-    RASTER,
     SHAPES,
-    colour,
+    WALKERS,
     evenly,
+    inks,
+    on_both,
     set_heading,
     thin,
 )
-from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import shorten, spaced
+from gaitsweep.pipeline.report.source import Line, Source, rows_at
+from gaitsweep.pipeline.report.words import plain, shorten, spaced
+
+#: An exponent is positive if it exceeds so many of its standard errors.
+_ERRORS = 3
+
+#: What a dot tells: it is one step of an attractor, from which the motion goes on.
+_TIPS = {
+    "slope": "γ (rad)",
+    "stance_angle": "θ* of one step (rad)",
+    "period": "period",
+}
 
 
 def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
@@ -32,50 +46,14 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
         return None
     every_line = source.lines_of(table)
     lines = evenly(every_line, MAX_PANELS)
-    sketch = Sketch(
-        "bifurcation",
-        330 if len(lines) == 1 else 230 * len(lines),
-        len(lines),
-        sharex=True,
-    )
-    raster = len(table) > SHAPES
-    printed = []
-    # A dot is one step of an attractor: only its walker and slope can be solved again,
-    # for the gaits there.
-    tips = {
-        "slope": "γ (rad)",
-        "stance_angle": "θ* of one step (rad)",
-        "period": "period",
-    }
-    for axes, line in zip(sketch.panels, lines, strict=True):
-        rows, size = line.rows, 0.9 if len(line.rows) > 10_000 else 2
-        ink = RASTER["long"] if raster else LINE
-        axes.plot(
-            rows["slope"],
-            rows["stance_angle"],
-            ".",
-            ms=size,
-            mew=0,
-            color=ink,
-            rasterized=raster,
-        )
-        set_heading(
-            axes,
-            f"{shorten(line.label)}: " * bool(line.label)
-            + "stance angle θ* of successive steps (rad)",
-        )
-        of_walker = landmarks.rows(source, line.at["walker"])
-        shown = of_walker[
-            of_walker["printed"].between(
-                0.8 * rows["slope"].min(), 1.2 * rows["slope"].max()
-            )
-        ]
+    height = 330 if len(lines) == 1 else 230 * len(lines)
+    sketch = Sketch("bifurcation", height, len(lines), sharex=True)
+
+    printed = [_near(source, line) for line in lines]
+    for axes, line, shown in zip(sketch.panels, lines, printed, strict=True):
+        _draw_orbits(sketch, axes, line, len(table) > SHAPES)
         landmarks.draw_over_slopes(axes, shown)
-        printed.append(shown)
-        label = f"{line.label or 'orbit'}; command: the gaits there"
-        sketch.mark(
-            axes, thin(rows, 400), label, command=line.command, tips=tips, free=True
-        )
+
     every = pd.concat(printed, ignore_index=True)
     if len(every):
         _widen(sketch.panels[-1], every)
@@ -89,6 +67,50 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
         printed=landmarks.sentence(every),
         drawn=len(lines),
         every=len(every_line),
+    )
+
+
+def _near(source: Source, line: Line) -> pd.DataFrame:
+    """Printed landmarks of a line's walker beside the slopes of its orbits."""
+    rows = landmarks.rows(source, line.at["walker"])
+    slopes = line.rows["slope"]
+    return rows[rows["printed"].between(0.8 * slopes.min(), 1.2 * slopes.max())]
+
+
+def _draw_orbits(sketch: Sketch, axes: Axes, line: Line, raster: bool) -> None:
+    """Draw every step of a line's orbits as a dot."""
+    rows = line.rows
+    ink = WALKERS.get(line.at["walker"], LINE)
+    axes.plot(
+        rows["slope"],
+        rows["stance_angle"],
+        ".",
+        ms=0.9 if len(rows) > 10_000 else 2,
+        mew=0,
+        color=on_both(ink) if raster else ink,
+        rasterized=raster,
+    )
+    name = f"{shorten(line.label)}: " if line.label else ""
+    set_heading(axes, f"{name}stance angle θ* of successive steps (rad)")
+    sketch.mark(
+        axes,
+        thin(rows, 400),
+        line.label or "orbit",
+        command=line.command,
+        tips=_TIPS,
+        free=True,
+    )
+
+
+def _widen(axes: Axes, printed: pd.DataFrame) -> None:
+    """Extend the shared slope axis so that every printed and computed landmark lies on
+    it, with its label.
+    """
+    values = printed[["printed", "slope"]].to_numpy(float).ravel()
+    left, right = axes.get_xlim()
+    width = right - left
+    axes.set_xlim(
+        min(left, values.min() - 0.22 * width), max(right, values.max() + 0.25 * width)
     )
 
 
@@ -109,18 +131,6 @@ def _transients(source: Source, table: pd.DataFrame) -> int:
     return int((survival["strides"] / survival["starts"]).max()) if beyond.any() else 0
 
 
-def _widen(axes: Axes, printed: pd.DataFrame) -> None:
-    """Extend the shared slope axis so that every printed and computed landmark lies on
-    it, with its label.
-    """
-    values = printed[["printed", "slope"]].to_numpy(float).ravel()
-    left, right = axes.get_xlim()
-    width = right - left
-    axes.set_xlim(
-        min(left, values.min() - 0.22 * width), max(right, values.max() + 0.25 * width)
-    )
-
-
 def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the largest Lyapunov exponent of orbits against slope and, where they fall,
     how long they walk.
@@ -137,19 +147,97 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     }
     if "exponent" not in shown:
         return None
+
     sketch = Sketch("lyapunov", 330 if len(shown) > 1 else 230, len(shown), sharex=True)
     sketch.panels[0].axhline(0, color=MUTED, lw=0.9)
-    lines = [line.label or source.walker for line in source.lines_of(table)]
+    lines = source.lines_of(table)
+    names = [line.label or source.walker for line in lines]
+    colours = inks([line.called for line in lines])
     for axes, (column, frame) in zip(sketch.panels, shown.items(), strict=True):
-        for k, line in enumerate(source.lines_of(frame)):
-            seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
-            axes.plot(seen["slope"], seen[column], ".", color=colour(k), ms=2.5)
-            tips = {"slope": "γ (rad)", column: spaced(column)}
-            sketch.mark(axes, seen, lines[k], command=line.command, tips=tips, y=column)
-            sketch.pieces.append(line.rows[["slope", column]].assign(line=line.label))
-    sketch.line_keys(lines)
-    chaotic = table[table["exponent"] > 0]["slope"]
-    return sketch.finish(
-        first=chaotic.min() if len(chaotic) else None,
-        last=chaotic.max() if len(chaotic) else None,
-    )
+        _draw_column(sketch, axes, source.lines_of(frame), column, names, colours)
+    sketch.line_keys(names, colours)
+
+    ranges = [chaotic(source, line) for line in lines]
+    said = [
+        found.words(name)
+        for name, found in zip(names, ranges, strict=True)
+        if found is not None
+    ]
+    return sketch.finish(chaos="; ".join(said), errors=_ERRORS)
+
+
+def _draw_column(
+    sketch: Sketch,
+    axes: Axes,
+    lines: Sequence[Line],
+    column: str,
+    names: Sequence[str],
+    colours: Sequence[str],
+) -> None:
+    """Draw a column of each line's table against slope."""
+    tips = {"slope": "γ (rad)", column: spaced(column)}
+    for line, name, ink in zip(lines, names, colours, strict=True):
+        seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
+        axes.plot(seen["slope"], seen[column], ".", color=ink, ms=2.5)
+        sketch.mark(axes, seen, name, command=line.command, tips=tips, y=column)
+        kept = [c for c in ("slope", column, "standard_error") if c in line.rows]
+        sketch.pieces.append(line.rows[kept].assign(line=line.label))
+
+
+class Chaos(NamedTuple):
+    """Slopes between which orbits of a line are chaotic: the least and the largest,
+    and at how many of those computed between them.
+    """
+
+    low: float
+    high: float
+    chaotic: int
+    between: int
+
+    def words(self, name: str) -> str:
+        """The range in words, of a line called so."""
+        whole = "all" if self.chaotic == self.between else f"{self.chaotic} of the"
+        return (
+            f"from {plain(self.low)} to {plain(self.high)} rad at {whole} "
+            f"{self.between} slopes ({name})"
+        )
+
+
+def chaotic(source: Source, line: Line) -> Chaos | None:
+    """Where the exponents of a line exceed their standard errors by a factor, and
+    walking persists; None where they do nowhere.
+
+    Walking persists below the slope at which the archive has it lost, and where no
+    orbit falls. At a flip an exponent is zero within its error, and orbits beyond the
+    loss of walking are transients.
+    """
+    rows = line.rows
+    if "standard_error" not in rows:
+        return None
+    rows = rows[rows["slope"] < _loss_of_walking(source, line)]
+    fell = _fallen(source, line)
+    rows = rows[~rows["slope"].isin(fell)]
+
+    is_positive = rows["exponent"] > _ERRORS * rows["standard_error"]
+    found = rows.loc[is_positive, "slope"]
+    if found.empty:
+        return None
+    low, high = float(found.min()), float(found.max())
+    between = int(rows["slope"].between(low, high).sum())
+    return Chaos(low, high, len(found), between)
+
+
+def _loss_of_walking(source: Source, line: Line) -> float:
+    """The slope at which a line's walking is lost; infinite if the archive has none."""
+    table = source.table("crises", "walker", "slope")
+    own = [] if table is None else table[table["walker"] == line.at["walker"]]["slope"]
+    return float(min(own, default=np.inf))
+
+
+def _fallen(source: Source, line: Line) -> pd.Series:
+    """Slopes at which an orbit of a line falls."""
+    table = source.table("survival", "slope", "falls")
+    if table is None:
+        return pd.Series(dtype=float)
+    own = rows_at(table, line.at)
+    return own.loc[own["falls"] > 0, "slope"]

@@ -1,6 +1,9 @@
 """Solution branches continued through folds to their ends (figures 6 and 8)."""
 
-from typing import Any
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -8,113 +11,275 @@ from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures import landmarks, measured
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
+from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
     INK,
+    LINE,
     MAX_PANELS,
     MUTED,
     PAPER,
+    WALKERS,
     draw_gait,
     evenly,
+    inks,
     set_heading,
     thin,
-    write_at,
 )
-from gaitsweep.pipeline.report.source import Source, rows_at
-from gaitsweep.pipeline.report.words import WORDS, shorten, spaced, yes_or_no
+from gaitsweep.pipeline.report.source import Line, Source, rows_at
+from gaitsweep.pipeline.report.words import WORDS, plain, shorten, spaced, yes_or_no
 
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
+
+#: The corner of a panel at the origin is enlarged if so many special points lie there.
+_CROWD = 3
+
+
+class _Corner(NamedTuple):
+    """The part of a panel that is enlarged: a share of its slopes, how far it goes
+    beyond the special points there, and the box where it stands, in shares of the
+    panel; branches that begin at small slopes leave it free.
+    """
+
+    share: float
+    margin: float
+    box: tuple[float, float, float, float]
+
+
+#: Of a figure of one panel, and of small multiples.
+_ALONE = _Corner(0.25, 1.35, (0.56, 0.055, 0.42, 0.36))
+_AMONG = _Corner(0.12, 1.15, (0.53, 0.09, 0.45, 0.44))
+
+
+@dataclass(frozen=True)
+class _Branches:
+    """What a locus shows: some of the lines that the archive follows, with the points
+    drawn of each, its special points and its ink.
+    """
+
+    lines: Sequence[Line]
+    every: int
+    drawn: Sequence[list[pd.DataFrame]]
+    special: Sequence[pd.DataFrame]
+    inks: Sequence[str]
+    together: bool
+
+    @property
+    def count(self) -> int:
+        """Number of panels."""
+        return 1 if self.together else len(self.lines)
 
 
 def locus(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot stance angle against slope along each branch, with special points; one panel
     per line.
     """
+    shown = _data(source, table)
+    sketch = _panels(shown)
+    for k in range(len(shown.lines)):
+        _draw_line(sketch, source, shown, k)
+    _legend(sketch, shown)
+    sketch.panels[0].set(xlim=(0, None), ylim=(0, None))  # which all panels share
+
+    enlarged = [_enlarge(sketch, shown, k) for k in range(shown.count)]
+    sketch.figure.supxlabel("slope γ (rad)", fontsize=9.5)
+    printed, numbered = "", pd.DataFrame()
+    if shown.count > 1:
+        sketch.figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
+    else:
+        set_heading(sketch.panels[0], "stance angle θ* (rad)")
+        numbered = landmarks.point_numbers(source)
+        _draw_points(sketch.panels[0], enlarged[0], numbered)
+        printed = landmarks.sentence(
+            landmarks.draw_at_angles(sketch, sketch.panels[0], source)
+        )
+
+    data = sketch.data
+    # At a tangential strike the derivative of the step map has no bound.
+    if "spectral_radius" in data:
+        radius = data["spectral_radius"]
+        data["spectral_radius"] = radius.where(radius < _UNBOUNDED, np.inf)
+    return sketch.finish(
+        data,
+        numbered=bool(len(numbered)),
+        enlarged=any(inset is not None for inset in enlarged),
+        printed=printed,
+        drawn=len(shown.lines),
+        every=shown.every,
+        count=shown.count,
+        s="s" * (shown.count > 1),
+        special=sum(map(len, shown.special)),
+    )
+
+
+def _data(source: Source, table: pd.DataFrame) -> _Branches:
+    """The branches of some lines, evenly chosen, and their special points."""
     special = source.tables.get("special_points", pd.DataFrame())
     if "kind" in special:  # where a branch leaves the window nothing happens
         special = special[special["kind"].astype(str) != "window"]
+
     every = source.lines_of(table)
     together = len(every) == 2 and all(
         line.label == line.at["walker"] for line in every
     )
-    chosen = evenly(every, MAX_PANELS)
-    count = 1 if together else len(chosen)
-    across = min(count, 3)
-    rows = -(-count // across)
-    sketch = Sketch(
-        "locus",
-        350 if count == 1 else 200 * rows + 60,
-        rows,
-        across,
-        sharex=True,
-        sharey=True,
+    lines = evenly(every, MAX_PANELS)
+    # Panels of one walker all have its colour: their titles tell them apart.
+    own = [WALKERS.get(line.at["walker"], LINE) for line in lines]
+    return _Branches(
+        lines,
+        len(every),
+        [list(_runs(line.rows)) for line in lines],
+        [rows_at(special, line.at) for line in lines],
+        inks([line.called for line in lines]) if together else own,
+        together,
     )
-    panels = sketch.panels
-    for k, line in enumerate(chosen):
-        axes = panels[0 if together else k]
-        sketch.pieces += _draw_branches(axes, line.rows, k)
-        rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
-        rows = (
-            rows.assign(stable=yes_or_no(rows["stable"])) if "stable" in rows else rows
+
+
+def _runs(frame: pd.DataFrame) -> Iterator[pd.DataFrame]:
+    """Yield the points drawn of the branches of a line, in parts that a curve joins."""
+    edges = frame["slope"].min(), frame["slope"].max()
+    by_branch = [(0, frame)]
+    if "branch" in frame:
+        by_branch = list(frame.groupby("branch", sort=False))
+    for branch, whole in by_branch:
+        # A branch that leaves the window may come back at the same edge: no line joins
+        # the two parts.
+        at = np.array(
+            [np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges]
         )
-        sketch.mark(
-            axes,
-            rows,
-            line.label or "branch",
-            command=line.command,
-            tips=TIPS | {"stable": "stable"},
-        )
-        measured.draw(sketch, axes, source, "stance_angle", line.at)
-        _draw_special(sketch, axes, rows_at(special, line.at), line.command)
-        if line.label and not together:
-            letter = f"({'abcdef'[k]}) " if count > 1 else ""
-            axes.set_title(
-                letter + shorten(line.label, 60 // across),
-                fontsize=9,
-                pad=4,
-                loc="left",
-            )
-    for axes in panels[count:]:
+        returns = (at & np.roll(at, 1, axis=1)).any(axis=0)
+        for _, run in whole.groupby(np.cumsum(returns)):
+            rows = thin(add_borders(run), 400).reset_index(drop=True)
+            gait = rows["gait"].astype(str) if "gait" in rows else ""
+            yield rows.assign(branch=branch, gait=gait)
+
+
+def _panels(shown: _Branches) -> Sketch:
+    """Empty panels, at most three abreast."""
+    across = min(shown.count, 3)
+    rows = -(-shown.count // across)
+    height = 350 if shown.count == 1 else 200 * rows + 60
+    sketch = Sketch("locus", height, rows, across, sharex=True, sharey=True)
+    for axes in sketch.panels[shown.count :]:
         axes.axis("off")
-    panels[0].set(xlim=(0, None), ylim=(0, None))  # which all panels share
     if across > 1:
-        panels[0].locator_params(axis="x", nbins=3)
-    numbered = (
-        _draw_points(panels[0], landmarks.point_numbers(source))
-        if count == 1
-        else False
+        sketch.panels[0].locator_params(axis="x", nbins=3)
+    return sketch
+
+
+def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None:
+    """Draw the branches of a line with its special points and measurements, in a panel
+    under its name unless all are together.
+    """
+    line = shown.lines[k]
+    axes = sketch.panels[0 if shown.together else k]
+    if line.label and not shown.together:
+        letter = f"({'abcdefghi'[k]}) " if shown.count > 1 else ""
+        title = letter + shorten(line.label, 60 // min(shown.count, 3))
+        axes.set_title(title, fontsize=9, pad=4, loc="left")
+    _draw_runs(axes, shown.drawn[k], shown.inks[k])
+    for rows in shown.drawn[k]:
+        computed = rows[~rows["border"].astype(bool)] if "border" in rows else rows
+        sketch.pieces.append(computed.drop(columns="border", errors="ignore"))
+
+    rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
+    if "stable" in rows:
+        rows = rows.assign(stable=yes_or_no(rows["stable"]))
+    sketch.mark(
+        axes,
+        rows,
+        line.label or "branch",
+        command=line.command,
+        tips=TIPS | {"stable": "stable"},
     )
-    sketch.figure.supxlabel("slope γ (rad)", fontsize=9.5)
-    if count == 1:
-        set_heading(panels[0], "stance angle θ* (rad)")
-    else:
-        sketch.figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
-    data = sketch.data
+    measured.draw(sketch, axes, source, "stance_angle", line.at)
+    _draw_special(sketch, axes, shown.special[k], line.command)
+
+
+def _legend(sketch: Sketch, shown: _Branches) -> None:
+    """Add gaits, walkers and kinds of special points to the legend."""
     sketch.gait_keys()
-    if (
-        "spectral_radius" in data
-    ):  # at a tangential strike the derivative of the step map has no bound
-        data["spectral_radius"] = data["spectral_radius"].where(
-            data["spectral_radius"] < _UNBOUNDED, np.inf
-        )
-    sketch.line_keys([line.label for line in chosen] if together else [])
-    for kind in special["kind"].astype(str).unique() if "kind" in special else ():
+    if shown.together:
+        sketch.line_keys([line.label for line in shown.lines], shown.inks)
+    kinds = dict.fromkeys(
+        str(kind)
+        for points in shown.special
+        if "kind" in points
+        for kind in points["kind"]
+    )
+    for kind in kinds:
         sketch.dot_key(spaced(kind), **_mark(kind))
-    printed = (
-        landmarks.sentence(landmarks.draw_at_angles(sketch, panels[0], source))
-        if count == 1
-        else ""
-    )
-    return sketch.finish(
-        data,
-        numbered=numbered,
-        printed=printed,
-        drawn=len(chosen),
-        every=len(every),
-        count=count,
-        s="s" * (count > 1),
-        special=len(special),
-    )
+
+
+def _enlarge(sketch: Sketch, shown: _Branches, k: int) -> Axes | None:
+    """Draw the corner at the origin of a panel once more, enlarged, where special
+    points crowd there and no curve is in the way.
+    """
+    axes, members = sketch.panels[k], [k]
+    if shown.together:
+        members = list(range(len(shown.lines)))
+    corner = _ALONE if shown.count == 1 else _AMONG
+    right = float(axes.get_xlim()[1])
+    near = [_below(shown.special[i], corner.share * right) for i in members]
+    runs = list(itertools.chain.from_iterable(shown.drawn[i] for i in members))
+    if sum(map(len, near)) < _CROWD or _is_in_the_way(axes, runs, corner.box):
+        return None
+
+    inset = axes.inset_axes(corner.box)
+    crowd = pd.concat(near)
+    inset.set(xlim=(0, corner.margin * crowd["slope"].max()))
+    inset.set(ylim=(0, 1.2 * crowd["stance_angle"].max()))
+    for i, points in zip(members, near, strict=True):
+        _draw_runs(inset, shown.drawn[i], shown.inks[i])
+        _draw_special(sketch, inset, points, shown.lines[i].command)
+    _frame_inset(axes, inset)
+    return inset
+
+
+def _draw_runs(axes: Axes, runs: Sequence[pd.DataFrame], ink: str) -> None:
+    """Draw the branches of a line, each gait in its dashes."""
+    for rows in runs:
+        for gait in rows["gait"].unique():
+            draw_gait(axes, rows, gait, ink)
+
+
+def _frame_inset(axes: Axes, inset: Axes) -> None:
+    """Frame an enlarged part, with a tick along each side, and its place in the panel."""
+    ends = float(inset.get_xlim()[1]), float(inset.get_ylim()[1])
+    for which, end in zip("xy", ends, strict=True):
+        tick = _round_below(end)
+        getattr(inset, f"set_{which}ticks")([tick], [plain(tick, 2)])
+    inset.tick_params(labelsize=7, length=2, pad=1.5)
+    inset.grid(False)
+    for spine in inset.spines.values():
+        spine.set(visible=True, color=MUTED, linewidth=0.6)
+    edge = [0, ends[0], ends[0]], [ends[1], ends[1], 0]
+    axes.plot(*edge, color=MUTED, lw=0.6, zorder=4)
+
+
+def _below(points: pd.DataFrame, slope: float) -> pd.DataFrame:
+    """Special points at smaller slopes than one."""
+    is_known = {"slope", "stance_angle"} <= set(points.columns)
+    return points[points["slope"] < slope] if is_known else points.iloc[:0]
+
+
+def _round_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten below a number."""
+    ten = 10.0 ** np.floor(np.log10(value))
+    return max(float(n * ten) for n in (1, 2, 5) if n * ten <= value)
+
+
+def _is_in_the_way(
+    axes: Axes, runs: Sequence[pd.DataFrame], box: tuple[float, float, float, float]
+) -> bool:
+    """Whether a curve passes a box of a panel, or the words at its left."""
+    left, low, width, height = box
+    (_, right), (_, top) = axes.get_xlim(), axes.get_ylim()
+    for rows in runs:
+        x, y = rows["slope"] / right, rows["stance_angle"] / top
+        if (x.between(left - 0.1, left + width) & y.between(0, low + height)).any():
+            return True
+    return False
 
 
 def _mark(kind: str) -> dict[str, Any]:
@@ -126,34 +291,6 @@ def _mark(kind: str) -> dict[str, Any]:
         "mfc": fill,
         "ms": size,
     }
-
-
-def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
-    """Draw the branches of a line, each gait in the dashes of its label; the rows
-    drawn.
-    """
-    pieces: list[pd.DataFrame] = []
-    edges = frame["slope"].min(), frame["slope"].max()
-    by_branch = (
-        frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]
-    )
-    for branch, whole in by_branch:
-        # A branch that leaves the window may come back at the same edge: no line joins
-        # the two parts.
-        at = np.array(
-            [np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges]
-        )
-        for _, run in whole.groupby(
-            np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))
-        ):
-            rows = thin(run, 400).reset_index(drop=True)
-            rows = rows.assign(
-                branch=branch, gait=rows["gait"].astype(str) if "gait" in rows else ""
-            )
-            for gait in rows["gait"].unique():
-                draw_gait(axes, rows, gait, k)
-            pieces.append(rows)
-    return pieces
 
 
 def _draw_special(
@@ -185,30 +322,31 @@ def _draw_special(
     )
 
 
-def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:
-    """Number the points as the paper does, with the interval that rounding allows;
-    whether there were any.
+def _draw_points(axes: Axes, inset: Axes | None, numbered: pd.DataFrame) -> None:
+    """Number the points as the paper does, beside thin lines to them, with the interval
+    that rounding allows; those of the enlarged part there.
     """
-    how = {
-        "ha": "center",
-        "va": "center",
-        "fontsize": 10,
-        "fontweight": "bold",
-        "annotation_clip": False,
-    }
     for row in numbered.itertuples():
+        is_near = inset is not None and row.slope < inset.get_xlim()[1]
+        panel = inset if inset is not None and is_near else axes
         if np.isfinite(row.slope_low):
-            axes.plot(
-                [row.slope_low, row.slope_high],
-                [row.stance_angle] * 2,
-                color=MUTED,
-                lw=0.8,
-                zorder=4,
-            )
-        offset = (
-            (15, 5)
-            if row.stance_angle < 0.01
-            else (14, -12 if row.stance_angle > 0.05 else 8)
+            interval = [row.slope_low, row.slope_high]
+            panel.plot(interval, [row.stance_angle] * 2, color=MUTED, lw=0.8, zorder=4)
+        panel.annotate(
+            str(row.point),
+            (row.slope, row.stance_angle),
+            xytext=(-24, 8) if is_near else (-14, -13),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=10,
+            fontweight="bold",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": MUTED,
+                "lw": 0.6,
+                "shrinkA": 1,
+                "shrinkB": 4,
+            },
         )
-        write_at(axes, str(row.point), (row.slope, row.stance_angle), offset, **how)
-    return bool(len(numbered))

@@ -3,9 +3,9 @@ residuals of the power laws.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,16 +13,18 @@ from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures import landmarks, measured
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
+from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
-    COLOURS,
     DOTTED,
     INK,
+    MOST_COLOURS,
     MUTED,
     PAPER,
-    colour,
+    End,
     draw_gait,
     draw_guide,
     end_labels,
+    inks,
     set_heading,
     thin,
     write_at,
@@ -36,6 +38,12 @@ from gaitsweep.pipeline.report.words import (
     titled,
     with_unit,
 )
+
+#: Most lines of which both fitted laws are drawn, with the place where they cross.
+_MOST_CROSSINGS = 4
+
+#: Heading of the residuals.
+_PERCENT = "residual (%)"
 
 
 @dataclass(frozen=True)
@@ -84,60 +92,93 @@ def quantity(name: str, source: Source) -> Sketch | None:
     """Plot a quantity of every gait against slope (the paper's figures 5 and 11) or
     speed.
     """
+    shown = _shown(name, source)
+    lines = [line for line in source.lines if set(shown.reads) <= set(line.data)]
+    drawn = _Lines.of(lines)
+
+    sketch = Sketch(name, 350)
+    (axes,) = sketch.panels
+    _draw_lines(sketch, axes, source, shown, drawn)
+    if not sketch.pieces:
+        return None
+
+    sketch.gait_keys()
+    data = sketch.data
+    laws = _draw_laws(sketch, axes, source, drawn) if shown.laws else {}
+    # Shares of several losses are drawn, which no measurement of one of them can be
+    # compared with.
+    if shown.abscissa == "slope" and len(shown.reads) == 1:
+        measured.draw(sketch, axes, source, shown.reads[0])
+    if shown.origin:
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+    if 1 < len(lines) <= MOST_COLOURS:
+        _label_lines(axes, data, drawn, shown)
+    for at, words in shown.guides.items():
+        draw_guide(axes, float(at), words)
+
+    values = _words(source, shown, drawn, data) | laws
+    return sketch.finish(lines=drawn.names, inks=drawn.inks, **values)
+
+
+def _shown(name: str, source: Source) -> Quantity:
+    """What a figure shows; power over m g √(g l) and speed over √(g l) where the
+    archive holds the latter.
+    """
     shown = QUANTITIES[name]
     if shown.abscissa == "speed" and "froude_speed" in source.grid:
-        shown = replace(
+        return replace(
             shown,
             heading="power P/(m g √(g l))",
             reads=("froude_speed",),
             abscissa="froude_speed",
         )
-    lines = [line for line in source.lines if set(shown.reads) <= set(line.data)]
-    sketch, names, x, y = (
-        Sketch(name, 350),
-        _line_titles(source, lines),
-        shown.abscissa,
-        shown.heading,
-    )
-    (axes,) = sketch.panels
-    _draw_lines(sketch, axes, source, shown, lines, names)
-    if not sketch.pieces:
-        return None
-    sketch.gait_keys()
-    data, laws = (
-        sketch.data,
-        _draw_laws(sketch, axes, source, lines, names) if shown.laws else {},
-    )
-    # Shares of several losses are drawn, which no measurement of one of them can be
-    # compared with.
-    if x == "slope" and len(shown.reads) == 1:
-        measured.draw(sketch, axes, source, shown.reads[0])
-    if shown.origin:
-        axes.set_xlim(left=0)
-        axes.set_ylim(bottom=0)
-    if 1 < len(lines) <= len(COLOURS) or (shown.laws and len(lines) > 1):
-        _label_lines(sketch, lines, names, x, y, "left" if shown.laws else "right")
-    for at, words in shown.guides.items():
-        draw_guide(axes, float(at), words)
-    finite, called = (
-        data[y][np.isfinite(data[y])],
-        "speed v" if x == "speed" else spaced(x),
-    )
-    return sketch.finish(
-        lines=names,
-        heading=y,
-        names=", ".join(names)
-        if len(names) < 7
-        else f"{len(names)} lines from {names[0]} to {names[-1]}",
-        stable=(data["stable"] == 1).any(),
-        least=finite.min(),
-        most=finite.max(),
-        count=data["line"].nunique(),
-        gaits=", ".join(data["gait"].unique()),
-        x=with_unit(called, source.units(x)),
-        y=with_unit(y, source.units(shown.reads[0])),
-        **laws,
-    )
+    return shown
+
+
+def _words(
+    source: Source, shown: Quantity, drawn: "_Lines", data: pd.DataFrame
+) -> dict[str, Any]:
+    """The values of a figure's words."""
+    finite = data[shown.heading][np.isfinite(data[shown.heading])]
+    called = "speed v" if shown.abscissa == "speed" else spaced(shown.abscissa)
+    names = ", ".join(drawn.names)
+    if len(drawn.names) > 6:
+        names = f"{len(drawn.names)} lines from {drawn.names[0]} to {drawn.names[-1]}"
+    return {
+        "heading": shown.heading,
+        "names": names,
+        "stable": (data["stable"] == 1).any(),
+        "least": finite.min(),
+        "most": finite.max(),
+        "count": data["line"].nunique(),
+        "gaits": ", ".join(data["gait"].unique()),
+        "x": with_unit(called, source.units(shown.abscissa)),
+        "y": with_unit(shown.heading, source.units(shown.reads[0])),
+        "own_units": shown.abscissa == "speed",
+        "over": shown.abscissa == "froude_speed",
+    }
+
+
+class _Lines(NamedTuple):
+    """Lines of a figure with their names, what stands beside their curves, and colours."""
+
+    lines: Sequence[Line]
+    names: Sequence[str]
+    short: Sequence[str]
+    inks: Sequence[str]
+
+    @classmethod
+    def of(cls, lines: Sequence[Line]) -> "_Lines":
+        """Lines called by the walker of the catalogue that each is, and by their
+        labels.
+        """
+        names = []
+        for line in lines:
+            is_both = line.called and line.called != line.label
+            names.append(f"{line.called} ({line.label})" if is_both else line.label)
+        short = [line.called or line.label for line in lines]
+        return cls(lines, names, short, inks([line.called for line in lines]))
 
 
 def measurements(source: Source) -> Sketch | None:
@@ -151,11 +192,10 @@ def measurements(source: Source) -> Sketch | None:
     if not variables or "slope" not in rows:
         return None
     sketch = Sketch("measured", 60 + 250 * len(variables), len(variables), sharex=True)
-    names = [line.label for line in lines]
+    drawn = _Lines.of(lines)
     for axes, name in zip(sketch.panels, variables, strict=True):
-        _draw_lines(
-            sketch, axes, source, Quantity(name, (name,), samples=1800), lines, names
-        )
+        shown = Quantity(name, (name,), samples=1800)
+        _draw_lines(sketch, axes, source, shown, drawn)
         measured.draw(sketch, axes, source, name)
         sketch.mark(
             axes,
@@ -166,147 +206,169 @@ def measurements(source: Source) -> Sketch | None:
         )
         set_heading(axes, titled(name, source.units(name)))
     sketch.gait_keys()
-    sketch.line_keys(names)
-    left = measured.residuals(source)
-    largest = (
-        left["residual"].abs().groupby(left["variable"], sort=False).max().dropna()
-        if len(left)
-        else {}
-    )
-    worst = "; the largest ".join(
-        f"residual of {name} is {plain(value, 3)}" for name, value in largest.items()
-    )
+    sketch.line_keys(drawn.names, drawn.inks)
     return sketch.finish(
-        lines=names, names=", ".join(variables), count=len(rows), worst=worst
+        lines=drawn.names,
+        inks=drawn.inks,
+        names=", ".join(variables),
+        count=len(rows),
+        worst=_worst_residuals(source),
+    )
+
+
+def _worst_residuals(source: Source) -> str:
+    """The largest residual of each measured variable, in words."""
+    left = measured.residuals(source)
+    if left.empty:
+        return ""
+    largest = left["residual"].abs().groupby(left["variable"], sort=False).max()
+    return "; the largest ".join(
+        f"residual of {name} is {plain(value, 3)}"
+        for name, value in largest.dropna().items()
     )
 
 
 def _draw_lines(
-    sketch: Sketch,
-    axes: Axes,
-    source: Source,
-    shown: Quantity,
-    lines: Sequence[Line],
-    names: Sequence[str],
+    sketch: Sketch, axes: Axes, source: Source, shown: Quantity, drawn: _Lines
 ) -> None:
-    """Draw a quantity of every gait of some lines, called so."""
-    known, columns = (
-        TIPS | {"spectral_radius": "max |λ|"},
-        ("slope", shown.abscissa, *shown.reads, *shown.shows),
-    )
+    """Draw a quantity of every gait of some lines."""
+    known = TIPS | {"spectral_radius": "max |λ|"}
+    columns = ("slope", shown.abscissa, *shown.reads, *shown.shows)
     tips = {column: known.get(column, spaced(column)) for column in columns}
-    for k, (line, name) in enumerate(zip(lines, names, strict=True)):
+    most = max(60, shown.samples // max(1, len(drawn.lines)))
+    for k, line in enumerate(drawn.lines):
+        how = _Drawn(line, k, drawn.names[k], drawn.inks[k], tips, shown)
         curves = [
-            thin(c, max(60, shown.samples // len(lines)))
-            for c in line.curves(*shown.reads, *shown.shows)
+            _with_value(curve, shown, most)
+            for curve in line.curves(*shown.reads, *shown.shows)
+            if set(shown.reads) <= set(curve)
         ]
-        curves = [
-            c.assign(**{shown.heading: shown.value(c)})
-            for c in curves
-            if set(shown.reads) <= set(c)
-        ]
-        gaits = dict.fromkeys(
-            [*source.gaits, *(gait for curve in curves for gait in curve["gait"])]
-        )
+        gaits = dict.fromkeys(source.gaits)
+        for curve in curves:
+            gaits |= dict.fromkeys(curve["gait"])
         for gait, curve in itertools.product(gaits, curves):
-            _draw_curve(
-                sketch,
-                axes,
-                curve,
-                gait,
-                line,
-                k,
-                name,
-                tips,
-                shown.abscissa,
-                shown.heading,
-            )
+            _draw_curve(sketch, axes, curve, gait, how)
+
+
+class _Drawn(NamedTuple):
+    """How a line's curves are drawn: its number, name and ink, and what its points
+    tell.
+    """
+
+    line: Line
+    number: int
+    name: str
+    ink: str
+    tips: Mapping[str, str]
+    shown: Quantity
+
+
+def _with_value(curve: pd.DataFrame, shown: Quantity, most: int) -> pd.DataFrame:
+    """At most some points of a curve, and the borders of stability, with what is
+    drawn of each.
+    """
+    part = thin(add_borders(curve), most).reset_index(drop=True)
+    return part.assign(**{shown.heading: shown.value(part)})
 
 
 def _draw_curve(
-    sketch: Sketch, axes: Axes, curve: pd.DataFrame, gait: str, line: Line, k: int, name: str,
-    tips: Mapping[str, str], x: str, y: str,
-) -> None:  # fmt: skip
-    """Draw a gait of a curve of line k, called so, if the curve has it: with the points
-    that it lacks, as gaps.
+    sketch: Sketch, axes: Axes, curve: pd.DataFrame, gait: str, how: _Drawn
+) -> None:
+    """Draw a gait of a curve, if the curve has it: with the points that it lacks, as
+    gaps.
     """
-    points = curve[(curve["gait"] == gait) & curve[y].notna()]
-    if len(points):
-        draw_gait(axes, curve, gait, k, k, x, y)
-        how: Any = {"command": line.command, "tips": tips, "x": x, "y": y, "group": k}
-        sketch.mark(axes, points, f"{gait} step · {name}", **how)
-        sketch.pieces.append(
-            points.drop(columns=list(RATES), errors="ignore").assign(line=line.label)
-        )
+    x, y = how.shown.abscissa, how.shown.heading
+    is_drawn = (curve["gait"] == gait) & curve[y].notna()
+    if "border" in curve:
+        is_drawn &= ~curve["border"].astype(bool)
+    points = curve[is_drawn]
+    if points.empty:
+        return
+
+    draw_gait(axes, curve, gait, how.ink, how.number, x, y)
+    sketch.mark(
+        axes,
+        points,
+        f"{gait} step · {how.name}",
+        command=how.line.command,
+        tips=how.tips,
+        x=x,
+        y=y,
+        group=how.number,
+    )
+    kept = points.drop(columns=[*RATES, "border"], errors="ignore")
+    sketch.pieces.append(kept.assign(**_about(how.line)))
+
+
+def _about(line: Line) -> dict[str, Any]:
+    """Columns of a figure's data that tell its lines apart, and the unit of their
+    periods.
+    """
+    units = line.data.get("walker_units")
+    about: dict[str, Any] = {"line": line.label, **line.at}
+    if units is not None and "period" in line.data:
+        about["period_unit"] = "s" if str(units.values) == "SI" else "sqrt(leg/g)"
+    return about
 
 
 def _label_lines(
-    sketch: Sketch,
-    lines: Sequence[Line],
-    names: Sequence[str],
-    x: str,
-    y: str,
-    side: str,
+    axes: Axes, data: pd.DataFrame, drawn: _Lines, shown: Quantity
 ) -> None:
     """Write the name of each line at the right end of one of its curves, or at the left
     end of each of its gaits.
     """
-    (axes,), ends = sketch.panels, []
-    data = sketch.data[np.isfinite(sketch.data[[x, y]]).all(axis=1)]
-    for k, (line, name) in enumerate(zip(lines, names, strict=True)):
-        own = data[data["line"] == line.label]
+    x, y = shown.abscissa, shown.heading
+    side = "left" if shown.laws else "right"
+    known = data[np.isfinite(data[[x, y]]).all(axis=1)]
+    ends = []
+    for line, name, ink in zip(drawn.lines, drawn.short, drawn.inks, strict=True):
+        own = known[known["line"] == line.label]
         for _, rows in own.groupby("gait" if side == "left" else "line", sort=False):
-            end = rows.loc[rows[x].idxmin() if side == "left" else rows[x].idxmax()]
-            ends.append((end[x], end[y], name, colour(k)))
+            last = rows[x].idxmin() if side == "left" else rows[x].idxmax()
+            ends.append(End(rows.loc[last, x], rows.loc[last, y], name, ink))
     end_labels(axes, ends, side)
 
 
 def _draw_laws(
-    sketch: Sketch, axes: Axes, source: Source, lines: list[Line], names: list[str]
+    sketch: Sketch, axes: Axes, source: Source, drawn: _Lines
 ) -> dict[str, Any]:
     """Draw fitted power laws and printed slopes; what is said of them."""
-    fitted, crossings = (
-        _draw_power_laws(source, axes, lines),
-        _draw_fitted_lines(source, axes, lines, names),
-    )
+    crossings = [] if len(drawn.lines) > _MOST_CROSSINGS else _crossings(source, drawn)
+    if crossings:
+        _draw_crossings(axes, crossings)
+        sketch.key("fitted on either side of the transition", INK, lw=0.6)
+    # Lines fitted on either side lie on these, and tell more.
+    fitted = not crossings and _draw_power_laws(source, axes, drawn.lines)
     if fitted:
         sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
-    if crossings:
-        sketch.key("fitted on either side of the transition", INK, lw=0.6)
+
     printed = landmarks.draw_at_angles(sketch, axes, source)
     said = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])])
-    return {"fitted": fitted, "crossings": crossings, "printed": said}
+    words = _words_of_crossings(source, crossings)
+    return {"fitted": fitted, "crossings": words, "printed": said}
 
 
-def _line_titles(source: Source, lines: list[Line]) -> list[str]:
-    """Names of the lines; the two foot mass ratios of the paper are called by the names
-    of their walkers.
+class _Crossing(NamedTuple):
+    """Two laws of one line, θ* = amplitude · γ^exponent below, θ* = cube_root · γ^(1/3)
+    above, and the slopes where they cross and where the line begins.
     """
-    table, names = source.tables.get("fits/transition_ratio"), {}
-    if (
-        table is not None
-        and len(table) == 1
-        and {"pair", "foot_mass_ratios"} <= set(table.columns)
-    ):
-        pair, ratios = (
-            str(table["pair"].iloc[0]).split(" / "),
-            str(table["foot_mass_ratios"].iloc[0]).split(" / "),
-        )
-        names = {
-            float(ratio): walker for walker, ratio in zip(pair, ratios, strict=True)
-        }
-    called = [names.get(line.at.get("foot_mass_ratio", np.nan), "") for line in lines]
-    return [
-        f"{name} ({line.label})" if name else line.label
-        for name, line in zip(called, lines, strict=True)
-    ]
+
+    name: str
+    slope: float
+    first: float
+    exponent: float
+    amplitude: float
+    cube_root: float
+
+    @property
+    def angle(self) -> float:
+        """Stance angle at which the laws cross."""
+        return self.cube_root * self.slope ** (1 / 3)
 
 
-def _draw_fitted_lines(
-    source: Source, axes: Axes, lines: list[Line], names: list[str]
-) -> str:
-    """Draw the lines fitted to the short step's two regimes and their crossing; the
-    crossings in words.
+def _crossings(source: Source, drawn: _Lines) -> list[_Crossing]:
+    """The lines fitted to both regimes of the short step, by the slope at which they
+    cross.
     """
     fields = (
         "foot_mass_ratio",
@@ -316,61 +378,77 @@ def _draw_fitted_lines(
         "slope_transition_fitted",
     )
     table = source.table("fits/transition", *fields)
-    if table is None or len(lines) > 4:
-        return ""
-    words: list[str] = []
-    left, right = axes.get_xlim()
-    for line, name in zip(lines, names, strict=True):
-        fits = rows_at(
-            table, {"foot_mass_ratio": line.at.get("foot_mass_ratio", np.nan)}
-        )
+    if table is None:
+        return []
+    found = []
+    for line, name in zip(drawn.lines, drawn.short, strict=True):
+        ratio = {"foot_mass_ratio": line.at.get("foot_mass_ratio", np.nan)}
+        fits = rows_at(table, ratio)
         for row in fits[np.isfinite(fits["slope_transition_fitted"])].itertuples():
-            cross = row.slope_transition_fitted
-            ink: Any = {"color": INK, "lw": 0.6, "zorder": 1.6}
-            below, above = (
-                np.array([line.data["slope"].values.min(), 3 * cross]),
-                np.array([cross / 30, right]),
-            )
-            axes.plot(below, row.fitted_amplitude * below**row.fitted_exponent, **ink)
-            axes.plot(above, row.fitted_cube_root * above ** (1 / 3), **ink)
-            height = row.fitted_cube_root * cross ** (1 / 3)
-            axes.plot([cross], [height], "o", color=INK, mfc=PAPER, ms=5, zorder=6)
-            write_at(
-                axes,
-                f"{shorten(name, 12)}: γ = {plain(cross, 3)}",
-                (cross, height),
-                (8, -26 if words else -12),
-            )
-            x, law = 30 * below[0], f"θ* ∝ γᵖ, p = {plain(row.fitted_exponent)}"
-            offset, how = (
-                ((-4, 5), {"ha": "right"}) if words else ((9, -9), {"ha": "left"})
-            )
-            write_at(
-                axes,
-                law,
-                (x, row.fitted_amplitude * x**row.fitted_exponent),
-                offset,
-                **how,
-            )
-            if not words:
-                x = cross / 8
-                write_at(
-                    axes,
-                    "p = 1/3",
-                    (x, row.fitted_cube_root * x ** (1 / 3)),
-                    (-4, 5),
-                    ha="right",
+            found.append(
+                _Crossing(
+                    name,
+                    row.slope_transition_fitted,
+                    float(line.data["slope"].min()),
+                    row.fitted_exponent,
+                    row.fitted_amplitude,
+                    row.fitted_cube_root,
                 )
-            words.append(f"{plain(cross, 3)} ({name.partition(' (')[0]})")
-    axes.set_xlim(left, right)
+            )
+    return sorted(found, key=lambda crossing: crossing.slope)
+
+
+def _draw_crossings(axes: Axes, crossings: Sequence[_Crossing]) -> None:
+    """Draw both laws of each line with a circle where they cross, and name the first
+    at the left above its curve, the last at the right below it.
+    """
+    right = float(axes.get_xlim()[1])
+    thin_ink: Any = {"color": INK, "lw": 0.6, "zorder": 1.6}
+    for one in crossings:
+        below = np.array([one.first, 3 * one.slope])
+        above = np.array([one.slope / 30, right])
+        axes.plot(below, one.amplitude * below**one.exponent, **thin_ink)
+        axes.plot(above, one.cube_root * above ** (1 / 3), **thin_ink)
+        axes.plot([one.slope], [one.angle], "o", color=INK, mfc=PAPER, ms=5, zorder=6)
+    axes.set_xlim(right=right)
+
+    _name_crossing(axes, crossings[0], (-3, 9), {"ha": "right", "va": "bottom"})
+    if len(crossings) > 1:
+        _name_crossing(axes, crossings[-1], (13, -9), {"ha": "left", "va": "top"})
+
+    first = crossings[0]
+    x = np.sqrt(first.first * first.slope)
+    place = (x, first.cube_root * x ** (1 / 3))
+    write_at(axes, "p = 1/3", place, (0, 8), ha="right", va="bottom", bbox=None)
+
+
+def _name_crossing(
+    axes: Axes, one: _Crossing, offset: tuple[float, float], how: dict[str, str]
+) -> None:
+    """Write the slope of a crossing beside it, and the law below beside its line."""
+    said = f"{shorten(one.name, 12)}: γ = {plain(one.slope, 3)}"
+    write_at(axes, said, (one.slope, one.angle), offset, bbox=None, **how)
+
+    x = 30 * one.first
+    place = (x, one.amplitude * x**one.exponent)
+    law = f"θ* ∝ γᵖ, p = {plain(one.exponent)}"
+    right, up = offset
+    write_at(axes, law, place, (right, up / 2), bbox=None, **how)
+
+
+def _words_of_crossings(source: Source, crossings: Sequence[_Crossing]) -> str:
+    """Where the fitted lines cross, and the ratio of these slopes."""
+    if not crossings:
+        return ""
+    slopes = [f"{plain(one.slope, 3)} ({one.name})" for one in crossings[::-1]]
+    sentence = f"They cross at {' and '.join(slopes)}"
     ratio = source.table("fits/transition_ratio", "fitted_lines", "predicted")
-    sentence = f"They cross at {' and '.join(words)}"
     if ratio is not None and ratio["fitted_lines"].notna().all():
         fitted, predicted = (
             plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted")
         )
         sentence += f", ratio {fitted}; the 3/2 law gives {predicted}"
-    return f"{sentence}." if words else ""
+    return f"{sentence}."
 
 
 def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:
@@ -393,7 +471,7 @@ def _is_one_curve(rows: pd.DataFrame) -> bool:
     )
 
 
-def _draw_power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
+def _draw_power_laws(source: Source, axes: Axes, lines: Sequence[Line]) -> bool:
     """Draw the fitted laws; those of the two regimes of one curve extend to their
     crossing, as in figure 5.
     """
@@ -418,7 +496,7 @@ def _draw_power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
                     color=MUTED,
                     lw=1,
                     ls=DOTTED,
-                    zorder=1.5,
+                    zorder=2.1,
                 )
                 drawn = True
     return drawn
@@ -430,46 +508,42 @@ def residuals(source: Source) -> Sketch | None:
         return None
     sketch = Sketch("residuals", 210)
     (axes,) = sketch.panels
-    names = _line_titles(source, source.lines)
-    percent = "residual (%)"
-    tips = {"slope": TIPS["slope"], percent: percent}
-    for k, line in enumerate(source.lines):
-        curves = list(line.curves("stance_angle"))
-        for gait in source.gaits:
-            for row, piece in itertools.product(
-                _scaling_laws(source, line, gait).itertuples(), curves
-            ):
-                if any(
-                    getattr(row, c, piece[c].iloc[0]) != piece[c].iloc[0]
-                    for c in ("branch", "piece")
-                ):
-                    continue
-                fitted = (piece["gait"] == gait) & piece["slope"].between(
-                    row.slope_from, row.slope_to
-                )
-                used, regime = thin(piece[fitted], 80), getattr(row, "regime", "")
-                law = row.amplitude * used["slope"] ** row.exponent
-                used = used.assign(
-                    **{
-                        percent: 100 * (used["stance_angle"] / law - 1),
-                        "regime": regime,
-                    }
-                )
-                _draw_curve(
-                    sketch,
-                    axes,
-                    used,
-                    gait,
-                    line,
-                    k,
-                    f"{names[k]} · {regime} slopes",
-                    tips,
-                    "slope",
-                    percent,
-                )
+    drawn = _Lines.of(source.lines)
+    shown = Quantity(_PERCENT, ("stance_angle",))
+    tips = {"slope": TIPS["slope"], _PERCENT: _PERCENT}
+    for k, line in enumerate(drawn.lines):
+        for regime, gait, part in _residuals_of(source, line):
+            name = f"{drawn.names[k]} · {regime} slopes"
+            how = _Drawn(line, k, name, drawn.inks[k], tips, shown)
+            _draw_curve(sketch, axes, part, gait, how)
     if not sketch.pieces:
         return None
+
     axes.axhline(0, color=MUTED, lw=0.7)
     sketch.gait_keys()
-    sketch.line_keys(names)
-    return sketch.finish(lines=names, worst=sketch.data[percent].abs().max())
+    sketch.line_keys(drawn.names, drawn.inks)
+    worst = sketch.data[_PERCENT].abs().max()
+    return sketch.finish(lines=drawn.names, inks=drawn.inks, worst=worst)
+
+
+def _residuals_of(
+    source: Source, line: Line
+) -> Iterator[tuple[str, str, pd.DataFrame]]:
+    """Yield the regime, the gait and the points of each fitted law of a line, with
+    their residuals.
+    """
+    curves = list(line.curves("stance_angle"))
+    for gait in source.gaits:
+        laws = _scaling_laws(source, line, gait).itertuples()
+        for row, piece in itertools.product(laws, curves):
+            places = [c for c in ("branch", "piece") if hasattr(row, c)]
+            if any(getattr(row, c) != piece[c].iloc[0] for c in places):
+                continue
+            is_fitted = (piece["gait"] == gait) & piece["slope"].between(
+                row.slope_from, row.slope_to
+            )
+            part = thin(piece[is_fitted], 80)
+            law = row.amplitude * part["slope"] ** row.exponent
+            regime = getattr(row, "regime", "")
+            percent = 100 * (part["stance_angle"] / law - 1)
+            yield regime, gait, part.assign(**{_PERCENT: percent, "regime": regime})

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at
+from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at, write_clear
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import as_printed, plain
 
@@ -22,6 +22,19 @@ _COLUMNS = [
     "slope_high",
     "stance_angle",
 ]
+
+#: Where a printed number may stand beside its mark.
+_BESIDE = (
+    (8, 0, "left"),
+    (-14, 0, "right"),
+    (14, 0, "left"),
+    (0, 16, "center"),
+    (0, -16, "center"),
+    (-6, 26, "right"),
+    (6, -28, "left"),
+    (-10, 36, "right"),
+    (16, -40, "left"),
+)
 
 #: Walkers of exact parameters, whose slopes have the bracket in which they are located
 #: instead of what rounding allows.
@@ -60,14 +73,10 @@ def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
     """
     printed = rows(source)
     low, high = sorted(axes.get_xlim())
-    log = axes.get_xscale() == "log"
     table = printed[
         np.isfinite(printed["stance_angle"]) & printed["printed"].between(low, high)
     ]
     for row in table.itertuples():
-        at_left = (
-            not log and row.printed == table["printed"].min()
-        )  # the others stand to the right of the curves
         axes.plot(
             [row.slope_low, row.slope_high],
             [row.stance_angle] * 2,
@@ -85,20 +94,13 @@ def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
             mew=2,
             zorder=6,
         )
-        at = row.printed if log else row.slope_low if at_left else row.slope_high
-        offset, how = (
-            (5, -10) if log else (-5 if at_left else 5, 0),
-            {"ha": "right" if at_left else "left"},
-        )
-        text = as_printed(row.printed, row.half_unit)
-        write_at(
+    for row in table.itertuples():
+        write_clear(
             axes,
-            text,
-            (at, row.stance_angle),
-            offset,
-            va="center",
+            as_printed(row.printed, row.half_unit),
+            (row.printed, row.stance_angle),
+            _BESIDE,
             color=PRINTED,
-            **how,
         )
     if len(table):
         sketch.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)

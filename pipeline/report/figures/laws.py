@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
@@ -16,7 +17,7 @@ from gaitsweep.pipeline.report.figures.style import (
     MUTED,
     PAPER,
     PRINTED,
-    colour,
+    inks,
 )
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import plain, spaced
@@ -40,65 +41,66 @@ def exponents(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot the exponents of stance angle in slope and of power in speed, a row for each
     gait of each walker.
     """
-    rows = [
-        (str(row["walker"]), gait, row)
-        for _, row in table.iterrows()
-        for gait in ("short", "long")
-    ]
+    data = _exponents(table)
+    rows = data.drop_duplicates("row")
     sketch = Sketch("exponents", 60 + 24 * len(rows), 1, 2, sharey=True)
-    data = []
-    walkers = list(dict.fromkeys(walker for walker, _, _ in rows))
-    for axes, (of, laws) in zip(sketch.panels, _LAWS.items(), strict=True):
-        name = "θ* ∝ γᵖ" if of == "angle" else "P ∝ vᵖ"
-        for value in laws:
-            axes.axvline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
-        for k, (walker, gait, row) in enumerate(rows):
-            for when, marker in _RANGES.items():
-                value, ink = (
-                    float(row[f"{gait}_{of}_{when}"]),
-                    colour(walkers.index(walker)),
-                )
-                axes.plot(
-                    [value],
-                    [-k],
-                    marker,
-                    color=ink,
-                    mfc=PAPER if when == "small" else ink,
-                    ms=6,
-                )
-                told = {
-                    "walker": walker,
-                    "gait": gait,
-                    "law": name,
-                    "slopes": when,
-                    "exponent": value,
-                }
-                data.append(told)
-                tips, place = (
-                    {"exponent": f"p of {name}", "slopes": "slopes"},
-                    pd.DataFrame([{**told, "row": -k}]),
-                )
-                sketch.mark(
-                    axes,
-                    place,
-                    f"{walker}, {gait} step",
-                    tips=tips,
-                    x="exponent",
-                    y="row",
-                )
-        axes.set_xticks(
-            [*laws, *_TICKS[of]],
-            [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])],
-        )
-        axes.set_yticks(
-            [-k for k in range(len(rows))],
-            [f"{walker} {gait}" for walker, gait, _ in rows],
-        )
+    for axes, of in zip(sketch.panels, _LAWS, strict=True):
+        _draw_exponents(sketch, axes, of, data[data["of"] == of])
+        names = [f"{row.walker} {row.gait}" for row in rows.itertuples()]
+        axes.set_yticks(rows["row"].tolist(), names)
     for when, marker in _RANGES.items():
-        sketch.dot_key(
-            f"{when} slopes", marker=marker, mfc=PAPER if when == "small" else INK
+        fill = PAPER if when == "small" else INK
+        sketch.dot_key(f"{when} slopes", marker=marker, mfc=fill)
+
+    shown = data.drop(columns=["of", "row"])
+    return sketch.finish(shown, count=len(rows), slopes=_slopes(source))
+
+
+def _exponents(table: pd.DataFrame) -> pd.DataFrame:
+    """Every exponent with its walker, gait, law and range of slopes; rows of the figure
+    from the top.
+    """
+    found = []
+    gaits = [(k, gait) for k in range(len(table)) for gait in ("short", "long")]
+    for of in _LAWS:
+        for number, (k, gait) in enumerate(gaits):
+            values = table.iloc[k]
+            for when in _RANGES:
+                found.append(
+                    {
+                        "walker": str(values["walker"]),
+                        "gait": gait,
+                        "law": "θ* ∝ γᵖ" if of == "angle" else "P ∝ vᵖ",
+                        "slopes": when,
+                        "exponent": float(values[f"{gait}_{of}_{when}"]),
+                        "of": of,
+                        "row": -number,
+                    }
+                )
+    return pd.DataFrame(found)
+
+
+def _draw_exponents(sketch: Sketch, axes: Axes, of: str, data: pd.DataFrame) -> None:
+    """Draw the exponents of one law, with those that section 6.2 allows."""
+    laws = _LAWS[of]
+    for value in laws:
+        axes.axvline(value, color=MUTED, lw=0.9, ls=DOTTED, zorder=1)
+    ticks = [*laws, *_TICKS[of]]
+    axes.set_xticks(ticks, [*laws.values(), *(f"{tick:g}" for tick in _TICKS[of])])
+
+    colours = dict(
+        zip(data["walker"].unique(), inks(data["walker"].unique()), strict=True)
+    )
+    for (walker, gait), rows in data.groupby(["walker", "gait"], sort=False):
+        for one in rows.itertuples():
+            ink = colours[one.walker]
+            fill = PAPER if one.slopes == "small" else ink
+            marker = _RANGES[one.slopes]
+            axes.plot([one.exponent], [one.row], marker, color=ink, mfc=fill, ms=6)
+        tips = {"exponent": f"p of {rows['law'].iloc[0]}", "slopes": "slopes"}
+        sketch.mark(
+            axes, rows, f"{walker}, {gait} step", tips=tips, x="exponent", y="row"
         )
-    return sketch.finish(pd.DataFrame(data), count=len(rows), slopes=_slopes(source))
 
 
 def _slopes(source: Source) -> str:

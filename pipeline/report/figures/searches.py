@@ -2,6 +2,9 @@
 folds and flips.
 """
 
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -15,9 +18,10 @@ from gaitsweep.pipeline.report.figures.style import (
     MUTED,
     PAPER,
     colour,
+    inks,
     write_at,
 )
-from gaitsweep.pipeline.report.source import Source, rows_at
+from gaitsweep.pipeline.report.source import Line, Source, rows_at
 from gaitsweep.pipeline.report.words import (
     plain,
     print_units,
@@ -39,44 +43,27 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
     """
     sketch = Sketch("census", 430, 2, sharex=True, height_ratios=[5, 3])
     top, below = sketch.panels
-    every, reached = source.lines_of(table), coverage[coverage["converged"] > 0]
-    for k, line in enumerate(every):
-        name, ink, marker = line.label or source.walker, colour(k), MARKERS[k % 8]
+    every = source.lines_of(table)
+    reached = coverage[coverage["converged"] > 0]
+    colours = inks([line.called for line in every])
+    for k, (line, ink) in enumerate(zip(every, colours, strict=True)):
         # Walkers at one slope stand side by side, one alone at its slope.
         beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
+        marker = MARKERS[k % len(MARKERS)]
+        name = line.label or source.walker
         rows = line.rows.assign(place=beside * line.rows["slope"])
-        for passes_once, fill in ((1, ink), (0, PAPER)):
-            part = rows[rows["anthropomorphic"] == passes_once]
-            top.plot(
-                part["place"],
-                part["stance_angle"],
-                marker,
-                color=ink,
-                mfc=fill,
-                ms=5,
-                ls="",
-            )
-        sketch.mark(
-            top,
-            rows,
-            name,
-            command=line.command,
-            tips=TIPS | {"hits": "hits"},
-            x="place",
-        )
+        _draw_found(top, rows, ink, marker)
+        tips = TIPS | {"hits": "hits"}
+        sketch.mark(top, rows, name, command=line.command, tips=tips, x="place")
+
         seen = rows_at(reached, line.at)
-        below.plot(
-            beside * seen["slope"],
-            100 * seen["unseen"],
-            color=ink,
-            lw=1.1,
-            marker=marker,
-            ms=4,
-        )
+        unseen = beside * seen["slope"], 100 * seen["unseen"]
+        below.plot(*unseen, color=ink, lw=1.1, marker=marker, ms=4)
         if k < len(MARKERS):
             sketch.key(shorten(name), ink, marker=marker, ms=5)
     below.set_ylim(bottom=0)
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
+
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
     return sketch.finish(
@@ -84,61 +71,88 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
     )
 
 
+def _draw_found(axes: Axes, rows: pd.DataFrame, ink: str, marker: str) -> None:
+    """Draw the gaits found of a walker, filled where the legs pass once."""
+    for passes_once, fill in ((1, ink), (0, PAPER)):
+        part = rows[rows["anthropomorphic"] == passes_once]
+        how: Any = {"color": ink, "mfc": fill, "ms": 5, "ls": ""}
+        axes.plot(part["place"], part["stance_angle"], marker, **how)
+
+
+class _Family(NamedTuple):
+    """Flips of a family of gaits of a line: their data, one row for each interval."""
+
+    line: Line
+    family: str
+    name: str
+    data: pd.DataFrame
+
+
 def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Plot the distances between successive flips of each family on a logarithmic axis,
     with Feigenbaum's line.
     """
+    families = list(_families(source, table))
+    if not families:
+        return None
+
     sketch = Sketch("cascade", 330)
     (axes,) = sketch.panels
-    titles = {name: f"{name} (rad)" for name in ("flip", "next flip", "distance")}
+    names = [one.line.called if one.line.called else one.name for one in families]
+    for k, (one, ink) in enumerate(zip(families, inks(names), strict=True)):
+        _draw_family(sketch, axes, one, ink, MARKERS[k % len(MARKERS)])
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
+
+    limits = source.table("accumulation", "slope", "ratio")
+    ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
+    are = "s are" if len(ratios) > 1 else " is"
+    sentence = f" The last ratio{are} {', '.join(ratios)}." if ratios else ""
+    return sketch.finish(count=len(families), ratios=sentence)
+
+
+def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
+    """Yield the families of a table that have two intervals between flips or more."""
     for line in source.lines_of(table):
-        for family, events in line.rows[line.rows["kind"] == "flip"].groupby(
-            "family", sort=False
-        ):
+        flips = line.rows[line.rows["kind"] == "flip"]
+        for family, events in flips.groupby("family", sort=False):
             slopes = events["slope"].to_numpy()
             if len(slopes) < 3:
                 continue
-            number, k = np.arange(1, len(slopes)), len(sketch.pieces)
-            flips = {
-                "flip": slopes[:-1],
-                "next flip": slopes[1:],
-                "distance": np.diff(slopes),
-            }
-            named = {"number": number, "line": line.label, "family": str(family)}
-            sketch.pieces.append(
-                pd.DataFrame(
-                    {**{titles[name]: v for name, v in flips.items()}, **named}
-                )
+            data = events.iloc[:-1].assign(
+                number=np.arange(1, len(slopes)),
+                flip=slopes[:-1],
+                distance=np.diff(slopes),
+                gap=np.abs(np.diff(slopes)),
             )
+            data["next flip"] = slopes[1:]
             name = ", ".join(filter(None, (line.label, f"period {family}")))
-            ink, marker, distance = colour(k), MARKERS[k % 5], np.abs(flips["distance"])
-            axes.plot(number, distance, marker, color=ink, ms=5, ls="-", lw=0.9)
-            axes.plot(
-                number,
-                distance[-1] * FEIGENBAUM ** (number[-1] - number),
-                color=MUTED,
-                lw=1,
-                ls=DOTTED,
-            )
-            sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
-            rows = pd.DataFrame(
-                {**flips, "slope": slopes[:-1], "number": number, "gap": distance}
-            )
-            sketch.mark(
-                axes, rows, name, command=line.command, tips=titles, x="number", y="gap"
-            )
-    if not sketch.pieces:
-        return None
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
-    limits = source.table("accumulation", "slope", "ratio")
-    ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
-    sentence = (
-        f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}."
-        if ratios
-        else ""
+            yield _Family(line, str(family), name, data)
+
+
+def _draw_family(
+    sketch: Sketch, axes: Axes, one: _Family, ink: str, marker: str
+) -> None:
+    """Draw the intervals of a family, with the geometric law through the last."""
+    titles = {name: f"{name} (rad)" for name in ("flip", "next flip", "distance")}
+    number, gap = one.data["number"].to_numpy(), one.data["gap"].to_numpy()
+    axes.plot(number, gap, marker, color=ink, ms=5, ls="-", lw=0.9)
+    law = gap[-1] * FEIGENBAUM ** (number[-1] - number)
+    axes.plot(number, law, color=MUTED, lw=1, ls=DOTTED)
+    sketch.key(shorten(one.name), ink, marker=marker, ms=5, lw=0.9)
+
+    told = one.data[[*titles, "number"]].rename(columns=titles)
+    sketch.pieces.append(told.assign(line=one.line.label, family=one.family))
+    sketch.mark(
+        axes,
+        one.data,
+        one.name,
+        command=one.line.command,
+        tips=titles,
+        x="number",
+        y="gap",
+        free=True,
     )
-    return sketch.finish(count=len(sketch.pieces), ratios=sentence)
 
 
 def curves(source: Source, table: pd.DataFrame) -> Sketch:

@@ -2,7 +2,7 @@
 the values of its words.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from gaitsweep.pipeline.report.figures.style import (
-    COLOURS,
     INK,
+    MOST_COLOURS,
+    VARIABLES,
     canvas,
-    colour,
     dash,
     set_heading,
     set_log,
@@ -67,8 +67,9 @@ class Sketch:
 
     Its `texts` are those of its name in `words.toml`, or of a figure of another package
     its own: title, caption and the like, titles of axes and which of these are
-    logarithmic. They are filled in with the `values` given at the end. `lines` names
-    the groups of curves that the page highlights one at a time.
+    logarithmic. They are filled in with the `values` given at the end. `lines` are the
+    names of the groups of curves that the page highlights one at a time, and the names
+    of their colours.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Sketch:
         ] = {}  # points that stand last in the legend, if there are any
         self.pieces: list[pd.DataFrame] = []
         self.values: dict[str, Any] = {}
-        self.lines: list[str] = []
+        self.lines: list[tuple[str, str]] = []
         for axes, sides in zip(self.panels, self.texts.get("log", ()), strict=False):
             set_log(axes, sides)
 
@@ -125,16 +126,21 @@ class Sketch:
         if "stable" in data and (data["stable"] == 1).any():
             self.key("stable", lw=2.6)
 
-    def line_keys(self, names: Sequence[str]) -> None:
+    def line_keys(self, names: Sequence[str], inks: Sequence[str]) -> None:
         """Add the colours of lines to the legend; if they are too many to tell, none."""
-        for k, name in enumerate(names if 1 < len(names) <= len(COLOURS) else ()):
-            self.key(shorten(name), colour(k), lw=2.2)
+        if 1 < len(names) <= MOST_COLOURS:
+            for name, ink in zip(names, inks, strict=True):
+                self.key(shorten(name), ink, lw=2.2)
 
     def finish(
-        self, data: pd.DataFrame | None = None, lines: Iterable[str] = (), **values: Any
+        self,
+        data: pd.DataFrame | None = None,
+        lines: Sequence[str] = (),
+        inks: Sequence[str] = (),
+        **values: Any,
     ) -> "Sketch":
-        """Keep the figure's data and the values of its words, and write the titles of
-        its axes.
+        """Keep the figure's data, its lines with their inks and the values of its
+        words, and write the titles of its axes.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are
         the ends of their slopes. Where not `every` line is `drawn`, some are `omitted`.
@@ -142,25 +148,13 @@ class Sketch:
         if self.last_key:
             self.dot_key(**self.last_key)
         data = self.data if data is None else data
-        known: dict[str, Any] = {
-            "count": len(data),
-            "omitted": values.get("drawn") != values.get("every"),
-        }
-        if "slope" in data:
-            known |= {"low": data["slope"].min(), "high": data["slope"].max()}
-            stable = data[data["stable"] == 1] if "stable" in data else data[:0]
-            known |= (
-                {
-                    "stable_low": stable["slope"].min(),
-                    "stable_high": stable["slope"].max(),
-                }
-                if len(stable)
-                else {}
-            )
         self.pieces = [
             data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data
         ]
-        self.lines, self.values = list(lines), known | values
+        self.values = _known(data, values) | values
+        self.lines = [
+            (name, VARIABLES[ink]) for name, ink in zip(lines, inks, strict=True)
+        ]
         for axes, text in zip(self.panels, self.texts.get("y", ()), strict=False):
             set_heading(axes, fill(text, self.values))
         for axes in self.grid[-1] if "x" in self.texts else ():
@@ -175,7 +169,10 @@ class Sketch:
             self.figure.legend(
                 handles=keys, loc="outside upper left", ncols=self.texts.get("keys", 3)
             )
-        told |= {*(str(key.get_label()) for key in keys), *map(shorten, self.lines)}
+        told |= {
+            *(str(key.get_label()) for key in keys),
+            *(shorten(name) for name, _ in self.lines),
+        }
 
     @property
     def words(self) -> tuple[str, str, str, str]:
@@ -192,3 +189,20 @@ class Sketch:
             fill(words["alt"], self.values),
             finding,
         )
+
+
+def _known(data: pd.DataFrame, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a figure's words that follow from its data."""
+    known: dict[str, Any] = {
+        "count": len(data),
+        "omitted": values.get("drawn") != values.get("every"),
+    }
+    if "slope" not in data:
+        return known
+    known |= {"low": data["slope"].min(), "high": data["slope"].max()}
+    stable = (
+        data[data["stable"] == 1]["slope"] if "stable" in data else data["slope"][:0]
+    )
+    if len(stable):
+        known |= {"stable_low": stable.min(), "stable_high": stable.max()}
+    return known

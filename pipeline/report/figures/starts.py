@@ -10,7 +10,13 @@ import numpy as np
 import pandas as pd
 
 from gaitsweep.pipeline.report.figures import fields
-from gaitsweep.pipeline.report.figures.style import spread_evenly
+from gaitsweep.pipeline.report.figures.style import (
+    LINE,
+    VARIABLES,
+    WALKERS,
+    inks,
+    spread_evenly,
+)
 from gaitsweep.pipeline.report.source import RATES, Line, Source
 from gaitsweep.pipeline.report.words import axis_values, symbol
 
@@ -25,7 +31,7 @@ _MAX_GAITS, _MAX_LINES = 700, 40
 _ROOM = 270_000
 
 #: Tables with rows that start a step.
-_TABLES = ("branches", "orbits", "basin")
+_TABLES = ("branches", "orbits", "basin", "census", "cascade")
 
 
 def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
@@ -94,43 +100,56 @@ def lines(source: Source) -> list[dict[str, Any]]:
     several steps, from which Newton's method would lead the script to those of one:
     these fly freely.
     """
-    has_states = set(START[1:]) <= set(source.grid.data_vars)
+    chosen = _chosen_lines(source)
+    if source.steps > 1:
+        chosen = [(line, []) for line, _ in chosen]
+    total = sum(len(branch) for _, branches in chosen for branch in branches)
+    colours = _inks(source, [line for line, _ in chosen])
+
+    found = []
+    for (line, branches), ink in zip(chosen, colours, strict=True):
+        if keys := parameters(source, line.at):
+            nodes = [_nodes(branch, total, keys["knees"]) for branch in branches]
+            found.append(
+                {
+                    "name": axis_values(line.at),
+                    "at": line.at,
+                    "keys": keys,
+                    "command": line.command,
+                    "ink": VARIABLES[ink],
+                    "called": line.called,
+                    "first": _first(line.at, branches),
+                    "branches": [own for own in nodes if own],
+                }
+            )
+    return found
+
+
+def _chosen_lines(source: Source) -> list[tuple[Line, list[pd.DataFrame]]]:
+    """The first lines of the grid and of tables, with their branches."""
     by_line = {
         tuple(line.at.values()): (line, _joined(line))
         for line in source.lines[:_MAX_LINES]
-        if has_states
+        if {"stance_angle", "gait"} <= set(source.grid.variables)
     }
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
         for line in [] if table is None else source.lines_of(table):
-            known = name == "branches" and set(START[:4]) <= set(line.rows.columns)
-            branches = (
-                [part for _, part in line.rows.groupby("branch", sort=False)]
-                if known
-                else []
-            )
+            branches: list[pd.DataFrame] = []
+            if name == "branches" and set(START[:4]) <= set(line.rows.columns):
+                by_branch = line.rows.groupby("branch", sort=False)
+                branches = [part for _, part in by_branch]
             by_line.setdefault(tuple(line.at.values()), (line, branches))
-    chosen = [
-        (line, [] if source.steps > 1 else own)
-        for line, own in [*by_line.values()][:_MAX_LINES]
-    ]
-    total = sum(len(branch) for _, branches in chosen for branch in branches)
-    return [
-        {
-            "name": axis_values(line.at),
-            "at": line.at,
-            "keys": keys,
-            "command": line.command,
-            "first": _first(line.at, branches),
-            "branches": [
-                _nodes(branch, total, keys["knees"])
-                for branch in branches
-                if len(branch)
-            ],
-        }
-        for line, branches in chosen
-        if (keys := parameters(source, line.at))
-    ]
+    return list(by_line.values())[:_MAX_LINES]
+
+
+def _inks(source: Source, lines: Sequence[Line]) -> list[str]:
+    """Colours of lines, those that they have in the figures: where each line has its
+    own panel, all lines of a walker have the walker's.
+    """
+    if "gait" in source.grid.dims:
+        return inks([line.called for line in lines])
+    return [WALKERS.get(line.at["walker"], LINE) for line in lines]
 
 
 def _joined(line: Line) -> list[pd.DataFrame]:
@@ -138,7 +157,7 @@ def _joined(line: Line) -> list[pd.DataFrame]:
     # Pieces are counted from the branch's end at the lower slope: every other one is
     # run through backwards.
     pieces = [
-        piece.dropna(subset=list(START[:4])).sort_values(
+        piece.dropna(subset=[c for c in START[:4] if c in piece]).sort_values(
             "slope", ascending=piece["piece"].iloc[0] % 2 == 0
         )
         for piece in line.curves(*START[1:])
@@ -155,7 +174,7 @@ def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | N
     rows = branch[columns].to_numpy(float)[spread_evenly(len(branch), most)]
     return (
         [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]]
-        if len(columns) > 2
+        if len(columns) > 3
         else []
     )
 
@@ -164,11 +183,9 @@ def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
     """Address of the gait that a line shows at first: a stable one where there is one;
     empty without gaits.
     """
-    every = (
-        pd.concat(branches).dropna(subset=list(START[:3]))
-        if branches
-        else pd.DataFrame()
-    )
+    every = pd.DataFrame()
+    if branches:
+        every = pd.concat(branches).dropna(subset=list(START[:2]))
     if every.empty:
         return ""
     stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
@@ -179,7 +196,7 @@ def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
 def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The first gaits of the first lines alone, for the index."""
     shortened = []
-    for record in [record for record in records if record["first"]][:2]:
+    for record in [r for r in records if r["first"] and r["branches"]][:2]:
         start = dict(parse_qsl(record["first"]))
         gaits = [gait for branch in record["branches"] for gait in branch]
         slope, angle = float(start["slope"]), float(start["stance_angle"])
@@ -238,6 +255,7 @@ def cells(
         "at": line,
         "keys": keys,
         "command": source.command(line),
+        "ink": VARIABLES[WALKERS.get(str(line["walker"]), LINE)],
         "label": f"{called} · {line['walker']}",
         "shown": [[symbol(name), name] for name in shown],
         "moved": moved,

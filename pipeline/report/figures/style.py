@@ -1,12 +1,13 @@
 """The style of all figures: colours, dashes, axes, numbers and labels."""
 
 import contextlib
+import itertools
 import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -26,16 +27,43 @@ WIDTH = 480
 #: variable, with a light and a dark value.
 _GROUND = {"ink": "#1b1d20", "muted": "#5d6268", "rule": "#dfe2e6", "paper": "#fefefd"}
 COLOURS = {
-    "line0": "#1f6fb2", "line1": "#c04a08", "line2": "#2a7a54",
-    "line3": "#8a6a00", "line4": "#a3246b", "line5": "#7a4fa3",
+    "line0": "#1f6fb2", "line1": "#c04a08", "line2": "#2a7a54", "line3": "#8a6a00",
+    "line4": "#a3246b", "line5": "#7a4fa3", "line6": "#00758a", "line7": "#8f3f2b",
+    "line8": "#54606e", "line9": "#3f4fc4", "line10": "#5c7306",
 }  # fmt: skip
 INK, MUTED, RULE, PAPER = _GROUND.values()
-LINE, SECOND, _, _, _, PRINTED = COLOURS.values()  # the last one: what the paper prints
+LINE, SECOND = COLOURS["line0"], COLOURS["line1"]
 VARIABLES = {colour: name for name, colour in (_GROUND | COLOURS).items()}
+
+#: What the paper prints; nothing that is computed has its colour.
+PRINTED = COLOURS["line5"]
+
+#: The walkers of the catalogue have one colour each on every page.
+WALKERS = {
+    "A": COLOURS["line0"],
+    "B": COLOURS["line1"],
+    "C": COLOURS["line2"],
+    "D": COLOURS["line3"],
+    "E": COLOURS["line4"],
+    "F": COLOURS["line6"],
+    "physical": COLOURS["line7"],
+    "physical-straight": COLOURS["line8"],
+    "A-printed": COLOURS["line9"],
+    "C-printed": COLOURS["line10"],
+}
+
+#: Colours of lines that are no walker of the catalogue.
+_OTHERS = [colour for colour in COLOURS.values() if colour != PRINTED]
+
+#: Most lines that colours tell apart.
+MOST_COLOURS = len(_OTHERS)
 
 #: Colours in raster images, which cannot follow the page: legible on light and dark
 #: backgrounds.
 RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
+
+#: Share of white that a colour takes up to be legible on both.
+_LIGHTENED = 0.3
 
 #: Dash patterns that distinguish the gaits of a walker, by their labels; another gait
 #: is dotted.
@@ -54,7 +82,10 @@ MARKERS = "osD^vPXd"
 
 #: Largest numbers of panels, one for each line, and of rows of maps, one for each value
 #: of the other axes.
-MAX_PANELS, MAX_ROWS = 6, 4
+MAX_PANELS, MAX_ROWS = 9, 4
+
+#: Size of words that keep clear of curves [pt].
+_CLEAR_SIZE = 8.5
 
 #: Least distance of names at the ends of curves [pt].
 _GAP = 11
@@ -88,13 +119,41 @@ def canvas(height: float) -> Figure:
 
 
 def colour(k: int) -> str:
-    """Colour of the k-th walker, or line, of a study."""
-    return tuple(COLOURS.values())[k % len(COLOURS)]
+    """The k-th colour of things that are no walkers of the catalogue."""
+    return _OTHERS[k % MOST_COLOURS]
+
+
+def inks(called: Sequence[str]) -> list[str]:
+    """Colours of lines by what each is called: a walker's own, which one line alone
+    has; others take those that are left, in their order.
+    """
+    fixed: dict[int, str] = {}
+    for k, name in enumerate(called):
+        if name in WALKERS and WALKERS[name] not in fixed.values():
+            fixed[k] = WALKERS[name]
+
+    left = [ink for ink in _OTHERS if ink not in fixed.values()] or _OTHERS
+    others = [k for k in range(len(called)) if k not in fixed]
+    taken = {k: left[i % len(left)] for i, k in enumerate(others)}
+    return [(fixed | taken)[k] for k in range(len(called))]
+
+
+def on_both(ink: str) -> str:
+    """A colour made lighter, for rasters, which stand on light and dark pages alike."""
+    parts = [int(ink[i : i + 2], 16) for i in (1, 3, 5)]
+    lighter = [round(part + _LIGHTENED * (255 - part)) for part in parts]
+    return "#" + "".join(f"{part:02x}" for part in lighter)
 
 
 def dash(gait: str) -> Any:
     """Dash pattern of a gait's label."""
     return _DASHES.get(gait, (0, (2, 1.4)))
+
+
+def _wide_dash(gait: str) -> Any:
+    """The same pattern for thick lines, whose dashes are counted in their width."""
+    pattern = dash(gait)
+    return pattern if pattern == "-" else (0, tuple(part / 2.2 for part in pattern[1]))
 
 
 def _is_narrow(low: float, high: float) -> bool:
@@ -136,34 +195,33 @@ def _tick(axis: Axis, value: float, _: int) -> str:
 
 
 def draw_gait(
-    axes: Axes, curve: pd.DataFrame, gait: str, k: int = 0, group: int | None = None, x: str = "slope",
-    y: str = "stance_angle",
+    axes: Axes, curve: pd.DataFrame, gait: str, ink: str, group: int | None = None,
+    x: str = "slope", y: str = "stance_angle",
 ) -> None:  # fmt: skip
-    """Draw line k, in its colour, where it has a gait's label: thin, and thick where it
+    """Draw a line, in its colour, where it has a gait's label: thin, and thick where it
     is stable; one point as a dot.
 
-    It goes one point beyond, so that a new label leaves no gap. `group` is the number
-    of the line that the page highlights as one.
+    It goes one point beyond, so that a new label leaves no gap. Where stability changes
+    between two points, `add_borders` has given the curve a point. `group` is the number
+    of the line that the page highlights as one. Thin lines lie above thick ones, which
+    would hide an unstable gait beside a stable one.
     """
     has_label = curve["gait"] == gait
-    across, upward = (
-        curve[x],
-        curve[y].where(has_label | has_label.shift(fill_value=False)),
-    )
-    is_stable = (
-        (curve["stable"] == 1).to_numpy()
-        if "stable" in curve
-        else np.zeros(len(curve), bool)
-    )
-    thin = dash(gait)
-    thick = thin if thin == "-" else (0, tuple(length / 2.2 for length in thin[1]))
-    how: Any = {"color": colour(k), "gid": None if group is None else f"line-{group}"}
+    goes_on = has_label | has_label.shift(fill_value=False)
+    across, upward = curve[x], curve[y].where(goes_on)
+    is_stable = np.zeros(len(curve), bool)
+    if "stable" in curve:
+        is_stable = (curve["stable"] == 1).to_numpy()
+
     # The thin line extends one point into the thick one, so that there is no gap
     # between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
-    axes.plot(across, upward.mask(inside), lw=1.1, ls=thin, **how)
-    axes.plot(across, upward.where(is_stable), lw=2.6, ls=thick, **how)
+    how: Any = {"color": ink, "gid": None if group is None else f"line-{group}"}
+    thick: Any = {"lw": 2.6, "ls": _wide_dash(gait), "zorder": 1.9}
+    axes.plot(across, upward.where(is_stable), **thick, **how)
+    axes.plot(across, upward.mask(inside), lw=1.1, ls=dash(gait), zorder=2, **how)
+
     # A line of one point is invisible.
     alone = upward.notna() & upward.shift().isna() & upward.shift(-1).isna()
     for dots, size in ((alone & ~is_stable, 3), (alone & is_stable, 5)):
@@ -189,6 +247,55 @@ def write_at(
         textcoords="offset points",
         **{"fontsize": 8.5, "bbox": ground, **how},
     )
+
+
+def write_clear(
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    places: Sequence[tuple[float, float, str]],
+    **how: Any,
+) -> None:
+    """Write words beside a point at the first of some places, (right, up, alignment) of
+    their middle line in points, where they stand on no curve and above the frame's
+    lower end; at the last if none is free.
+    """
+    figure: Any = axes.figure
+    figure.get_layout_engine().execute(figure)
+    curves = _pixels_of_curves(axes)
+    across, upward = axes.transData.transform(at)
+    width, height = 0.62 * _CLEAR_SIZE * len(text) + 2, _CLEAR_SIZE + 3
+
+    for right, up, aligned in places:
+        left = (
+            across + right - {"left": 0.0, "center": 0.5, "right": 1.0}[aligned] * width
+        )
+        low = upward + up - height / 2
+        apart = curves - np.array([left, low])
+        is_inside = low >= axes.bbox.y0
+        if (
+            is_inside
+            and not ((apart >= 0) & (apart <= [width, height])).all(axis=1).any()
+        ):
+            break
+    more: Any = {"fontsize": _CLEAR_SIZE, "va": "center", "ha": aligned, "bbox": None}
+    write_at(axes, text, at, (right, up), **{**more, **how})
+
+
+def _pixels_of_curves(axes: Axes) -> np.ndarray:
+    """Points (n, 2) of all curves of some axes, a point or two apart, and their marks."""
+    found = [np.zeros((0, 2))]
+    for line in axes.lines:
+        points = line.get_transform().transform(np.asarray(line.get_xydata(), float))
+        if line.get_linestyle() == "None":
+            found.append(points)
+            continue
+        for start, end in itertools.pairwise(points):
+            length = np.hypot(*(end - start))
+            if np.isfinite(length):
+                steps = np.linspace(0, 1, 2 + int(min(length, 2000) / 2))
+                found.append(start + steps[:, None] * (end - start))
+    return np.concatenate(found)
 
 
 def draw_guide(axes: Axes, value: float, words: str) -> None:
@@ -262,8 +369,15 @@ def spread_evenly(count: int, most: int) -> np.ndarray:
 
 
 def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
-    """At most `most` rows of a frame, evenly spaced, the first and the last included."""
-    return frame if len(frame) <= most else frame.iloc[spread_evenly(len(frame), most)]
+    """At most `most` rows of a frame, evenly spaced, the first and the last included,
+    and those at which stability changes.
+    """
+    if len(frame) <= most:
+        return frame
+    chosen = spread_evenly(len(frame), most)
+    if "border" in frame:
+        chosen = np.union1d(chosen, np.flatnonzero(frame["border"]))
+    return frame.iloc[chosen]
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
@@ -288,54 +402,105 @@ def choose_rows(
     return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
-def end_labels(
-    axes: Axes, labels: Sequence[tuple[float, float, str, str]], side: str
-) -> None:
-    """Write names beside the ends (x, y) of curves, in their inks; those of one ink
-    that would overlap share a line.
+class End(NamedTuple):
+    """The end of a curve, which its name stands beside, in its ink."""
+
+    x: float
+    y: float
+    name: str
+    ink: str
+
+
+def end_labels(axes: Axes, ends: Sequence[End], side: str) -> None:
+    """Write names in a column beside the ends of curves, at the left or the right, each
+    joined to its end by a thin line; none stands on a curve, or beyond the frame.
     """
-    sign, log = 1 if side == "right" else -1, axes.get_xscale() == "log"
+    share = _share_of_names(axes, ends)
+    _add_room(axes, share, side)
+    column = share - 0.02 if side == "left" else 1 - share + 0.02
+
+    places = [axes.transLimits.transform(_on_scale(axes, end)) for end in ends]
+    gap = _GAP / (0.75 * float(axes.figure.bbox.height))
+    ends, heights = _without_repeats(ends, [float(y) for _, y in places], gap)
+    for end, height in zip(ends, _spread(heights, gap), strict=True):
+        axes.annotate(
+            shorten(end.name),
+            (end.x, end.y),
+            xytext=(column, height),
+            textcoords="axes fraction",
+            ha="right" if side == "left" else "left",
+            va="center",
+            fontsize=8.5,
+            color=end.ink,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": end.ink,
+                "lw": 0.5,
+                "shrinkA": 0,
+                "shrinkB": 2,
+            },
+        )
+
+
+def _share_of_names(axes: Axes, ends: Sequence[End]) -> float:
+    """Share of the width that the longest name takes beside the curves."""
+    longest = max((len(shorten(end.name)) for end in ends), default=0)
+    return min(0.4, (5.2 * longest + 22) / (0.86 * WIDTH))
+
+
+def _add_room(axes: Axes, share: float, side: str) -> None:
+    """Widen the horizontal axis, so that a share of it at one side is free."""
+    log = axes.get_xscale() == "log"
     left, right = np.log(axes.get_xlim()) if log else axes.get_xlim()
-    placed: list[tuple[float, float, float, list[str], str]] = []
-    for x, y, name, ink in sorted(labels, key=lambda item: item[1]):
-        height = axes.transData.transform((x, y))[1]
-        if placed and abs(height - placed[-1][0]) < _GAP and placed[-1][4] == ink:
-            placed[-1][3].append(name)
-        else:
-            placed.append((height, x, y, [name], ink))
-    order = [name for _, _, name, _ in labels]
-    longest = max(
-        (len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0
-    )
-    room = (right - left) * min(0.6, max(0.06, (5 * longest + 8) / (0.8 * WIDTH)))
+    room = (right - left) * share / (1 - share)
     ends = np.array([left - room * (side == "left"), right + room * (side == "right")])
     axes.set_xlim(*(np.exp(ends) if log else ends))
-    lowest = -np.inf
-    for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
-        lift = max(0.0, lowest + _GAP - height)
-        lowest = height + lift
-        text = shorten(_merge_names(sorted(names, key=order.index)))
-        how = {"ha": "left" if sign > 0 else "right", "va": "center", "bbox": None}
-        write_at(
-            axes,
-            text,
-            (x, y),
-            (5 * sign, lift),
-            color=ink,
-            annotation_clip=False,
-            **how,
-        )
 
 
-def _merge_names(names: list[str]) -> str:
-    """Merge names as in `ρ = 0.1, 0.05`: a common symbol is written once, a long list
-    is cut to its ends.
+def _on_scale(axes: Axes, end: End) -> tuple[float, float]:
+    """A place as the scales of the axes have it, which limits are linear in."""
+    x, y = axes.transScale.transform((end.x, end.y))
+    return float(x), float(y)
+
+
+def _without_repeats(
+    ends: Sequence[End], heights: Sequence[float], gap: float
+) -> tuple[list[End], list[float]]:
+    """Ends from the lowest to the highest, with their heights; curves of one name that
+    end side by side have it once.
     """
-    heads = {name.partition(" = ")[0] for name in names}
-    names = list(dict.fromkeys(names))
-    if len(names) > 1 and len(heads) == 1 and " = " in names[0]:
-        tails = [name.partition(" = ")[2] for name in names]
-        return f"{heads.pop()} = " + (
-            ", ".join(tails) if len(tails) < 3 else f"{tails[0]} … {tails[-1]}"
+    kept: list[tuple[float, End]] = []
+    for height, end in sorted(
+        zip(heights, ends, strict=True), key=lambda item: item[0]
+    ):
+        is_told = any(
+            end.name == other.name and height - below < gap for below, other in kept
         )
-    return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}"
+        if not is_told:
+            kept.append((height, end))
+    return [end for _, end in kept], [height for height, _ in kept]
+
+
+def _spread(heights: Sequence[float], gap: float) -> list[float]:
+    """Heights of rows of text, shares of the frame, as near as they can be to rising
+    ones given and at least a gap apart, within the frame.
+    """
+    rows = len(heights)
+    gap = min(gap, 1 / max(1, rows))
+    # What remains when the gaps are taken away must not fall: its means over runs that
+    # would.
+    runs: list[list[float]] = []
+    for k, height in enumerate(heights):
+        runs.append([height - k * gap, 1.0])
+        while len(runs) > 1 and runs[-2][0] > runs[-1][0]:
+            value, count = runs.pop()
+            before = runs[-1]
+            before[0] = (before[0] * before[1] + value * count) / (before[1] + count)
+            before[1] += count
+
+    low, high = gap / 2, 1 - gap / 2 - (rows - 1) * gap
+    bases = [
+        min(high, max(low, value)) for value, count in runs for _ in range(int(count))
+    ]
+    return [base + k * gap for k, base in enumerate(bases)]

@@ -45,7 +45,7 @@ class Drawing:
     data: pd.DataFrame
     small: str
     targets: list[dict[str, Any]]
-    lines: list[str]
+    lines: list[tuple[str, str]]
     panels: list[dict[str, Any]]
     axes: list[dict[str, Any]]
 
@@ -224,6 +224,8 @@ def _share(sizes: list[int]) -> int:
 def _starts(mark: Marks, rows: pd.DataFrame) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
     names = [name for name in START[1:] if name in rows]
+    if len(names) < 3:  # without the rates of both legs the page's script finds them
+        names = names[:1]
     if (
         not mark.command
         or "stance_angle" not in names

@@ -16,13 +16,16 @@ function walkerOf(keys) {
 const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || abs(a[key] - b[key]) <= 1e-9 * abs(a[key])));
 const lineAt = at => LINES.find(line => sameLine(line.at, at));
 
-/** Selection that an address names: { at, slope, start[, free] }, or null where it names none. */
+/**
+ * Selection that an address names: { at, slope, start[, free] }; null where it names a place of the page. Of what it leaves
+ * out the slope is NaN, and the start is empty.
+ */
 function readAddress(hash) {
+  if (!hash.includes("=")) return null;
   const given = new URLSearchParams(hash.replace(/^#/, "")), at = {};
-  if (!given.has("slope") || !given.has("stance_angle")) return null;
   for (const [key, value] of given) if (!["slope", "stance_angle", "free", ...RATES].includes(key)) at[key] = key === "walker" ? value : Number(value);
-  const slope = Number(given.get("slope")), start = ["stance_angle", ...RATES].filter(name => given.has(name)).map(name => Number(given.get(name)));
-  return [slope, ...start].every(Number.isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
+  const slope = given.has("slope") ? Number(given.get("slope")) : NaN, start = ["stance_angle", ...RATES].filter(name => given.has(name)).map(name => Number(given.get(name)));
+  return start.every(Number.isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
 }
 
 /** Address of a gait, or of a motion that is none: its line, its slope and its state just after heelstrike. */
@@ -63,9 +66,10 @@ const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
 
 /**
  * The gait that a page holds with its slope and start, polished to the digits of this script's own flight; null where it
- * does not walk. Its slope is the archive's, and so are its command's and its address's.
+ * does not walk. Its slope is the archive's, and so are its command's and its address's. With `exact` a state that only
+ * nearly repeats itself is none.
  */
-function storedGait({ keys, command, slope, start, ...more }) {
+function storedGait({ keys, command, slope, start, exact, ...more }) {
   const walker = walkerOf(keys), state = stateOf(walker, start), y = sectionOf(walker, state), told = { ...more, slope, command: withSlope(command, slope) };
   if (!(slope > 0 && start[0] > 0)) return null;
   // Where walking ends a strike only just touches, or two coincide, and Newton's method has no derivative.
@@ -74,8 +78,8 @@ function storedGait({ keys, command, slope, start, ...more }) {
   if (least < 1e-7 && least < miss) return describe({ y, slope, start: state, step: touching }, walker, told);
   const found = findGait(walker, y, slope, true);
   if (found && hypot(Math.log(found.slope / slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
-  // Beside those ends, too, the stored state flies, and returns to itself.
-  return miss < 1e-3 ? describe({ y, slope, start: state, step: plain }, walker, told) : null;
+  // Beside those ends, too, the stored state flies, and returns to itself; of another state the gait is solved.
+  return miss < (exact ? 1e-6 : 1e-3) ? describe({ y, slope, start: state, step: plain }, walker, told) : null;
 }
 
 /** Gait of a line at a place of one of its branches; null where Newton's method finds none. */
@@ -93,18 +97,20 @@ function gaitAtSlope(line, slope, start, more = {}) {
   return found && abs(Math.log(found.y[0] / start[0])) < 0.1 ? describe(found, walker, { at: line.at, line, ...more, command: withSlope(line.command, slope) }) : null;
 }
 
-/** Gait of a line with a slope and a start, of which the rates may be absent; null where there is none. */
+/**
+ * Gait of a line with a slope and a start, of which the rates may be absent, or the angle too; null where there is none.
+ * What is shown is always solved: a start that only looks like a gait is where Newton's method begins.
+ */
 function gaitNear(line, slope, given) {
+  if (!given.length) { const all = slope > 0 ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
   const [angle] = given, place = slope > 0 && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
-  const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {};
-  let start = given;
-  if (given.length < 2) {
-    if (!("place" in on)) return null;
+  const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {}, own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
+  let exact = null;
+  if (given.length > 2) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
+  else if ("place" in on) {
     const near = between(line.branches[on.branch], on.place).start;
-    start = [angle, ...near.slice(1).map(rate => rate * angle / near[0])];
-  }
-  const own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
-  const exact = storedGait({ ...own, slope, start }) ?? gaitAtSlope(line, slope, start, on);
+    exact = gaitAtSlope(line, slope, near.map(x => x * angle / near[0]), on) ?? gaitAtSlope(line, slope, near, on);
+  } else if (slope > 0 && angle > 0) exact = gaitGuessed(line, slope, angle);
   if (exact || !("place" in on)) return exact;
   // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
   const last = line.branches[on.branch].length - 1;
@@ -113,6 +119,34 @@ function gaitNear(line, slope, given) {
     if (near) return { ...near, nearby: true };
   }
   return null;
+}
+
+/** Gait of a line with a slope and an angle, of whose rates nothing is known: those of gaits are shares of the angle. */
+function gaitGuessed(line, slope, angle) {
+  const { time } = walkerOf(line.keys);
+  for (const stance of [1, 1.25, 1.1, 1.5]) for (const swing of [0.05, 0.35, 0.7, 0.9, 1.1]) {
+    const found = gaitAtSlope(line, slope, [angle, ...[1, swing, swing].map(share => -share * stance * angle / time)]);
+    if (found && abs(found.start[0] / angle - 1) < 0.01) return found;
+  }
+  return null;
+}
+
+/** Why an address names no gait of this page: what is the nearest that the page has. */
+function whyNot({ at, slope, start }) {
+  const line = lineAt(at), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
+  if (line) {
+    const slopes = line.branches.flat().map(node => node[0]);
+    if (!(slope > 0)) return "The address has no slope.";
+    if (slopes.length && (slope < Math.min(...slopes) || slope > Math.max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(Math.min(...slopes), 5)} to ${brief(Math.max(...slopes), 5)} rad.`;
+    return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
+  }
+  for (const map of MAPS.filter(one => !one.free)) for (const side of [map.x, map.y]) {
+    const value = at[side.name];
+    if (value === undefined || side.values.some(one => abs(one - value) <= 1e-9 * abs(one))) continue;
+    const nearest = side.values.reduce((best, one) => abs(one - value) < abs(best - value) ? one : best);
+    return `${side.name} = ${brief(value, 6)} is not on the map: its nearest value is ${brief(nearest, 6)}.`;
+  }
+  return Object.keys(at).length ? `This page has no line with ${said(at)}.` : "The address names no line.";
 }
 
 /** Gaits of a line at a slope, one for each passage of its branches. */
@@ -223,6 +257,7 @@ function cellNamed({ at, slope, start }) {
   const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => abs(value - wanted[side.name]) <= 1e-9 * abs(value));
   for (const map of MAPS.filter(one => !one.free)) {
     const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
+    if (own?.start && !start.length && sameLine(own.at, at)) return [map, cell];
     if (own?.start && sameLine(own.at, at) && hypot(Math.log(own.slope / slope), Math.log(own.start[0] / start[0])) < 1e-6) return [map, cell];
   }
   return null;

@@ -75,7 +75,8 @@ for (const plot of document.querySelectorAll(".plot")) {
       return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
         command: known && !map.free && slope > 0 ? withSlope(command, slope) : null };
     }
-    const [x, y, more, ...values] = curve.rows[row];
+    const [x, y, more, ...values] = curve.rows[row], state = curve.free && curve.starts?.[row]?.slice(0, 3).join(" ");
+    if (state) return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: `${withSlope(curve.command, more).replace("solve", "simulate")} --state ${state}` };
     return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]),
       command: typeof more === "string" ? more : more !== null && curve.command ? withSlope(curve.command, more) : null };
   }

@@ -18,7 +18,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   let gait = null, motion = null, other = null, second = null, spot = () => {}, time = 0, playing = false, before = 0, drawn = 0, docked = false;
 
   const realTime = () => gait.walker.keys.units === "SI" ? gait.walker.time : EARTH;
-  const inkOf = ({ line }) => `var(--line${Math.max(0, LINES.indexOf(line)) % 6})`;
+  const inkOf = ({ line, map }) => `var(--${(line ?? map)?.ink ?? "line0"})`;
   const say = text => { find("said").textContent = text; };
   const units = () => find("units").value === "own" && gait.walker.keys.units === "SI"
     ? { time: gait.walker.time, s: "s", speed: gait.walker.speed, v: "m/s", energy: gait.walker.energy, E: "J", length: gait.walker.leg, l: "m" }
@@ -139,7 +139,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (write) address();
     tellPage(gait);
   }
-  const nameOf = ({ at }) => [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
+  const nameOf = ({ at, line }) => line?.called && line.called !== at.walker ? `walker ${line.called} (${at.walker} with ${setOf(at)})` : [at.walker?.length > 1 ? `the ${at.walker} walker` : `walker ${at.walker}`, setOf(at)].filter(Boolean).join(", ");
+  const setOf = at => Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`).join(", ");
   const portrait = () => { const { time: one, s } = units(); spot = drawPortrait(find("phase"), motion, inkOf(gait), one, s); };
   const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
 
@@ -266,15 +267,15 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
       : !aim || after - back <= 4 ? `It still walks after ${word(after)}, but not in this gait.`
       // An unstable gait is left, however slowly.
-      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this unstable gait.`;
+      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this ${gait.radius > 1 ? "unstable " : ""}gait.`;
   }
 
   select = (wish, options = {}) => {
-    const line = wish.at && lineAt(wish.at), named = wish.slope > 0 && !wish.free && !line && cellNamed(wish);
+    const line = wish.at && lineAt(wish.at), named = wish.start && !wish.free && !line && cellNamed(wish);
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
     const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
-    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : wish.slope || map ? "No gait is stored for this cell." : "The address names no gait of this page.");
+    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : map ? "No gait is stored for this cell." : whyNot(wish));
     if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
     if (found && options.dock) {
@@ -309,7 +310,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   const followAddress = () => {
     const wish = location.hash.length > 1 && readAddress(location.hash);
-    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: false }) };
+    // What is left out of an address, or was rounded, is solved; the address then has it.
+    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: wish.start.length < 3 }) };
   };
   addEventListener("hashchange", followAddress);
   // Once the figures and tables below have been made ready, they hear of the first gait.
@@ -317,7 +319,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const given = followAddress();
     if (given?.found) return;
     const first = MAPS.some(map => !map.free) && lead || LINES.map(line => readAddress(line.first)).find(Boolean) || lead;
-    if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
+    if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(`${words} Shown is another gait of this page.`); return; } }
     if (!gait) panel.hidden = !docked;
   });
 }

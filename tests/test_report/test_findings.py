@@ -1,0 +1,234 @@
+"""What a figure finds, and that a reader can tell its curves and words apart."""
+
+import itertools
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.text import Text
+
+from gaitsweep.pipeline.report.figures import FIGURES, bifurcation
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.stability import add_borders
+from gaitsweep.pipeline.report.figures.style import (
+    COLOURS,
+    PRINTED,
+    WALKERS,
+    End,
+    end_labels,
+    inks,
+    style,
+    write_clear,
+)
+from gaitsweep.pipeline.report.pages import TEMPLATES
+from gaitsweep.pipeline.report.source import read
+from test_report.shape import GAITS, KNEED, POINT, write
+
+
+def _orbits(tmp_path, exponents, errors, falls=(), lost=1.0):
+    """An archive of exponents at slopes 0.01, 0.02 …, with orbits that fall at some."""
+    slope = 0.01 * np.arange(1, len(exponents) + 1)
+    count = len(slope)
+    tables = {
+        "lyapunov": {
+            "walker": ["C"] * count,
+            "slope": slope,
+            "index": np.zeros(count, int),
+            "exponent": np.array(exponents, float),
+            "standard_error": np.array(errors, float),
+        },
+        "survival": {
+            "walker": ["C"] * count,
+            "slope": slope,
+            "falls": np.isin(np.arange(count), falls).astype(int),
+            "lifetime": np.full(count, np.inf),
+        },
+        "crises": {"walker": ["C"], "slope": [lost]},
+    }
+    study = 'name = "orbits"\nkind = "orbit"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    return read(write(tmp_path / "o.nc", study, {}, {}, {"C": KNEED}, tables))
+
+
+def _found(source):
+    """Where the only line of a source is chaotic."""
+    (line,) = source.lines_of(source.tables["lyapunov"])
+    return bifurcation.chaotic(source, line)
+
+
+def test_chaos_is_where_an_exponent_exceeds_its_standard_errors(tmp_path):
+    source = _orbits(tmp_path, [0.001, -0.5, 0.29, 0.4, 0.1, 0.5], [0.1] * 6)
+
+    found = _found(source)
+
+    assert (found.low, found.high) == pytest.approx((0.04, 0.06))
+    assert (found.chaotic, found.between) == (2, 3)
+    said = FIGURES["lyapunov"](source).words[3]
+    assert "from 0.04 to 0.06 rad at 2 of the 3 slopes (C)" in said
+
+
+def test_transients_are_no_chaos(tmp_path):
+    beyond = _orbits(tmp_path, [0.4] * 4, [0.01] * 4, lost=0.035)
+    assert _found(beyond).high == pytest.approx(0.03)
+
+    falling = _orbits(tmp_path, [0.4] * 4, [0.01] * 4, falls=(2, 3))
+    assert _found(falling).high == pytest.approx(0.02)
+
+
+def test_exponents_that_are_zero_within_their_errors_are_no_finding(tmp_path):
+    source = _orbits(tmp_path, [7.6e-5, 1e-3, -0.2], [1.3e-3] * 3)
+
+    assert _found(source) is None
+    assert FIGURES["lyapunov"](source).words[3] == ""
+
+
+def test_a_walker_has_a_colour_of_its_own_that_is_not_the_papers():
+    assert len({*WALKERS.values()}) == len(WALKERS)
+    assert {*WALKERS.values()} <= {*COLOURS.values()} - {PRINTED}
+
+
+@pytest.mark.parametrize("names", [["A", "E"], ["E", "A"], ["", "E", ""], ["E", "E"]])
+def test_a_walkers_colour_does_not_depend_on_its_neighbours(names):
+    colours = inks(names)
+
+    assert colours[names.index("E")] == WALKERS["E"]
+    assert len({*colours}) == len(names) and PRINTED not in colours
+
+
+def test_pages_have_the_colours_of_the_figures():
+    text = (TEMPLATES / "report.css").read_text(encoding="utf-8")
+    light, dark = re.findall(r":root \{(.*?)\}", text, re.S)[:2]
+    given = dict(re.findall(r"--(line\d+): (#[0-9a-f]{6})", light))
+
+    assert given == COLOURS
+    assert {*re.findall(r"--(line\d+):", dark)} == {*COLOURS}
+
+
+def _curve(count):
+    """Gaits whose spectral radius passes 1 at slope 0.04, where the angle is 0.2."""
+    slope = np.geomspace(0.01, 0.1, count)
+    radius = (slope / 0.04) ** 0.7
+    return pd.DataFrame(
+        {
+            "slope": slope,
+            "stance_angle": np.sqrt(slope),
+            "spectral_radius": radius,
+            "stable": (radius < 1).astype(float),
+            "gait": "long",
+        }
+    )
+
+
+@pytest.mark.parametrize("count", [2, 7, 40])
+def test_a_stable_part_ends_where_the_multiplier_leaves_the_unit_circle(count):
+    whole = add_borders(_curve(count))
+
+    (border,) = whole[whole["border"]].to_dict("records")
+    assert border["slope"] == pytest.approx(0.04, rel=1e-9)
+    assert border["stance_angle"] == pytest.approx(0.2, rel=1e-9)
+    assert whole["slope"].is_monotonic_increasing
+    assert len(whole) == count + 1
+
+
+def test_a_figure_draws_thick_up_to_the_flip_and_its_data_is_what_was_computed(
+    tmp_path,
+):
+    curve = _curve(12)
+    dims = ("slope", "gait")
+    grid = {
+        name: (dims, np.stack([curve[name], np.full(12, np.nan)], 1))
+        for name in ("stance_angle", "spectral_radius")
+    }
+    study = 'name = "flip"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    coords = {"slope": curve["slope"].to_numpy(), "gait": GAITS}
+    source = read(write(tmp_path / "f.nc", study, grid, coords, {"C": KNEED}))
+
+    sketch = FIGURES["linear"](source)
+
+    (axes,) = sketch.panels
+    thick = [line for line in axes.lines if line.get_linewidth() == 2.6]
+    ends = [np.nanmax(np.where(np.isnan(y), np.nan, x)) for x, y in map(_xy, thick)]
+    assert max(ends) == pytest.approx(0.04, rel=1e-6)
+    assert len(sketch.data) == 12
+    assert {line.get_color() for line in thick} == {WALKERS["C"]}
+
+
+def _xy(line):
+    return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+
+
+def _boxes(axes: Axes):
+    """Boxes of the words of axes as they are drawn, without the lines to them."""
+    axes.figure.draw_without_rendering()
+    return {text.get_text(): Text.get_window_extent(text) for text in axes.texts}
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_names_at_the_ends_of_curves_overlap_neither_each_other_nor_the_frame(side):
+    with style():
+        sketch = Sketch("linear", 350)
+        (axes,) = sketch.panels
+        heights = [0.97, 0.98, 0.981, 0.99, 1.0, 0.01]
+        x = np.linspace(0, 1, 50)
+        for height in heights:
+            axes.plot(
+                x, 0.1 + (height - 0.1) * x if side == "right" else height - 0.5 * x
+            )
+        ends = [
+            End(1.0 if side == "right" else 0.0, height, f"name {k}", COLOURS["line0"])
+            for k, height in enumerate(heights)
+        ]
+
+        end_labels(axes, ends, side)
+
+        boxes = _boxes(axes)
+        assert len(boxes) == len(heights)
+        for one, other in itertools.combinations(boxes.values(), 2):
+            assert not one.overlaps(other)
+        frame = axes.get_window_extent()
+        for box in boxes.values():
+            assert frame.y0 - 1 <= box.y0 and box.y1 <= frame.y1 + 1
+            assert not any(_touches(line, box) for line in axes.lines)
+
+
+def _touches(line, box):
+    points = line.get_transform().transform(line.get_xydata())
+    return bool(box.count_contains(points))
+
+
+def test_words_move_away_from_a_curve():
+    with style():
+        sketch = Sketch("linear", 350)
+        (axes,) = sketch.panels
+        x = np.linspace(0, 1, 400)
+        axes.plot(x, 0.5 + 0 * x)
+        places = [(10, 0, "left"), (0, 20, "center")]
+
+        write_clear(axes, "0.0150", (0.5, 0.5), places)
+        write_clear(axes, "0.016", (0.5, 0.8), places)
+
+        boxes = _boxes(axes)
+        assert not _touches(axes.lines[0], boxes["0.0150"])
+        assert axes.texts[1].xyann == (10, 0)
+
+
+def test_two_foot_masses_of_the_paper_are_called_and_coloured_as_its_walkers(tmp_path):
+    slope = np.geomspace(1e-6, 0.1, 30)
+    dims = ("foot_mass_ratio", "slope", "gait")
+    grid = {"stance_angle": (dims, np.tile(slope[:, None] ** (1 / 3), (2, 1, 2)))}
+    coords = {"foot_mass_ratio": [0.1, 0.05], "slope": slope, "gait": GAITS}
+    study = (
+        'name = "f5"\nwalker = "E"\n[axes]\nslope = [0.1]\n'
+        "foot_mass_ratio = [0.1, 0.05]\n"
+    )
+    pair = {"pair": ["E / F"], "foot_mass_ratios": ["0.1 / 0.05"]}
+    tables = {"fits/transition_ratio": pair}
+    source = read(write(tmp_path / "f.nc", study, grid, coords, {"E": POINT}, tables))
+
+    sketch = FIGURES["loglog"](source)
+
+    names = {COLOURS[ink]: name for name, ink in sketch.lines}
+    assert names == {WALKERS["E"]: "E (ρ = 0.1)", WALKERS["F"]: "F (ρ = 0.05)"}
+    assert {*sketch.data["foot_mass_ratio"]} == {0.1, 0.05}
+    assert {*sketch.data["walker"]} == {"E"}
