@@ -16,6 +16,7 @@ from gaitsweep.pipeline.report.cells import Cell, cell, column_cells
 from gaitsweep.pipeline.report.figures import landmarks as places
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.figures.starts import addresses
+from gaitsweep.pipeline.report.figures.style import spread_evenly
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import (
     WORDS,
@@ -105,21 +106,10 @@ def named(
         note,
         f"{grouped(left)} more rows are in the {where}." if left > 0 else "",
     ]
-    caption, whole = (
-        words.get("caption", spaced(name).replace("/", ": ")),
-        frame if whole is None else whole,
-    )
+    caption = words.get("caption", spaced(name).replace("/", ": "))
+    whole = frame if whole is None else whole
     file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
-    frame = frame.head(most)
-    frame = frame[
-        sorted(
-            frame.columns,
-            key=lambda c: (
-                c in _LAST,
-                len(frame) > 1 and whole.get(c, frame[c]).nunique() == 1,
-            ),
-        )
-    ]
+    frame = _excerpt(name, frame, whole, most)
     units, meanings = (frame.attrs.get(key, {}) for key in ("units", "meanings"))
     names = [
         "steps" if c == "period" and frame[c].dtype.kind in "iu" else _head(str(c))
@@ -135,6 +125,22 @@ def named(
     ]
     about, means = " ".join(filter(None, notes)), [meanings.get(c, "") for c in frame]
     return Table(caption, heads, rows, about, means, file, whole, is_open=is_open)
+
+
+def _excerpt(
+    name: str, frame: pd.DataFrame, whole: pd.DataFrame, most: int
+) -> pd.DataFrame:
+    """Rows of a frame that a page shows, the columns that tell little last."""
+    shown = frame.head(most)
+    # Of a map of designs the first rows are all on one edge.
+    if name == "design" and len(frame) > most:
+        shown = frame.iloc[spread_evenly(len(frame), most)]
+
+    def rank(column: Any) -> tuple[bool, bool]:
+        is_constant = whole.get(column, frame[column]).nunique() == 1
+        return column in _LAST, len(shown) > 1 and is_constant
+
+    return shown[sorted(frame.columns, key=rank)]
 
 
 def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
@@ -212,6 +218,7 @@ def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
         return _transposed(name, frame)
     if name == "figure10_cells":
         return _printed_cells(name, frame)
+    frame = _of_key(frame)
     # States and bounds of a design's gaits are in the archive and the CSV file.
     begins, ends = ("stance_", "thigh_rate", "shank_rate", "surveyed"), "_error"
     aside = [
@@ -220,6 +227,20 @@ def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
         if name == "design" and (str(c).startswith(begins) or str(c).endswith(ends))
     ]
     return named(name, frame.drop(columns=aside), whole=frame)
+
+
+def _of_key(frame: pd.DataFrame) -> pd.DataFrame:
+    """A table of points over one key, whose values stand under its name, not beside the
+    value that the axis of that name has.
+    """
+    keys = set(frame["key"]) if {"key", "value"} <= set(frame.columns) else set()
+    if len(keys) != 1:
+        return frame
+    (key,) = keys
+    rest = frame.drop(columns=["key", str(key)], errors="ignore")
+    renamed = rest.rename(columns={"value": str(key)})
+    renamed.attrs = frame.attrs
+    return renamed
 
 
 def _transposed(name: str, frame: pd.DataFrame) -> Table:
@@ -336,6 +357,8 @@ def outcome_sentence(source: Source) -> str:
     if not total:
         return ""
     whole = "curve" if source.whole == "line" else "point"
+    if "design" in source.tables:
+        whole = "design"
     s = "" if total == 1 else "s"
     complete = counts.pop("converged", 0)
     parts = (

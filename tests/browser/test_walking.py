@@ -214,14 +214,46 @@ def test_a_selection_can_be_sent(walk, chains):
 )  # fmt: skip
 def test_an_address_that_names_no_gait_says_so_and_shows_another(walk, address):
     browser = walk("branches", anchor=address)
-    assert (
-        "no gait"
-        in wait(
-            browser, "document.querySelector('[data-part=said]').textContent"
-        ).lower()
-    )
+    said = wait(browser, "document.querySelector('[data-part=said]').textContent")
+    assert "Shown is another gait of this page." in said
     assert "step gait of walker C" in part(browser, "title").text
     assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+@pytest.mark.parametrize(
+    ("page", "address", "angle"),
+    [("branches", "slope=0.02&stance_angle=0.267", 0.266759283),
+     ("branches", "slope=0.02", 0.266759283),
+     ("branches", "slope=0.02&stance_angle=0.2668&stance_rate=-1.12&thigh_rate=-0.735", 0.266759283)],
+)  # fmt: skip
+def test_an_address_typed_by_hand_is_solved_before_anything_is_said(
+    walk, page, address, angle
+):
+    browser = walk(page, anchor=f"#walker=C&detuning=0.1&{address}")
+
+    assert wait(browser, "location.hash.includes('stance_angle=0.266759')")
+
+    assert selected(browser)["stance_angle"] == pytest.approx(angle, rel=1e-6)
+    facts = part(browser, "facts").text
+    assert "0.266759" in facts and "stable" in facts
+    assert part(browser, "said").text == ""
+
+
+@pytest.mark.parametrize(
+    ("page", "address", "said"),
+    [("ends", "walker=physical&slope=0.01", "this line has no gait: its gaits are at slopes from 0.0191"),
+     ("ends", "walker=physical&slope=0.01&stance_angle=0.2", "this line has no gait"),
+     ("ends", "walker=nobody&slope=0.03", "no line with walker = nobody"),
+     ("map", "walker=B&R=0.123&slope=0.02", "R = 0.123 is not on the map: its nearest value is 0.12.")],
+)  # fmt: skip
+def test_an_address_that_matches_nothing_says_what_the_page_has(
+    walk, page, address, said
+):
+    browser = walk(page, anchor=f"#{address}")
+
+    words = wait(browser, "document.querySelector('[data-part=said]').textContent")
+
+    assert said in words and words.endswith("Shown is another gait of this page.")
 
 
 def test_a_row_of_a_table_walks(walk):
@@ -701,7 +733,7 @@ def test_the_script_and_the_pages_are_small(walking):
     for path in walking.glob("*.html"):
         text = path.read_text(encoding="utf-8")
         script = text[text.rindex("<script>") : text.rindex("</script>")]
-        assert len(script.encode()) <= 70_000
+        assert len(script.encode()) <= 80_000
         assert len(text.encode()) <= (300_000 if path.name == "index.html" else 500_000)
 
 
@@ -776,6 +808,6 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
         r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad",
         words,
     ).groups()
-    assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
+    assert degree == "7" and 0 < float(error.replace("−", "-")) < 5e-3
     dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")
     assert dots in (30, 31)

@@ -232,3 +232,75 @@ def test_two_foot_masses_of_the_paper_are_called_and_coloured_as_its_walkers(tmp
     assert names == {WALKERS["E"]: "E (ρ = 0.1)", WALKERS["F"]: "F (ρ = 0.05)"}
     assert {*sketch.data["foot_mass_ratio"]} == {0.1, 0.05}
     assert {*sketch.data["walker"]} == {"E"}
+
+
+def _basin(tmp_path, walks):
+    """An archive of a basin over 20 × 20 initial conditions that walk where told."""
+    x, y = (
+        grid.ravel()
+        for grid in np.meshgrid(np.linspace(0.1, 0.3, 20), np.linspace(-0.3, -0.1, 20))
+    )
+    outcome = np.where(walks(x, y), "long", "fell forward")
+    tables = {
+        "basin": {"stance_angle": x, "stance_rate": y, "outcome": outcome},
+        "areas": {
+            "outcome": ["fell forward", "long"],
+            "area": [0.03, 0.0054],
+            "standard_error": [1e-5, 8e-5],
+        },
+    }
+    study = 'name = "b"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.01]\n'
+    return read(write(tmp_path / "b.nc", study, {}, {}, {"D": POINT}, tables))
+
+
+def test_a_basin_within_the_window_has_an_area_and_a_share_of_a_window_is_no_finding(
+    tmp_path,
+):
+    source = _basin(tmp_path, lambda x, y: np.hypot(x - 0.2, y + 0.2) < 0.05)
+
+    sketch = FIGURES["basin"](source)
+
+    assert (
+        sketch.words[3] == "Areas of the basins over θ* and θ̇*: long 0.0054 ± 8 × 10⁻⁵."
+    )
+    (panel, *_) = sketch.maps
+    column, row = panel.cells["first"]
+    assert (
+        np.hypot(panel.values.columns[column] - 0.2, panel.values.index[row] + 0.2)
+        < 0.02
+    )
+
+
+def test_a_basin_that_reaches_the_edge_of_the_window_is_said_to_be_cut(tmp_path):
+    source = _basin(tmp_path, lambda x, y: x < 0.2)
+
+    said = FIGURES["basin"](source).words[3]
+
+    assert (
+        said.endswith("their whole areas are not known: long.") and "0.0054" not in said
+    )
+
+
+@pytest.mark.parametrize(("peak", "is_border"), [(0.31, False), (0.5, True)])
+def test_an_extreme_on_the_border_of_a_map_is_called_so(tmp_path, peak, is_border):
+    R, c_t = np.meshgrid(np.linspace(0.1, 0.5, 9), np.linspace(0.05, 0.1, 9))
+    R, c_t = R.ravel(), c_t.ravel()
+    slope = 0.2 - (R - peak) ** 2 - (c_t - 0.075) ** 2
+    best = {
+        "walker": ["B"] * len(R),
+        "R": R,
+        "c_t": c_t,
+        "smallest_slope": 0.01 + 0 * R,
+        "largest_stable_slope": slope,
+        "fastest_froude_speed": 0.3 + 0 * R,
+    }
+    study = (
+        'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\nR = [0.1, 0.5]\n'
+        "c_t = [0.05, 0.1]\nslope = [0.01]\n"
+    )
+    archive = write(tmp_path / "d.nc", study, {}, {}, {"B": POINT}, {"design": best})
+
+    said = FIGURES["design"](read(archive)).words[3]
+
+    (largest,) = re.findall(r"Largest stable γ \(rad\): [^.]*\.[^(]*\(([^)]*)\)", said)
+    assert largest.endswith("on the map's border") == is_border

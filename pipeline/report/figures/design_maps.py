@@ -1,6 +1,7 @@
 """Design maps: the best gaits of each walker over two of its keys."""
 
 import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,98 +56,129 @@ _LABELLED = 0.2
 _MIN_CONTOURED = 6
 
 
+class _Maps(NamedTuple):
+    """A table of designs over two keys, down and across, with the places of its rows of
+    maps and their names.
+    """
+
+    table: pd.DataFrame
+    down: str
+    along: str
+    rows: list[dict[str, Any]]
+    names: list[str]
+    more: str
+
+
 def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Map smallest slope, largest stable slope and fastest stable speed over two keys,
     one row per walker.
     """
-    keys = [
-        c
-        for c in source.line_columns(table)
-        if c != "walker" and table[c].nunique() > 1
-    ][:2]
-    if len(keys) < 2:
+    columns = source.line_columns(table)
+    varied = [c for c in columns if c != "walker" and table[c].nunique() > 1]
+    if len(varied) < 2:
         return None
-    down, along = keys
-    others = [c for c in source.line_columns(table) if c not in keys]
+    down, along = varied[:2]
+    others = [c for c in columns if c not in (down, along)]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    rows, names, more = choose_rows(every)
-    sketch = Sketch(
-        "design",
-        100 + 150 * len(rows),
-        len(rows),
-        len(MAPPED),
-        sharex=True,
-        sharey=True,
-    )
-    panels = sketch.grid
-    pictures: dict[str, Any] = {}
-    is_marked = False
-    for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
-        part = rows_at(table, at)
-        for axes, (column, mapped) in zip(row, MAPPED.items(), strict=True):
-            values = part.pivot(index=down, columns=along, values=column)
-            pictures[column] = draw_map(axes, values, table[column])
-            _draw_contours(axes, values, *pictures[column].get_clim())
-            if columns := _gait_columns(part, column):
-                grids = {
-                    name: part.pivot(index=down, columns=along, values=own)
-                    for name, own in columns.items()
-                }
-                grids["slope"] *= mapped.inside
-                shown = (
-                    down,
-                    along,
-                    *(name for name in ("slope", "froude_speed") if name in grids),
-                )
-                held = cells(source, at, grids, shown, sketch.grid.size, mapped.cell)
-                sketch.maps.append(Panel(axes, values, held))
-            own = source.walkers.get(str(at.get("walker", source.walker)), {})
-            is_marked = _mark_walkers(axes, own, down, along) or is_marked
-            axes.set_title(mapped.title if k == 0 else "", pad=5)
-        row[0].set_ylabel(
-            f"{shorten(names[k], 22)}: " * bool(names[k]) + _symbol(source, down)
-        )
-    for axes, picture, column in zip(
-        panels[-1], pictures.values(), panels.T, strict=True
-    ):
+    data = _Maps(table, down, along, *choose_rows(every))
+
+    count = len(data.rows)
+    shape = (count, len(MAPPED))
+    sketch = Sketch("design", 100 + 150 * count, *shape, sharex=True, sharey=True)
+    marked = [_draw_row(sketch, source, data, k) for k in range(count)]
+    for axes, mapped in zip(sketch.grid[0], MAPPED.values(), strict=True):
+        axes.set_title(mapped.title, pad=5)
+    for axes, column in zip(sketch.grid[-1], sketch.grid.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(5))
-        add_bar(picture, list(column), location="bottom").ax.xaxis.set_major_locator(
-            MaxNLocator(4)
-        )
-    ends = [(spaced(c), table[c].min(), table[c].max()) for c in MAPPED]
-    ranges = "; ".join(
-        f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends
-    )
+        bar = add_bar(axes.collections[0], list(column), location="bottom")
+        bar.ax.xaxis.set_major_locator(MaxNLocator(4))
+
     return sketch.finish(
-        table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
+        table[[*columns, *(c for c in _DATA if c in table)]],
         down=down,
         along=along,
-        circles=_named(source, down, along) if is_marked else "",
+        circles=_named(source, down, along) if any(marked) else "",
         blank=True,
-        more=more,
-        ranges=ranges,
-        best=_best(source, table),
+        more=data.more,
+        ranges=_ranges(table),
+        best=_best(source, table, (down, along)),
     )
 
 
-def _best(source: Source, table: pd.DataFrame) -> str:
-    """The smallest slope, the largest and the highest speed of the maps, and where they
-    are found.
+def _draw_row(sketch: Sketch, source: Source, data: _Maps, k: int) -> bool:
+    """Draw the maps of a row; whether a walker with a name is marked on them."""
+    at = data.rows[k]
+    part = rows_at(data.table, at)
+    walker = source.walkers.get(str(at.get("walker", source.walker)), {})
+    is_marked = False
+    for axes, (column, mapped) in zip(sketch.grid[k], MAPPED.items(), strict=True):
+        values = part.pivot(index=data.down, columns=data.along, values=column)
+        picture = draw_map(axes, values, data.table[column])
+        _draw_contours(axes, values, *picture.get_clim())
+        _add_cells(sketch, source, data, k, (axes, column, mapped), values)
+        is_marked = _mark_walkers(axes, walker, data.down, data.along) or is_marked
+
+    name = f"{shorten(data.names[k], 22)}: " if data.names[k] else ""
+    sketch.grid[k][0].set_ylabel(name + _symbol(source, data.down))
+    return is_marked
+
+
+def _add_cells(
+    sketch: Sketch,
+    source: Source,
+    data: _Maps,
+    k: int,
+    place: tuple[Axes, str, Mapped],
+    values: pd.DataFrame,
+) -> None:
+    """Add the gaits of the cells of a map, where the archive holds their states."""
+    axes, column, mapped = place
+    part = rows_at(data.table, data.rows[k])
+    columns = _gait_columns(part, column)
+    if not columns:
+        return
+    grids = {
+        name: part.pivot(index=data.down, columns=data.along, values=own)
+        for name, own in columns.items()
+    }
+    grids["slope"] *= mapped.inside
+    told = [name for name in ("slope", "froude_speed") if name in grids]
+    shown = (data.down, data.along, *told)
+    held = cells(source, data.rows[k], grids, shown, sketch.grid.size, mapped.cell)
+    sketch.maps.append(Panel(axes, values, held))
+
+
+def _ranges(table: pd.DataFrame) -> str:
+    """The range of each quantity, for those who do not see the maps."""
+    parts = []
+    for column in MAPPED:
+        low, high = table[column].min(), table[column].max()
+        parts.append(f"{spaced(column)} from {plain(low)} to {plain(high)}")
+    return "; ".join(parts)
+
+
+def _best(source: Source, table: pd.DataFrame, keys: Sequence[str]) -> str:
+    """The smallest slope, the largest and the highest speed of the maps, where they are
+    found, and whether that is on their border: then it is no extreme of the walkers.
     """
     parts = []
     for column, mapped in MAPPED.items():
         values = table[column].dropna()
-        if len(values):
-            best = table.loc[
-                values.idxmin() if mapped.slope == "smallest_slope" else values.idxmax()
-            ]
-            where = axis_values(
-                {name: best[name] for name in source.line_columns(table)}
-            )
-            parts.append(f"{mapped.title}: {plain(best[column])} ({where})")
-    text = "; ".join(parts) or "no design walks"
-    return text[0].upper() + text[1:]
+        if values.empty:
+            continue
+        is_least = mapped.slope == "smallest_slope"
+        best = table.loc[values.idxmin() if is_least else values.idxmax()]
+        at = {name: best[name] for name in source.line_columns(table)}
+        where = axis_values(at)
+        borders = [
+            key for key in keys if best[key] in (min(table[key]), max(table[key]))
+        ]
+        if borders:
+            where += ": on the map's border"
+        parts.append(f"{mapped.title}: {plain(best[column])} ({where})")
+    text = ". ".join(part[0].upper() + part[1:] for part in parts)
+    return text or "No design walks"
 
 
 def _draw_contours(axes: Axes, z: pd.DataFrame, low: float, high: float) -> None:

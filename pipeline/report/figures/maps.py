@@ -1,7 +1,7 @@
 """Maps of a quantity over two axes, and of the outcomes of initial conditions."""
 
 import itertools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -204,9 +204,60 @@ def _column(table: pd.DataFrame, name: str) -> str:
     return titled(name, print_units(table.attrs.get("units", {}).get(name, "1")))
 
 
+class _Basin(NamedTuple):
+    """Outcomes of initial conditions over a plane, those of one slope and line: colours
+    of the outcomes, ranges of the enlarged part, gaits and manifold.
+    """
+
+    shown: pd.DataFrame
+    plane: list[str]
+    first: dict[str, Any]
+    inks: dict[str, str]
+    window: list[tuple[float, float]]
+    gaits: pd.DataFrame
+    manifold: pd.DataFrame
+
+
 def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
     """Map the outcome of each initial condition over its first two coordinates, whole
     and around the gaits.
+    """
+    plane = _plane(source, table)
+    if len(plane) < 2:
+        return None
+    data = _outcomes_over(source, table.astype({"outcome": str}), plane)
+    start = _motion(source, data.shown)
+    sketch = Sketch("basin", 330 if data.window else 380, 1, 1 + bool(data.window))
+    _draw_basin(sketch, data)
+    _enlarge(sketch, data)
+    _legend_of_basin(sketch, data)
+
+    # With knees the rates are those before heelstrike, for which θ̇* does not stand.
+    is_kneed = bool(start and start["keys"]["knees"])
+    upward = _column(table, plane[1])
+    if is_kneed:
+        upward = upward.replace(f" {SYMBOLS['stance_rate']}", "")
+    set_heading(sketch.panels[0], upward)
+    sketch.maps = _cells_of_basin(sketch, data, start)
+    return sketch.finish(
+        table,
+        x=_column(table, plane[0]),
+        count=len(data.shown),
+        plane=" and ".join(map(symbol, plane)),
+        outcomes=", ".join(data.inks),
+        **_areas(source, data),
+        saddles=" and ".join(sorted(set(data.manifold["gait"].astype(str)))),
+        # The plane of a section of three coordinates in which the initial conditions
+        # lie.
+        ratio=start.get("ratio"),
+        when="before" if is_kneed else "after",
+        only=axis_values(data.first),
+    )
+
+
+def _plane(source: Source, table: pd.DataFrame) -> list[str]:
+    """The first two coordinates of initial conditions that vary, the stance angle
+    first.
     """
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
     known = [
@@ -214,97 +265,116 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         for c in table.columns
         if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1
     ]
-    plane = sorted(known, key=lambda name: name != "stance_angle")[:2]
-    if len(plane) < 2:
-        return None
-    table = table.astype({"outcome": str})
-    same = [
-        c
-        for c in (*source.line_columns(table), "slope")
-        if c in table and table[c].nunique() > 1
-    ]
+    return sorted(known, key=lambda name: name != "stance_angle")[:2]
+
+
+def _outcomes_over(source: Source, table: pd.DataFrame, plane: list[str]) -> _Basin:
+    """The outcomes of the first line and slope of a table."""
+    columns = [*source.line_columns(table), "slope"]
+    same = [c for c in columns if c in table and table[c].nunique() > 1]
     first = table[same].iloc[0].to_dict() if same else {}
     shown = rows_at(table, first)
-    outcomes = sorted(set(shown["outcome"]), key=lambda o: (_is_fall(o), o))
-    other_inks, fall_inks = (
-        itertools.cycle(_OTHER_COLOURS),
-        itertools.cycle(_FALL_COLOURS),
-    )
-    inks = [
-        next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks)
-        for o in outcomes
-    ]
+
+    others = itertools.cycle(_OTHER_COLOURS)
+    falls = itertools.cycle(_FALL_COLOURS)
+    inks = {}
+    for outcome in sorted(set(shown["outcome"]), key=lambda o: (_is_fall(o), o)):
+        own = next(falls) if _is_fall(outcome) else RASTER.get(outcome)
+        inks[outcome] = own or next(others)
+
     walking = shown[~shown["outcome"].map(_is_fall)]
-    window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
-    sketch = Sketch("basin", 330 if window else 380, 1, 1 + bool(window))
-    panels = sketch.panels
-    gaits, manifold = (
-        _points(source, name, first, plane)
-        for name in ("fixed_points", "stable_manifold")
-    )
-    for axes, width in zip(panels, (0.8, 1.6) if window else (1.6,), strict=True):
-        _draw_outcomes(axes, shown, plane, outcomes, inks)
-        for row in gaits.itertuples():
-            marker, fill = ("o", INK) if row.gait in outcomes else ("X", "#ffffff")
+    is_small = 0 < len(walking) < 0.3 * len(shown)
+    window = _window(walking, plane) if is_small else []
+    gaits = _points(source, "fixed_points", first, plane)
+    manifold = _points(source, "stable_manifold", first, plane)
+    return _Basin(shown, plane, first, inks, window, gaits, manifold)
+
+
+def _draw_basin(sketch: Sketch, data: _Basin) -> None:
+    """Draw outcomes, gaits and manifold in each panel."""
+    plane = data.plane
+    widths = (0.8, 1.6) if data.window else (1.6,)
+    for axes, width in zip(sketch.panels, widths, strict=True):
+        _draw_outcomes(
+            axes, data.shown, plane, list(data.inks), list(data.inks.values())
+        )
+        for row in data.gaits.itertuples():
+            marker, fill = ("o", INK) if row.gait in data.inks else ("X", "#ffffff")
             place = (getattr(row, c) for c in plane)
             axes.plot(*place, marker, color=INK, mfc=fill, ms=6, mew=1, zorder=5)
-        _draw_dots(
-            axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width
-        )
+        across, upward = (data.manifold[name].to_numpy() for name in plane)
+        _draw_dots(axes, across, upward, width)
         axes.grid(False)
-    start = _motion(source, shown)
-    # With knees the rates are those before heelstrike, for which θ̇* does not stand.
-    symbol = f" {SYMBOLS['stance_rate']}" if start and start["keys"]["knees"] else ""
-    set_heading(panels[0], _column(table, plane[1]).replace(symbol, ""))
-    if window:
-        across, upward = window
-        panels[1].set_xlim(*across)
-        panels[1].set_ylim(*upward)
-        set_heading(panels[1], "enlarged")
-        corner, sides = (
-            (across[0], upward[0]),
-            (across[1] - across[0], upward[1] - upward[0]),
-        )
-        panels[0].add_patch(Rectangle(corner, *sides, fill=False, ec=INK, lw=0.9))
-    for outcome, ink in zip(outcomes, inks, strict=True):
+
+
+def _enlarge(sketch: Sketch, data: _Basin) -> None:
+    """Enlarge a window in the second panel, and frame it in the first."""
+    if not data.window:
+        return
+    whole, part = sketch.panels
+    (left, right), (low, high) = data.window
+    part.set_xlim(left, right)
+    part.set_ylim(low, high)
+    set_heading(part, "enlarged")
+    frame = Rectangle((left, low), right - left, high - low, fill=False, ec=INK, lw=0.9)
+    whole.add_patch(frame)
+
+
+def _legend_of_basin(sketch: Sketch, data: _Basin) -> None:
+    """Add outcomes, gaits and manifold to the legend."""
+    for outcome, ink in data.inks.items():
         sketch.dot_key(shorten(spaced(outcome)), ink, "s", ms=7)
-    if len(gaits):
+    if len(data.gaits):
         sketch.dot_key("stable gait", mfc=INK)
         sketch.dot_key("unstable gait", marker="X", mfc="#ffffff")
-    if len(manifold):
+    if len(data.manifold):
         sketch.key("stable manifold", ls=":", lw=2)
-    grid = shown.pivot_table(
-        index=plane[1], columns=plane[0], values="outcome", aggfunc="first"
+
+
+def _cells_of_basin(sketch: Sketch, data: _Basin, start: dict[str, Any]) -> list[Panel]:
+    """Every cell names its outcome and, with a start, is set in motion; first of all
+    one that walks, in the middle of those.
+    """
+    grid = data.shown.pivot_table(
+        index=data.plane[1], columns=data.plane[0], values="outcome", aggfunc="first"
     )
-    # Every cell names its outcome and, with a start, is set in motion.
+    outcomes = grid.fillna("–").to_numpy(str)
     called: dict[str, Any] = {
         "label": "initial condition",
-        "shown": [[name, name] for name in (*plane, "outcome")],
+        "shown": [[symbol(name), name] for name in (*data.plane, "outcome")],
     }
-    every = {
-        "free": True,
-        **start,
-        **called,
-        "fields": {"outcome": fields.words(grid.fillna("–").to_numpy(str))},
-    }
-    sketch.maps = [Panel(axes, grid, every) for axes in panels]
-    return sketch.finish(
-        table,
-        x=_column(table, plane[0]),
-        count=len(shown),
-        plane=" and ".join(plane),
-        outcomes=", ".join(outcomes),
-        share=plain(
-            100 * len(walking) / len(shown),
-            2 if len(walking) < 0.99 * len(shown) else 4,
-        ),
-        saddles=" and ".join(sorted(set(manifold["gait"].astype(str)))),
-        # The plane of a section of three coordinates in which the initial conditions
-        # lie.
-        ratio=start.get("ratio"),
-        when="before" if start and start["keys"]["knees"] else "after",
-        only=axis_values(first),
-    )
+    walks = np.argwhere(~np.vectorize(_is_fall)(outcomes) & (outcomes != "–"))
+    if len(walks):
+        apart = np.abs(walks - np.median(walks, axis=0)).sum(axis=1)
+        row, column = walks[apart.argmin()]
+        called["first"] = [int(column), int(row)]
+    words = {"outcome": fields.words(outcomes)}
+    every = {"free": True, **start, **called, "fields": words}
+    return [Panel(axes, grid, every) for axes in sketch.panels]
+
+
+def _areas(source: Source, data: _Basin) -> dict[str, str]:
+    """The areas of the basins that lie within the window, with their standard errors,
+    and the names of those that it cuts.
+    """
+    table = source.table("areas", "outcome", "area", "standard_error")
+    if table is None:
+        return {}
+    edge = np.zeros(len(data.shown), bool)
+    for name in data.plane:
+        values = data.shown[name]
+        edge |= values.isin([values.min(), values.max()]).to_numpy()
+    reaching = set(data.shown["outcome"][edge])
+
+    rows = rows_at(table, data.first)
+    rows = rows[~rows["outcome"].astype(str).map(_is_fall)]
+    is_cut = rows["outcome"].astype(str).isin(reaching)
+    areas = [
+        f"{spaced(row.outcome)} {plain(row.area, 3)} ± {plain(row.standard_error, 1)}"
+        for row in rows[~is_cut].itertuples()
+    ]
+    cut = [spaced(outcome) for outcome in rows["outcome"][is_cut]]
+    return {"areas": "; ".join(areas), "cut": " and ".join(cut)}
 
 
 def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:

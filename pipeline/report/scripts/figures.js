@@ -288,7 +288,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     show({ curve, row: Math.max(0, Math.min(curve.rows.length - 1, at.row + move[1])) });
   });
 
-  for (const map of panels.slice(-1)) lead ??= wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
+  for (const map of panels.slice(-1)) lead ??= map.first ? wishOf({ map, cell: map.first }) : wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
   for (const curve of series) lead ??= wishOf({ curve, row: 0 });
 
   // The picture as a file, in the colours of the page as it is seen.

@@ -207,9 +207,11 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
     const value = x => sum(basis(x).map((b, i) => b * share[i])), error = Math.max(...xs.map((x, k) => abs(value(x) - ys[k])));
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
-    draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
+    // A poor polynomial would mislead: then the dots stand alone.
+    const isClose = error < 0.02 * high;
+    if (isClose) draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
     for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
-    find("fit").textContent = `dots: θ* along ${side.name}; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad`;
+    find("fit").textContent = `dots: θ* along ${side.name}${isClose ? `; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad` : ""}`;
   }
 
   // A second gait of the line at the same slope, beside the first.
@@ -310,8 +312,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   const followAddress = () => {
     const wish = location.hash.length > 1 && readAddress(location.hash);
-    // What is left out of an address, or was rounded, is solved; the address then has it.
-    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: wish.start.length < 3 }) };
+    // What is left out of an address, or is rounded there, is solved; the address then has it.
+    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: true }) };
   };
   addEventListener("hashchange", followAddress);
   // Once the figures and tables below have been made ready, they hear of the first gait.
