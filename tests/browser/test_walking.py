@@ -808,6 +808,6 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
         r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad",
         words,
     ).groups()
-    assert degree == "7" and 0 < float(error.replace("−", "-")) < 5e-3
+    assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
     dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")
     assert dots in (30, 31)

@@ -106,7 +106,7 @@ function gaitNear(line, slope, given) {
   const [angle] = given, place = slope > 0 && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
   const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {}, own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
   let exact = null;
-  if (given.length > 2) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
+  if (given.length > (line.keys.knees ? 3 : 2)) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
   else if ("place" in on) {
     const near = between(line.branches[on.branch], on.place).start;
     exact = gaitAtSlope(line, slope, near.map(x => x * angle / near[0]), on) ?? gaitAtSlope(line, slope, near, on);

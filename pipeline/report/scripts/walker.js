@@ -208,10 +208,10 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const value = x => sum(basis(x).map((b, i) => b * share[i])), error = Math.max(...xs.map((x, k) => abs(value(x) - ys[k])));
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
     // A poor polynomial would mislead: then the dots stand alone.
-    const isClose = error < 0.02 * high;
+    const isClose = error < 0.01 * high;
     if (isClose) draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
     for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
-    find("fit").textContent = `dots: θ* along ${side.name}${isClose ? `; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad` : ""}`;
+    find("fit").textContent = `dots: θ* along ${side.name}` + (isClose ? `; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad` : "");
   }
 
   // A second gait of the line at the same slope, beside the first.
