@@ -30,7 +30,7 @@ _PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
 _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Size limit of all thumbnails on the index [byte].
-_MAX_THUMBNAIL_BYTES = 200_000
+_MAX_THUMBNAIL_BYTES = 240_000
 #: Room that a page takes on the index without a picture [byte].
 _CARD_BYTES = 150
 
@@ -176,11 +176,26 @@ class _Report:
                 for record in self.entries
                 if record.text and name == "ledger"
             ],
+            findings=self._findings(),
             held={record.slug: self._held(record) for record in self.shown},
             thumbnails=_thumbnails(self.shown),
             lines=lines,
         )
         return self.filled(text, None)
+
+    def _findings(self) -> dict[str, str]:
+        """What the figures of all pages find, by page and figure."""
+        return {
+            f"{record.slug}#{figure['name']}": self._finding(record, figure)
+            for record in self.shown
+            for figure in record.figures
+        }
+
+    def _finding(self, record: Entry, figure: dict[str, Any]) -> str:
+        """What a figure finds: of the paper's with the values of claims."""
+        study = record.name if record.section else ""
+        said = paper.finding(study, figure["name"], self.claims)
+        return str(said or figure["finding"])
 
     def sections(self, shown: list[Entry]) -> dict[str, list[Entry]]:
         """Some pages by section of the index: those of the paper, then all others."""
@@ -233,7 +248,6 @@ class _Report:
         )
         if figure is None:
             return ""
-        study = record.name if record.section else ""
         rows = [self.claims[id] for id in self.figures[record.slug, name]]
         verdicts = [
             (
@@ -243,11 +257,7 @@ class _Report:
             )
             for row in rows
         ]
-        return str(
-            self.parts.finding(
-                paper.finding(study, name, self.claims) or figure["finding"], verdicts
-            )
-        )
+        return str(self.parts.finding(self._finding(record, figure), verdicts))
 
     def _near(self, record: Entry | None) -> dict[str, list[Entry]]:
         """Pages that a page lists beside itself: all, or of many those around it."""

@@ -48,8 +48,8 @@ WALKERS = {
     "F": COLOURS["line6"],
     "physical": COLOURS["line7"],
     "physical-straight": COLOURS["line8"],
-    "A-printed": COLOURS["line9"],
-    "C-printed": COLOURS["line10"],
+    "A-printed": COLOURS["line10"],
+    "C-printed": COLOURS["line9"],
 }
 
 #: Colours of lines that are no walker of the catalogue.

@@ -107,6 +107,8 @@ def _coarsen(figure: Figure) -> None:
         if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
             line.set_visible(False)
     for axes in figure.axes:
+        for inset in axes.child_axes:
+            inset.set_visible(False)
         axes.xaxis.set_visible(False)
         axes.yaxis.set_visible(False)
     for legend in [

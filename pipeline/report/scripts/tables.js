@@ -71,7 +71,7 @@ for (const code of document.querySelectorAll("pre > code, .command > code, .how 
 }
 
 // Ledger: filter by words and verdict.
-for (const form of document.querySelectorAll(".filter")) {
+for (const form of document.querySelectorAll(".filter:not(.search)")) {
   form.hidden = false;
   const claims = [...document.querySelectorAll(".claim")], said = form.querySelector("[role=status]");
   const apply = () => {
@@ -96,4 +96,25 @@ for (const form of document.querySelectorAll(".filter")) {
   });
 }
 
-addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));
+// Index: a search over the titles, findings and claims of all pages.
+for (const form of document.querySelectorAll(".search")) {
+  const entries = [...document.querySelectorAll("#found li")], list = document.getElementById("found"), said = form.querySelector("[role=status]");
+  form.hidden = false;
+  const apply = () => {
+    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let count = 0;
+    for (const entry of entries) {
+      const text = entry.textContent.toLowerCase();
+      entry.hidden = !words.length || !words.every(word => text.includes(word));
+      count += !entry.hidden;
+    }
+    list.hidden = !count;
+    said.textContent = words.length ? `${count} found` : "";
+  };
+  form.addEventListener("input", apply);
+  form.addEventListener("submit", event => event.preventDefault());
+  addEventListener("pageshow", apply);
+}
+
+// On paper everything is unfolded but where the archive comes from.
+addEventListener("beforeprint", () => document.querySelectorAll("details:not(#provenance)").forEach(details => { details.open = true; }));
