@@ -55,6 +55,9 @@ PICTURES = {
         ),
         "location.hash = 'walker=physical&slope=0.036'; document.querySelector('figure').scrollIntoView()",
     ),
+    "parameters.png": Picture(
+        "figure9", "#parameters .picture", 960, _figures("parameters", "body")
+    ),
     "walker.png": Picture(
         "figure3", "#angles .picture", 960, _figures("cycle", "body")
     ),

@@ -280,12 +280,10 @@ def _entry(
 def _drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
     """The figures of a study, and why others that it wants are missing."""
     added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
-    wanted = dict.fromkeys(
-        [
-            *source.figures,
-            *(name for table, name in added.items() if table in source.tables),
-        ]
-    )
+    wanted = dict.fromkeys(source.figures)
+    if "walker" in wanted:  # where the walker is drawn, its parameters are named
+        wanted["parameters"] = None
+    wanted |= {name: None for table, name in added.items() if table in source.tables}
     drawings: list[Drawing] = []
     undrawn: dict[str, str] = {}
     told: set[str] = set()

@@ -24,6 +24,7 @@ from gaitsweep.pipeline.report.figures.style import (
 )
 from gaitsweep.pipeline.report.pages import TEMPLATES
 from gaitsweep.pipeline.report.source import read
+from gaitsweep.pipeline.report.words import plain
 from test_report.shape import GAITS, KNEED, POINT, write
 
 
@@ -304,3 +305,25 @@ def test_an_extreme_on_the_border_of_a_map_is_called_so(tmp_path, peak, is_borde
 
     (largest,) = re.findall(r"Largest stable γ \(rad\): [^.]*\.[^(]*\(([^)]*)\)", said)
     assert largest.endswith("on the map's border") == is_border
+
+
+@pytest.mark.parametrize("table", [KNEED, POINT])
+def test_every_parameter_of_a_walker_is_named_once_where_it_is_measured(
+    tmp_path, table
+):
+    study = 'name = "p"\nwalker = "X"\n[axes]\nslope = [0.01]\n'
+    grid = {"stance_angle": (("slope", "gait"), np.full((1, 2), 0.2))}
+    coords = {"slope": [0.01], "gait": GAITS}
+    source = read(write(tmp_path / "p.nc", study, grid, coords, {"X": table}))
+
+    with style():
+        sketch = FIGURES["parameters"](source)
+        boxes = _boxes(sketch.panels[0])
+
+    named = [words.partition(" ")[0] for words in boxes]
+    needed = {"l_t", "m_t", "c_t", "w_t", "l_s", "m_s", "c_s", "w_s", "m_h"}
+    needed |= {key for key in ("R", "eps_T", "r_t", "r_s") if table[key]}
+    assert sorted(named) == sorted(needed)
+    assert any(f": {plain(table['m_t'])}" in words for words in boxes)
+    for one, other in itertools.combinations(boxes.values(), 2):
+        assert not one.overlaps(other)

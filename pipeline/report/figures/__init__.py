@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures import (
     families,
     laws,
     maps,
+    parameters,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -38,6 +39,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "angles": cycle.angles,
     "walker": body.walker,
     "conditions": body.conditions,
+    "parameters": parameters.parameters,
     "locus": branch_curves.locus,
     "bifurcation": bifurcation.bifurcation,
     "heatmap": maps.heatmap,

@@ -93,7 +93,7 @@ class Body:
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
 
-def _draw_leg(
+def draw_leg(
     axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any
 ) -> None:
     """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""
@@ -118,8 +118,8 @@ def draw_pose(
     and the hip of some size [pt].
     """
     leg, thigh, shank = angles
-    _draw_leg(axes, body, hip, leg, leg, **stance)
-    _draw_leg(axes, body, hip, thigh, shank, **swing)
+    draw_leg(axes, body, hip, leg, leg, **stance)
+    draw_leg(axes, body, hip, thigh, shank, **swing)
     axes.plot(hip.real, hip.imag, "o", color=INK, ms=size, zorder=5)
 
 
@@ -226,7 +226,7 @@ def _draw_walker(
     axes.axhline(ground, color=MUTED, lw=0.8)
     back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
     draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
-    thigh, shank = _centres_of_mass(body, table, hip, -spread)
+    thigh, shank = centres_of_mass(body, table, hip, -spread)
     total = (
         2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h")
         or 1.0
@@ -270,7 +270,7 @@ def _draw_walker(
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
 
 
-def _centres_of_mass(
+def centres_of_mass(
     body: Body, table: Mapping[str, Any], hip: complex, angle: float
 ) -> tuple[complex, complex]:
     """Centres of mass of thigh and shank as x + iy, with the extended leg at an angle
@@ -303,7 +303,7 @@ def conditions(source: Source) -> Sketch | None:
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         hip = complex(body.hip(0.0))
         knee, height = body.knee(hip, 0.0), body.height
-        thigh, shank = _centres_of_mass(body, table, hip, 0.0)
+        thigh, shank = centres_of_mass(body, table, hip, 0.0)
         masses = np.array(
             [
                 2 * _number(table, "m_t"),
@@ -314,7 +314,7 @@ def conditions(source: Source) -> Sketch | None:
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
-        _draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
+        draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
             axes.plot(
                 [knee.real, shank.real],

@@ -422,7 +422,7 @@ def end_labels(axes: Axes, ends: Sequence[End], side: str) -> None:
     places = [axes.transLimits.transform(_on_scale(axes, end)) for end in ends]
     gap = _GAP / (0.75 * float(axes.figure.bbox.height))
     ends, heights = _without_repeats(ends, [float(y) for _, y in places], gap)
-    for end, height in zip(ends, _spread(heights, gap), strict=True):
+    for end, height in zip(ends, spread_heights(heights, gap), strict=True):
         axes.annotate(
             shorten(end.name),
             (end.x, end.y),
@@ -482,7 +482,7 @@ def _without_repeats(
     return [end for _, end in kept], [height for height, _ in kept]
 
 
-def _spread(heights: Sequence[float], gap: float) -> list[float]:
+def spread_heights(heights: Sequence[float], gap: float) -> list[float]:
     """Heights of rows of text, shares of the frame, as near as they can be to rising
     ones given and at least a gap apart, within the frame.
     """
