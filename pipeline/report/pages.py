@@ -56,7 +56,6 @@ _RUN = {
         "points",
         "failed",
         "exit_code",
-        "account",
     )
 }
 _RUN |= {"seconds": "finished after (s)"}

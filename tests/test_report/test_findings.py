@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures.style import (
     end_labels,
     inks,
     style,
+    thin,
     write_clear,
 )
 from gaitsweep.pipeline.report.pages import TEMPLATES
@@ -130,6 +131,16 @@ def test_a_stable_part_ends_where_the_multiplier_leaves_the_unit_circle(count):
     assert border["stance_angle"] == pytest.approx(0.2, rel=1e-9)
     assert whole["slope"].is_monotonic_increasing
     assert len(whole) == count + 1
+
+
+def test_borders_leave_the_choice_of_the_points_drawn_as_it_is():
+    curve = _curve(101)
+
+    drawn = thin(add_borders(curve), 11)
+
+    computed = drawn[~drawn["border"].astype(bool)]
+    assert computed["slope"].tolist() == thin(curve, 11)["slope"].tolist()
+    assert len(drawn) == 12
 
 
 def test_a_figure_draws_thick_up_to_the_flip_and_its_data_is_what_was_computed(

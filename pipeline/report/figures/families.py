@@ -297,17 +297,17 @@ def _draw_curve(
         group=how.number,
     )
     kept = points.drop(columns=[*RATES, "border"], errors="ignore")
-    sketch.pieces.append(kept.assign(**_about(how.line)))
+    sketch.pieces.append(kept.assign(**_about(how.line, "period" in kept)))
 
 
-def _about(line: Line) -> dict[str, Any]:
+def _about(line: Line, has_periods: bool) -> dict[str, Any]:
     """Columns of a figure's data that tell its lines apart, and the unit of their
-    periods.
+    periods if it has any.
     """
     units = line.data.get("walker_units")
     about: dict[str, Any] = {"line": line.label, **line.at}
-    if units is not None and "period" in line.data:
-        about["period_unit"] = "s" if str(units.values) == "SI" else "sqrt(leg/g)"
+    if units is not None and has_periods:
+        about["period_unit"] = "s" if str(units.values) == "SI" else "own units"
     return about
 
 

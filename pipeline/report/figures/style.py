@@ -374,10 +374,12 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
     """
     if len(frame) <= most:
         return frame
-    chosen = spread_evenly(len(frame), most)
-    if "border" in frame:
-        chosen = np.union1d(chosen, np.flatnonzero(frame["border"]))
-    return frame.iloc[chosen]
+    if "border" not in frame:
+        return frame.iloc[spread_evenly(len(frame), most)]
+    is_border = frame["border"].to_numpy(bool)
+    computed = np.flatnonzero(~is_border)
+    chosen = computed[spread_evenly(len(computed), most)]
+    return frame.iloc[np.union1d(chosen, np.flatnonzero(is_border))]
 
 
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
