@@ -71,9 +71,13 @@ def test_each_figure_is_drawn_from_its_archive(sources, study, name):
     assert sum(len(one["rows"]) for one in drawing.targets) <= TARGETS
 
 
+#: Figures for which the archive of a cascade has all data.
+_OF_CASCADE = ("bifurcation", "basin", "walker", "conditions", "parameters")
+
+
 @pytest.mark.parametrize(
     "name",
-    [n for n in FIGURES if n not in ("bifurcation", "basin", "walker", "conditions")],
+    [name for name in FIGURES if name not in _OF_CASCADE],
 )
 def test_a_figure_whose_data_is_missing_is_not_drawn(sources, name):
     with pytest.raises(Undrawn, match="^the archive holds nothing to draw it from$"):

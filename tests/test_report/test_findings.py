@@ -181,7 +181,7 @@ def test_names_at_the_ends_of_curves_overlap_neither_each_other_nor_the_frame(si
     with style():
         sketch = Sketch("linear", 350)
         (axes,) = sketch.panels
-        heights = [0.97, 0.98, 0.981, 0.99, 1.0, 0.01]
+        heights = [0.97, 0.98, 0.981, 0.99, 1.0, 0.0, 0.001, 0.002, 0.003]
         x = np.linspace(0, 1, 50)
         for height in heights:
             axes.plot(
