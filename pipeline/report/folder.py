@@ -30,7 +30,7 @@ _PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
 _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Size limit of all thumbnails on the index [byte].
-_MAX_THUMBNAIL_BYTES = 240_000
+_MAX_THUMBNAIL_BYTES = 200_000
 #: Room that a page takes on the index without a picture [byte].
 _CARD_BYTES = 150
 

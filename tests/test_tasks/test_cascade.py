@@ -147,8 +147,9 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
         return low + 0.25 * (high - low), low + 0.5 * (high - low)
 
     monkeypatch.setattr(locate_cascade, "_first_gaits", lambda *_: [None])
-    family = [locate_cascade._Event("flip", gait, 0.0) for gait in gaits]
-    monkeypatch.setattr(locate_cascade, "_follow_family", lambda *_: (family, ""))
+    events = [locate_cascade._Event("flip", gait, 0.0) for gait in gaits]
+    family = locate_cascade._Family(events, "")
+    monkeypatch.setattr(locate_cascade, "_follow_family", lambda *_: family)
     monkeypatch.setattr(locate_cascade, "lost", lost)
     found = cascade(
         {"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}]
@@ -248,9 +249,8 @@ def test_events_are_located_in_few_evaluations(monkeypatch):
             return solve(equations, guess)
 
     monkeypatch.setattr(passings, "solve", counted)
-    event, _ = locate_cascade._first_event(
-        problem, begun, "flip", *np.log([0.0145, 0.016])
-    )
+    window = np.log(0.0145), np.log(0.016)
+    event, _ = locate_cascade._first_event(problem, begun, "flip", window)
     assert event.slope == pytest.approx(0.015088437941119463562, rel=1e-13)
     assert 0 < len(evaluated) < 8
 
