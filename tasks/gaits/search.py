@@ -53,6 +53,9 @@ _LINEAR_UP_TO, _PLAIN_SWING = 1.0, -0.5
 #: Slope so gentle that gaits of small angles are nearly exact, even of legs that swing
 #: faster than this [sqrt(leg/g)]: of several slopes, this has their guesses alone.
 VANISHING, _FAST = 1e-6, 1.0
+#: Length from the hip to the centre of the foot's arc, over the leg, below which steps
+#: are longer.
+_ROUND = 0.5
 #: Angles of guesses that lose no energy to first order, over the largest.
 _OF_LARGEST = (0.12, 0.25, 0.5, 1.0)
 
@@ -119,7 +122,7 @@ def _lattices(
     ratios = [_RATIOS] if linear.has_knees else []
     lattices = []
     for i, slope in enumerate(slopes):
-        top = _largest_angle(slope)
+        top = _largest_angle(slope, linear.length)
         bottom = max(0.7 * slope, 0.01 * top)
         log_angles = np.linspace(np.log(bottom), np.log(min(top, 1.2)), angles)
 
@@ -131,9 +134,14 @@ def _lattices(
     return lattices
 
 
-def _largest_angle(slope: float) -> float:
-    """Angle of steps that lose more energy than a gentle slope gives [rad]."""
-    return float(2.0 * slope ** (1 / 3))
+def _largest_angle(slope: float, length: float) -> float:
+    """Angle of steps that lose more energy than a gentle slope gives [rad].
+
+    A foot whose arc is rounder than half the leg rolls more than it strikes: the angle's
+    cube is the slope over the square of what is left of the length (section 4.1).
+    """
+    rolling = max(1.0, _ROUND / length) ** (2 / 3)
+    return float(2.0 * rolling * slope ** (1 / 3))
 
 
 def lattice_size(walker: Walker, slopes: Sequence[float], shares: int) -> int:
@@ -195,9 +203,9 @@ def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndar
     fastest = _MAX_RATE * max(1.0, np.pi / linear.swing)
     found = []
     for slope in slopes:
-        scaled = _scaled(
-            gaits.get(slope, none), slope, is_fast and slope == min(slopes)
-        )
+        largest = _largest_angle(slope, linear.length)
+        is_lossless = is_fast and slope == min(slopes)
+        scaled = _scaled(gaits.get(slope, none), largest, is_lossless)
         angle, *rates, period = scaled
         used = rates[:1] if linear.point_foot else rates
         w = np.array([np.log(angle), *used, period])
@@ -206,11 +214,10 @@ def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndar
     return found
 
 
-def _scaled(gaits: np.ndarray, slope: float, with_lossless: bool) -> np.ndarray:
+def _scaled(gaits: np.ndarray, largest: float, with_lossless: bool) -> np.ndarray:
     """Gaits of small angles, and those that lose no energy to first order with angles
     in proportion to the cube root of the slope, since to third they lose a little.
     """
-    largest = _largest_angle(slope)
     is_small = (gaits[0] > 0) & (gaits[0] < largest)
     scaled = [gaits[:, is_small]]
     for share in _OF_LARGEST if with_lossless else ():

@@ -48,12 +48,15 @@ class SmallAngles:
     swing : float [sqrt(leg/g)]
         Time in which the straight leg, hung at the hip, swings from one side to the
         other.
+    length : float
+        From the hip to the centre of the foot's arc, over the leg.
     """
 
     def __init__(self, walker: Walker):
         constants = lump(walker)
         self.point_foot, self.has_knees = walker.point_foot, walker.knees
         self.eps, R = constants["eps"], constants["R"]
+        self.length = 1.0 - R
         stance, *swing = (
             complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"])
             for x in _arms(walker)
