@@ -342,7 +342,7 @@ def never_packed(folder, name):
     with contextlib.closing(Journal(folder / "s.journal")) as journal:
         graph = Graph(parse.read(folder / "s.toml"))
         key = graph.chunk_node(graph.grid.chunk(0)).key
-        head, payload = journal.get(key.key)
+        head, payload = journal.get(key)
         piece = Head.parse(head).piece(memoryview(payload), name, 0).data
         damaged = payload.replace(piece, b"\xff" * len(piece))
         journal.put(key, Record(head, damaged))

@@ -598,14 +598,14 @@ def test_more_digits_are_used_where_long_double_does_not_suffice(name, slopes):
 
 
 def test_a_solved_gait_less_accurate_than_asked_is_said_to_be(monkeypatch):
-    points = solve_at_slope.points
+    solve_line = solve_at_slope.solve_line
 
     def coarse(*asked):
-        found = points(*asked)
+        found = solve_line(*asked)
         found["status"][0, 1] = status.LESS_ACCURATE
         return found
 
-    monkeypatch.setattr(solve_at_slope, "points", coarse)
+    monkeypatch.setattr(solve_at_slope, "solve_line", coarse)
 
     gaits = solve_at_slope.solve_one({"walker": "D", "slope": 0.009})["gaits"]
 
