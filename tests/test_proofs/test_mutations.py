@@ -140,8 +140,8 @@ def proved(letter):
 def test_without_a_mutation_the_gait_is_proved(letter, mutate):
     mutate(
         "motion",
-        "self.body, self.n = body, len(state) // 2",
-        "self.n, self.body = len(state) // 2, body",
+        "self.n = len(state) // 2",
+        "self.n = len([*state]) // 2",
     )
     assert proved(letter)
 
