@@ -25,6 +25,8 @@ _FIRST = (
     ),
     *("multipliers", "violations", "error_bound"),
 )
+#: What is no row of its own.
+_IN_ITS_TITLE = {"gait", "stable", "status", "contact_mass_matrix"}
 #: Units in degrees for those in radians; a rate of a walker in consistent units has the
 #: unit 1.
 _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
@@ -64,16 +66,6 @@ def run(options: argparse.Namespace) -> int:
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
-def _rows(options: argparse.Namespace) -> set[str]:
-    """Variables that are shown unless all are asked for: what was varied to reach the
-    value of a measure is an answer, too.
-    """
-    rows = {*_FIRST, *options.at}
-    if options.at:
-        rows |= {"slope", options.vary}
-    return rows
-
-
 def _slope(options: argparse.Namespace) -> float | None:
     """The slope that is asked for [rad]."""
     if options.slope is None or not options.degrees:
@@ -102,44 +94,53 @@ def _lines(
     """Gaits at one point, a paragraph each, with units; angles and rates in degrees if
     asked.
     """
-    every = options.all_variables
-    digits, of_multipliers = (15, 12) if every else (6, 6)
-    shown = _rows(options)
     has_others = False
     for gait in all_gaits:
-        left_out = {
-            "gait",
-            "stable",
-            "status",
-            "contact_mass_matrix",
-            *(() if every else gait.keys() - shown),
-        }
-        rows = {
-            key: value
-            for key, value in gait.items()
-            if value is not None and key not in left_out
-        }
+        rows = _rows(gait, options)
         width = max(16, *map(len, rows))
-        yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
+        stability = "stable" if gait["stable"] else "unstable"
+        yield f"{gait['gait']} ({stability}, {gait['status']})"
         for key, value in rows.items():
-            if key == "multipliers":
-                value = ", ".join(
-                    _multiplier(re, im, of_multipliers) for re, im in value
-                )
-            elif isinstance(value, float):
-                unit = units.get(key, "1")
-                if options.degrees and (
-                    key == "slope"
-                    or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))
-                ):
-                    value, unit = math.degrees(value), _DEGREES[unit]
-                value = f"{value:.{digits}g} {unit}".removesuffix(" 1")
-            elif isinstance(value, list):
-                value = ", ".join(map(str, value)) or "none"
-            yield f"  {key:<{width}} {value}"
+            yield f"  {key:<{width}} {_told(key, value, units.get(key, '1'), options)}"
         has_others = has_others or str(gait["gait"]).startswith("other")
     if has_others:
         yield "Of several gaits under one label that of the largest stance angle has it; others are other1, other2, ..."
+
+
+def _rows(gait: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
+    """What is shown of a gait: all of its variables, or the first ones and, since what
+    was varied to reach the value of a measure is an answer, these.
+    """
+    shown = {*_FIRST, *options.at}
+    if options.at:
+        shown |= {"slope", options.vary}
+    if options.all_variables:
+        shown = set(gait)
+    shown -= _IN_ITS_TITLE
+    return {
+        key: value for key, value in gait.items() if value is not None and key in shown
+    }
+
+
+def _told(key: str, value: Any, unit: str, options: argparse.Namespace) -> str:
+    """The value of a variable, with its unit."""
+    every = options.all_variables
+    if key == "multipliers":
+        return ", ".join(_multiplier(re, im, 12 if every else 6) for re, im in value)
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    if not isinstance(value, float):
+        return str(value)
+    if options.degrees and _is_angular(key):
+        value, unit = math.degrees(value), _DEGREES[unit]
+    return f"{value:.{15 if every else 6}g} {unit}".removesuffix(" 1")
+
+
+def _is_angular(key: str) -> bool:
+    """Whether a variable is an angle or a rate."""
+    if key == "slope":
+        return True
+    return key in VARIABLES and VARIABLES[key].kind in ("angle", "rate")
 
 
 def _multiplier(real: float, imaginary: float, digits: int) -> str:

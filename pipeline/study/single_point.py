@@ -62,17 +62,8 @@ def solve(
         raise Location("", "steps").wrong(
             "must be 1 for gaits whose legs pass more than once", steps
         )
-    given, changes = led(definition, keys)
-    walker = files.changed(given, tuned=tuned)
-    params = {
-        "walker": walker,
-        "slope": slope,
-        "set": changes,
-        "all": every,
-        "steps": steps,
-    }
-    if limits:
-        params["violation_limits"] = violation_limits(limits, Location(""))
+    params = _of_walker(definition, keys, tuned, limits)
+    params |= {"slope": slope, "all": every, "steps": steps}
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
     return ask("solve", params)
@@ -138,11 +129,22 @@ def solve_at(
     if between is not None:
         params["between"] = _rising(between, Location("", "between"))
 
-    given, params["set"] = led(definition, keys)
-    params["walker"] = files.changed(given, tuned=tuned)
+    params |= _of_walker(definition, keys, tuned, limits)
+    return ask("solve_at", params)
+
+
+def _of_walker(
+    definition: Definition,
+    keys: Mapping[str, Any],
+    tuned: Sequence[str],
+    limits: Mapping[str, float] | None,
+) -> dict[str, Any]:
+    """The walker, the keys to set and the limits of violations, checked."""
+    given, changes = led(definition, keys)
+    params = {"walker": files.changed(given, tuned=tuned), "set": changes}
     if limits:
         params["violation_limits"] = violation_limits(limits, Location(""))
-    return ask("solve_at", params)
+    return params
 
 
 def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:

@@ -75,11 +75,11 @@ def walks(equations: Equations, X: Gait) -> bool:
 
 
 class _Followed(engine.Tracks):
-    """One curve in progress in a window of ln slope and key, whose edges are (2, 2).
+    """One curve in progress in a window of its f last unknowns, whose edges are (f, 2).
 
     `end` is the last point that it has within the window, and the tangent there, both
-    (c, 1): that on the border. Where the curve begins on the border and leaves there is
-    none, both (c, 0).
+    (u, 1): that on the border. Where the curve begins on the border and leaves there is
+    none, both (u, 0).
     """
 
     def __init__(

@@ -149,10 +149,11 @@ def may_be(name: str, kind: ndarray) -> ndarray:
     -------
     ndarray of bool, shape (n,)
     """
-    excluded = [other for other, about in KINDS.items() if name not in about.extremes]
+    named = [other for other, about in KINDS.items() if name in about.extremes]
     if name in COSTS:
-        return kind == "speed"
-    return ~np.isin(kind, excluded)
+        return np.isin(kind, named)
+    # Where a branch ends for a reason of its own, too.
+    return np.isin(kind, named) | ~np.isin(kind, list(KINDS))
 
 
 def in_window(points: Points, window: tuple[float, float]) -> ndarray:

@@ -182,28 +182,38 @@ def _lose_twins(
     guesses of the two pieces that meet there may lead to one gait. The other one, whose
     guess was farther from it, is not found.
     """
+    for lanes in _beside_folds(gaits, guesses, places):
+        moved = np.abs(gaits.w[:, lanes] - guesses.w[:, lanes]).max(axis=0)
+        kept: list[int] = []
+        for lane in lanes[np.argsort(moved, kind="stable")].tolist():
+            found = lanes_of(gaits, np.array([lane]))
+            known = lanes_of(gaits, np.array(kept, int))
+            if are_same(found, known).any():
+                gaits.converged[lane] = False
+            else:
+                kept.append(lane)
+
+
+def _beside_folds(
+    gaits: Polished,
+    guesses: Guesses,
+    places: Sequence[tuple[Problem, Branch, ndarray]],
+) -> list[ndarray]:
+    """Lanes of the gaits of one branch and slope, within rounding of a fold, that have
+    converged.
+    """
+    groups: dict[tuple[int, float], list[int]] = {}
     begin = 0
-    beside: dict[tuple[int, float], list[int]] = {}
     for _, branch, segments in places:
         lanes = np.arange(begin, begin + len(segments))
         begin += len(segments)
         folds = branch.q[branch.folds()]
         apart = np.abs(np.log(guesses.slope[lanes])[:, None] - folds)
-        near = lanes[(apart < _BESIDE_FOLD).any(axis=1)]
-        for lane in near[gaits.converged[near]].tolist():
-            key = id(branch), float(guesses.slope[lane])
-            beside.setdefault(key, []).append(lane)
-
-    for twins in beside.values():
-        moved = np.abs(gaits.w[:, twins] - guesses.w[:, twins]).max(axis=0)
-        by_distance = [twins[i] for i in np.argsort(moved, kind="stable")]
-        kept: list[int] = []
-        for lane in by_distance:
-            one = lanes_of(gaits, np.array([lane]))
-            if kept and are_same(one, lanes_of(gaits, np.array(kept))).any():
-                gaits.converged[lane] = False
-            else:
-                kept.append(lane)
+        near = (apart < _BESIDE_FOLD).any(axis=1) & gaits.converged[lanes]
+        for lane in lanes[near].tolist():
+            group = id(branch), float(guesses.slope[lane])
+            groups.setdefault(group, []).append(lane)
+    return [np.array(lanes) for lanes in groups.values()]
 
 
 def _point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point | None]:

@@ -30,7 +30,7 @@ from gaitsweep.tasks.measures.losses import (
 )
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
-from gaitsweep.tasks.step.several_steps import Strides, side_by_side
+from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -320,25 +320,56 @@ def describe(
 
 
 def _steps(problem: Problem, walker: Walker, at: Polished, slope: np.ndarray) -> Steps:
-    """The single steps of gaits: the first steps of all, then the second ones."""
-    s, n, single = problem.steps, len(slope), problem.of_steps(1)
-    y, (scale, slopes) = side_by_side(at.y, s), np.tile([at.scale, slope], s)
-    state = problem.step.start(y, single.parameters(slopes, scale))[
-        : problem.step.start_size
-    ]
-    state[:, :n] = at.state
-    after, ends = np.roll(np.arange(s * n), -n), at.times.reshape(s, -1, n)[:, -1]
-    times = side_by_side(at.times, s) - np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
+    """The single steps of settled gaits."""
+    steps = steps_of(problem, walker, at.stride, at.y, at.scale, at.times, slope)
+    # That of the first step is known better.
+    steps.state[:, : len(slope)] = at.state * at.scale
+    return steps
+
+
+def steps_of(
+    problem: Problem,
+    walker: Walker,
+    stride: AnyStride,
+    y: np.ndarray,
+    scale: np.ndarray,
+    times: np.ndarray,
+    slope: np.ndarray,
+) -> Steps:
+    """Return the single steps of gaits: the first steps of all, then the second ones.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker, or, if gaits are of one step, of one for each.
+    walker : Walker
+        That walker, or an array of them.
+    stride : Stride or Strides
+    y : ndarray, shape (m, n)
+        Sections over `scale`, shape (n,).
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Of the strikes, from the start of the first step.
+    slope : ndarray, shape (n,) [rad]
+    """
+    s, n = problem.steps, len(slope)
+    single = problem.of_steps(1)
+    scale, slope = np.tile([scale, slope], s)
+    y = side_by_side(y, s)
+    state = problem.step.start(y, single.parameters(slope, scale))
+    state = state[: problem.step.start_size]
+
+    ends = times.reshape(s, -1, n)[:, -1]
+    begins = np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
     return Steps(
         single,
         walker,
-        at.stride.singles,
+        stride.singles,
         y * scale,
         state * scale,
-        times,
+        side_by_side(times, s) - begins,
         scale,
-        slopes,
-        after,
+        slope,
+        after=np.roll(np.arange(s * n), -n),
     )
 
 

@@ -94,22 +94,24 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
     walker = walker_of_line(line)
     target = _target(params, line["set"], walker)
     limits = params.get("violation_limits")
+    records = []
     if target.vary == SLOPE:
-        found, log, reached = _along_slope(Problem(walker), target)
-        records = [_described(Problem(walker), w, q, limits) for w, q in found]
+        problem = Problem(walker)
+        found, log, reached = _along_slope(problem, target)
+        for w, q in found:
+            gait = _described(problem, w, float(np.exp(q)), limits)
+            records += [gait] if gait else []
     else:
         slope = float(params["slope"])
         keys = _keys(line, target)
-        values, log, reached = _along_key(keys, slope, target)
-        records = []
-        for w, value in values:
+        found, log, reached = _along_key(keys, slope, target)
+        for w, value in found:
             problem = Problem(keys.walker_at(value))
-            described = _described(problem, w, float(np.log(slope)), limits)
-            records.append({target.vary: value, **described})
+            gait = _described(problem, w, slope, limits)
+            records += [{target.vary: value, **gait}] if gait else []
 
-    kept = [each for each in records if each["status"] != "no gait"]
-    absent = [] if kept else [target.missed(reached)]
-    result = answer(kept, walker, log, absent)
+    absent = [] if records else [target.missed(reached)]
+    result = answer(records, walker, log, absent)
     if target.vary != SLOPE:
         result["columns"] = [target.vary, *result["columns"]]
     return result
@@ -274,20 +276,17 @@ def _is_on(
 
 
 def _described(
-    problem: Problem,
-    w: np.ndarray,
-    log_slope: float,
-    limits: Mapping[str, float] | None,
-) -> dict[str, Any]:
-    """One gait near w (m + k,), settled, as `solve_one` describes it; its status is "no
-    gait" where it is no step.
+    problem: Problem, w: np.ndarray, slope: float, limits: Mapping[str, float] | None
+) -> dict[str, Any] | None:
+    """One gait near w (m + k,), settled, as `solve_one` describes it; None where it is
+    no step whose legs pass once.
     """
-    slope = np.exp([log_slope])
-    settled = settle(problem, unmeasured(problem, w[:, None], slope))
+    slopes = np.array([slope])
+    settled = settle(problem, unmeasured(problem, w[:, None], slopes))
     if not (settled.converged & settled.step)[0] or settled.leg_passes[0] != 1:
-        return {"status": "no gait"}
-    measured = describe(problem, settled, slope, WANT, limits)
+        return None
+    measured = describe(problem, settled, slopes, WANT, limits)
     values = {name: measured[name][0] for name in WANT if name in measured}
     values |= {"branch": np.int16(-1), "piece": np.int16(-1)}
     label = "long" if gait_ratio(settled.stride)[0] < LONG_BELOW else "short"
-    return record(label, float(slope[0]), values, problem.walker)
+    return record(label, slope, values, problem.walker)
