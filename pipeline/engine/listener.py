@@ -40,7 +40,11 @@ class Finished:
 
 
 class Listener:
-    """Is told of the nodes of one study, and does nothing; nothing waits for it."""
+    """Is told of the nodes of one study, and does nothing.
+
+    The loop waits for it, so what takes long delays all studies; an error of its own
+    fails this one.
+    """
 
     def finished(self, done: Finished) -> None:
         """A node's result is stored."""

@@ -1,9 +1,9 @@
 """Conditions that a point of a branch may satisfy besides the equations of a gait: the
 scalar that vanishes at each kind of special point, or at gaits of a given speed.
 
-To locate a new kind of point, name it in `tasks/contract/kinds.toml` and add its row to the
-table at the end of this module. In shapes, n counts lanes, c the unknowns Z of a gait
-(`tasks.branches.joint`).
+A new kind of point is named in `tasks/contract/kinds.toml`, whose flags say where it is
+looked for, and has its row in the table at the end of this module. In shapes, n counts
+lanes, c the unknowns Z of a gait (`tasks.branches.joint`).
 """
 
 from __future__ import annotations

@@ -46,6 +46,8 @@ BORDER = "border"
 _SAME_TIMES = 1e-3
 #: Rounding of rates and durations at an end of walking.
 _AT_END = 1e-6
+#: Distance of the last unknown from a value that is rounding.
+_AT_VALUE = 1e-9
 #: Share of the way to a border at which a curve begins on it; and that of a segment to
 #: which a turning is located.
 _BEGINS_THERE, _TURNING = 1e-9, 1e-11
@@ -60,13 +62,16 @@ def walks(equations: Equations, X: Gait) -> bool:
     equations : Equations
     X : ndarray, shape (u,)
     """
-    problem, Z = equations.problem_at(X[:, None]), equations.split(X[:, None])[0]
+    problem = equations.problem_at(X[:, None])
+    Z, _ = equations.split(X[:, None])
     times = Z[problem.m : -1]
     if any(condition.walking for condition in equations.conditions):
         # Kneestrike is not late, and the foot does not rise as it strikes.
         stride, _ = problem.stride(Z[:-1], Z[-1])
-        is_in_order = (times > 0).all() and (np.diff(times[:, 0]) > -_AT_END).all()
-        return bool(is_in_order and stride.closing[-1, 0] < _AT_END * stride.y[0, 0])
+        is_in_order = (times > 0).all()
+        is_in_order &= (np.diff(times[:, 0]) > -_AT_END).all()
+        falls = stride.closing[-1, 0] < _AT_END * stride.y[0, 0]
+        return bool(is_in_order and falls)
 
     y = np.exp(Z[:1]) * np.vstack([np.ones((1, 1)), Z[1 : problem.m]])
     step = simulate_step(problem, y, np.exp(Z[-1]), exact=False)
@@ -106,9 +111,9 @@ class _Followed(engine.Tracks):
         guess: Coordinates,
         error: PerLane,
     ) -> tuple[ndarray, ndarray]:
-        # Beyond the window a step is fair if it leads to a point on the border: a
-        # shorter one may.
-        fair = not point.ok[0] or self._is_inside(point.Z) or self._ends(point)
+        # A step beyond the window is taken if it shows where the curve crosses the
+        # border; otherwise a shorter one is tried.
+        fair = not point.ok[0] or self._is_inside(point.Z) or self._finds_border(point)
         return np.array([fair]), error / self.step
 
     def reasons(
@@ -116,19 +121,19 @@ class _Followed(engine.Tracks):
     ) -> ndarray:
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
-    def _inside(self, Z: Coordinates) -> ndarray:
+    def _nearest_within(self, Z: Coordinates) -> ndarray:
         """The nearest values of the last unknowns within the window, (f, 1)."""
         low, high = self.edges[:, :1], self.edges[:, 1:]
         return np.clip(Z[-len(self.edges) :], low, high)
 
     def _is_inside(self, Z: Coordinates) -> bool:
-        return bool((self._inside(Z) == Z[-len(self.edges) :]).all())
+        return bool((self._nearest_within(Z) == Z[-len(self.edges) :]).all())
 
-    def _ends(self, beyond: engine.Point) -> bool:
-        """Whether the curve's point on the border is found, between its last point and
-        one beyond the window.
+    def _finds_border(self, beyond: engine.Point) -> bool:
+        """Find the curve's point on the border, between its last point and one beyond
+        the window, as its `end`; and whether there is one.
         """
-        f, nearest = len(self.edges), self._inside(beyond.Z)
+        f, nearest = len(self.edges), self._nearest_within(beyond.Z)
         out = np.flatnonzero(nearest != beyond.Z[-f:])
         shares = ((nearest - self.Z[-f:]) / (beyond.Z - self.Z)[-f:])[out, 0]
         share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
@@ -203,6 +208,43 @@ def follow_both_directions(
     down = follow(equations, first, -1.0, window)
     X, tangent = joined(down, up)
     return X.T, tangent.T, (down.stop_reason, up.stop_reason)
+
+
+def at_value(equations: Equations, points: ndarray, value: float) -> list[Gait]:
+    """Return the points at which a curve passes a value of the last unknown.
+
+    Parameters
+    ----------
+    equations : Equations
+        One fewer than unknowns.
+    points : ndarray, shape (p, u)
+        Of the curve, in order, as `follow_both_directions` returns them.
+    value : float
+
+    Returns
+    -------
+    list of ndarray, shape (u,)
+        Its own ends among them.
+    """
+    found = []
+    for end in (points[0], points[-1]):
+        if abs(end[-1] - value) < _AT_VALUE:
+            found.append(end)
+
+    off = points[:, -1] - value
+    across = across_last(points.shape[1])
+    for k in np.flatnonzero(off[1:] * off[:-1] < 0).tolist():
+        share = off[k] / (off[k] - off[k + 1])
+        guess = (1 - share) * points[k] + share * points[k + 1]
+        passed = correct_on_curve(equations, guess[:, None], across)
+        if passed.ok[0]:
+            found.append(passed.Z[:, 0])
+    return found
+
+
+def across_last(unknowns: int) -> Coordinates:
+    """Return the direction (u, 1) of the last unknown."""
+    return np.eye(unknowns)[:, [-1]]
 
 
 def turning(

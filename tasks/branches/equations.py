@@ -13,8 +13,8 @@ that is unknown gives one, and a slope that is fixed takes one:
 The unknowns X are those of Z, without ln slope where it is fixed, then the keys. Gaits'
 equations have exact derivatives by Z; by keys, and of conditions that have no formula,
 they are central differences. All are smooth where strikes are tangential or the
-durations of phases vanish. In shapes, n counts lanes, c unknowns of Z, k keys, r
-conditions, and u unknowns X.
+durations of phases vanish, though the map of a step alone has no derivative there. In
+shapes, n counts lanes, c unknowns of Z, k keys, r conditions, and u unknowns X.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ _ONE_STEP = Newton(max_iterations=1, max_step=np.inf, small=0.0, shrinking=1.0)
 _ON_CURVE = Newton(max_iterations=14, max_step=0.5, small=1e-8, shrinking=0.3)
 #: Newton step after which a point that only leads to others is accurate enough.
 _ENOUGH = 1e-7
+#: Share of its range at which a key has no special value.
+_ORDINARY = 0.4871
 #: Error of a point in estimates of what rounding moves it by; and a Newton step that is
 #: rounding, where keys are unknowns.
 _ROUNDING_FACTOR, _ROUNDING_WITH_KEYS = 16.0, 1e-14
@@ -90,6 +92,21 @@ class Keys:
     high: tuple[float, ...]
     ordinary: tuple[float, ...]
     difference: float = DIFFERENCE
+
+    @classmethod
+    def of_one(
+        cls, name: str, walker_at: Callable[[float], Walker], low: float, high: float
+    ) -> Keys:
+        """Return one key over its range, ordinary a little below the middle.
+
+        Raises
+        ------
+        WalkerError
+            If there is no such walker.
+        """
+        ordinary = low + _ORDINARY * (high - low)
+        walker_at(ordinary)
+        return cls((name,), walker_at, (low,), (high,), (ordinary,))
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -214,8 +231,9 @@ class Equations:
 
     def _check(self) -> None:
         names = [condition.name for condition in self.conditions]
-        for name in names:
-            if names.count(name) > 1:
+        scalars = [condition.value for condition in self.conditions]
+        for name, scalar in zip(names, scalars, strict=True):
+            if scalars.count(scalar) > 1:
                 raise ValueError(f"condition `{name}` stands twice; one would do")
         if len(names) > self.freedom:
             raise ValueError(

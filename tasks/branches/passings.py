@@ -86,10 +86,10 @@ class Nodes:
 
     @property
     def stable(self) -> ndarray:
-        """Whether such a gait is stable, bool (n,)."""
+        """Whether gaits are stable whose legs pass once, bool (n,)."""
         return (self.radius < 1) & self.walks
 
-    def evaluate(self, node: Numbers, share: ndarray) -> ndarray:
+    def interpolate(self, node: Numbers, share: ndarray) -> ndarray:
         """Return points (c, n) of the branches' polynomials at shares of the segments
         after some nodes.
         """
@@ -162,7 +162,7 @@ def guess_passings(
     node = _changing(nodes, condition, of_stable_gaits)
     inner_shares = np.linspace(0, 1, _PARTS + 1)[1:-1]
     before = np.repeat(node, len(inner_shares))
-    Z = nodes.evaluate(before, np.tile(inner_shares, len(node)))
+    Z = nodes.interpolate(before, np.tile(inner_shares, len(node)))
     between = np.zeros(len(before))
     for part, at in _in_blocks(problem, nodes.line[before], Z):
         between[part] = condition.residual(at)
@@ -172,7 +172,7 @@ def guess_passings(
     values = np.column_stack([at_nodes[node], inner, at_nodes[node + 1]])
     row, share = _roots(values)
     node = node[row]
-    return Guesses(condition.name, condition, node, nodes.evaluate(node, share))
+    return Guesses(condition.name, condition, node, nodes.interpolate(node, share))
 
 
 def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> ndarray:

@@ -2,7 +2,7 @@
 
 What is continued are the zeros Z of any equations with one more unknown than there are
 of them: branches of gaits (`tracking`), of any number of steps, and curves of special
-points (`codimension_one`). Lanes have points of their own and share nothing but the
+points (`curves`). Lanes have points of their own and share nothing but the
 call. In shapes, n counts lanes and c coordinates of Z.
 """
 

@@ -67,9 +67,14 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         (float(node), kind, nodes, node, error)
         for kind, node, error in turns_and_ends(branch)
     ]
+    conditions = [CONDITIONS[kind] for kind in kinds if kind in CONDITIONS]
+    raw = Nodes(problem, [[branch]], conditions)
     for kind in kinds:
-        for place, point in passings(problem, branch, kind):
-            found.append((place, kind, point, 0, 0.0))
+        if kind in CONDITIONS:
+            passed = _passings(problem, branch, raw, CONDITIONS[kind])
+        else:
+            passed = _branch_points(problem, branch, nodes)
+        found += [(place, kind, point, 0, 0.0) for place, point in passed]
 
     records = []
     for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
@@ -102,10 +107,10 @@ def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
 def corrected(problem: Problem, branch: Branch) -> Point:
     """Return the nodes of a branch as points."""
     nodes = correct(problem, branch.Z, branch.direction)
-    for end in np.flatnonzero(
-        np.array(branch.why) == "branch_point"
-    ):  # a flip, known better than by these equations
-        nodes.Z[:, -end] = branch.Z[:, -end]
+    # A flip is known better than by these equations.
+    for node, why in zip((0, -1), branch.why, strict=True):
+        if why == "branch_point":
+            nodes.Z[:, node] = branch.Z[:, node]
     return nodes.oriented(branch.direction)
 
 
@@ -119,21 +124,22 @@ def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     """
     return [
         point.at
-        for place, point in passings(problem, branch, "flip")
+        for place, point in passings(problem, branch, CONDITIONS["flip"])
         if branch.leg_passes[int(place)] == 1
     ]
 
 
-def passings(problem: Problem, branch: Branch, kind: str) -> list[tuple[float, Point]]:
-    """Locate where a branch passes points of a kind between its nodes.
+def passings(
+    problem: Problem, branch: Branch, condition: Condition
+) -> list[tuple[float, Point]]:
+    """Locate where a branch fulfils a condition between its nodes.
 
     Parameters
     ----------
     problem : Problem
         Of one walker.
     branch : Branch
-    kind : str
-        Of CONDITIONS, or `branch_point`.
+    condition : Condition
 
     Returns
     -------
@@ -141,18 +147,14 @@ def passings(problem: Problem, branch: Branch, kind: str) -> list[tuple[float, P
         Places in their order, numbers of segments plus shares of them, and the points
         there, of one lane, evaluated.
     """
-    if kind not in CONDITIONS:
-        return _branch_points(problem, branch)
-    return where_fulfilled(problem, branch, CONDITIONS[kind])
-
-
-def where_fulfilled(
-    problem: Problem, branch: Branch, condition: Condition
-) -> list[tuple[float, Point]]:
-    """Locate where a branch fulfils a condition between its nodes, as `passings`
-    returns it.
-    """
     nodes = Nodes(problem, [[branch]], [condition])
+    return _passings(problem, branch, nodes, condition)
+
+
+def _passings(
+    problem: Problem, branch: Branch, nodes: Nodes, condition: Condition
+) -> list[tuple[float, Point]]:
+    """What `passings` returns, by the values of the condition at nodes."""
     guesses = guess_passings(problem, nodes, condition)
     if not len(guesses.node):
         return []
@@ -171,15 +173,16 @@ def where_fulfilled(
     return sorted(found, key=lambda each: each[0])
 
 
-def _branch_points(problem: Problem, branch: Branch) -> list[tuple[float, Point]]:
-    """Where branches cross: between two nodes Newton's equations are singular, and the
-    root of their determinant is bracketed.
+def _branch_points(
+    problem: Problem, branch: Branch, nodes: Point
+) -> list[tuple[float, Point]]:
+    """Where branches cross: there Newton's equations are singular, and the root of their
+    determinant is bracketed between nodes.
     """
 
     def determinant(point: Point) -> float:
         return float(branch_point_determinant(point, point.direction)[0])
 
-    nodes = corrected(problem, branch)
     values = branch_point_determinant(nodes, nodes.direction)
     crosses = np.sign(values[1:]) != np.sign(values[:-1])
     crosses &= np.isfinite(values[1:]) & np.isfinite(values[:-1])

@@ -28,12 +28,14 @@ class Kind:
     meaning : str
         What happens there.
     ends : str
-        "walking" where gaits beyond are no steps, "following" where branches are
-        followed no further, empty where they go on or end for another reason.
+        "walking" where gaits beyond are no steps, "following" where a limit is reached
+        up to which branches are continued, empty where they go on or end for another
+        reason.
     needs_knee : bool
         Whether only walkers with knees have it.
     is_passed : bool
-        Whether a branch goes on beyond it, so that it is looked for between nodes.
+        Whether it is looked for between the nodes of a branch, which goes on beyond it,
+        and listed among the branch's special points.
     exchanges_stability : bool
         Whether the stability of gaits may change there.
     critical : float, "pair" or None

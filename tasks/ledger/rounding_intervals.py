@@ -126,7 +126,7 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
     rows = [np.array(point["Z"]) for point in gaits.special_of(mark.kind)]
     if mark.kind == "exponent_two_thirds":
         for branch in gaits.branches:
-            passed = passings(gaits.problem, branch, mark.kind)
+            passed = passings(gaits.problem, branch, CONDITIONS[mark.kind])
             rows += [point.Z[:, 0] for _, point in passed]
     if mark.label:
         rows = [

@@ -51,6 +51,11 @@ def level(name: str, value: float) -> Condition:
         Of `measures`.
     value : float
         In the walker's units.
+
+    Notes
+    -----
+    Its derivatives are differences. Over designs, where gaits of one speed are sought a
+    million times, the condition `speed` has a formula instead.
     """
 
     def measured(at: Evaluation) -> np.ndarray:

@@ -1,7 +1,9 @@
-"""When two gaits are the same: one distance, and how near is near enough for what.
+"""How near points of branches must be to be the same, for what.
 
-Gaits are compared in similarity coordinates, which are of order one over decades of
-slope; the distance is the largest difference of a coordinate.
+Points are compared in similarity coordinates, which are of order one over decades of
+slope, by the largest difference of a coordinate; of gaits of several steps, whichever
+is the first (`tasks.step.several_steps.distance`). Whether gaits with error bounds may
+be one is another question (`tasks.gaits.polish.are_same`).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import numpy as np
 SAME_GAIT = 1e-6
 #: A solved gait and the polynomial of a branch, also a coarse one near a fold.
 ON_BRANCH = 1e-4
-#: Special points that were located from two sides, or in two ways.
+#: Points that were located from two sides, or in two ways, or but coarsely.
 SAME_POINT = 1e-3
 #: A special point and a guess of it between nodes: farther away it may be another.
 NEAR_POINT = 1e-2

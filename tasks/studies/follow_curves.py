@@ -16,6 +16,8 @@ from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import (
+    across_last,
+    at_value,
     follow_both_directions,
     turning,
     walks,
@@ -40,11 +42,9 @@ _NO_START = (
     "No point to start a curve from was found, neither at the value of the walker nor "
     "at the ends of the range."
 )
-#: Share of the range of the key at which its value is ordinary; and of the way there
-#: from a value that is not, at which a curve begins.
-_ORDINARY, _BESIDE = 0.4871, 1e-3
-#: Distance of a key from where a curve began that is rounding.
-_AT_BORDER = 1e-9
+#: Share of the way to an ordinary value of the key at which a curve begins that cannot
+#: at a special one.
+_BESIDE = 1e-3
 #: Columns of the tables.
 _PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
 _CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
@@ -109,11 +109,7 @@ def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
     def walker_at(value: float) -> Walker:
         return resolve(line["walker"], {**line.get("set", {}), key: value})
 
-    # Away from any special value: the equations that hold there hold throughout the
-    # range.
-    ordinary = low + _ORDINARY * (high - low)
-    walker_at(ordinary)
-    return Keys((key,), walker_at, (low,), (high,), (ordinary,))
+    return Keys.of_one(key, walker_at, low, high)
 
 
 @dataclass(frozen=True)
@@ -161,7 +157,7 @@ def _follow_all(
     for kind, Z in seeds:
         equations = Equations(window.keys, [CONDITIONS[kind]])
         guess = np.append(Z, begin / window.keys.scale)[:, None]
-        first = correct_on_curve(equations, guess, _across_key(guess))
+        first = correct_on_curve(equations, guess, across_last(len(guess)))
         on_curve = [X for other, X in seen if other == kind]
         if not first.ok[0] or any(same(first.Z[:, 0], X, SAME_POINT) for X in on_curve):
             continue
@@ -171,18 +167,14 @@ def _follow_all(
         )
         # A curve that returns to the line it began on passes through another of its
         # points.
-        seen += [(kind, X) for X in _returns(equations, points, first.Z)]
+        returns = at_value(equations, points, first.Z[-1, 0])
+        seen += [(kind, X) for X in (first.Z[:, 0], *returns)]
         number = len({row[0] for row in tables.curves})
         tables.curves.extend(_rows(number, kind, equations, points, stopped, window))
         tables.turnings.extend(
             _turning_rows(number, kind, equations, points, tangents, window)
         )
     return bool(seen)
-
-
-def _across_key(X: ndarray) -> ndarray:
-    """The direction (u, 1) of the key."""
-    return np.eye(len(X))[:, [-1]]
 
 
 def _rows(
@@ -287,13 +279,13 @@ def _value_of_line(line: Mapping[str, Any], key: str) -> float:
         return float(settings[key])
 
     # A walker's table may be detuned too.
-    table = line["walker"] if isinstance(line["walker"], Mapping) else {}
+    given = line["walker"] if isinstance(line["walker"], Mapping) else {}
     derived = {
-        "detuning": table.get("detuning", 0.0),
+        "detuning": given.get("detuning", 0.0),
         "foot_mass_ratio": walker.m_s / walker.total_mass,
     }
-    if is_one_link(table):
-        derived |= {name: table.get(name, 0.0) for name in ONE_LINK}
+    if is_one_link(given):
+        derived |= {name: given.get(name, 0.0) for name in ONE_LINK}
     return float(derived[key] if key in derived else getattr(walker, key))
 
 
@@ -309,22 +301,3 @@ def _seeds(
             if kind in kinds and window.holds(Z[-1]):
                 seeds.append((kind, Z))
     return seeds
-
-
-def _returns(equations: Equations, points: ndarray, first: ndarray) -> list[ndarray]:
-    """Points of a curve at the value of the key at which it began, `first` (u, 1)."""
-    value = first[-1, 0]
-    returns = [first[:, 0]]
-    # One that began at the border of the range ends there.
-    for end in (points[0], points[-1]):
-        if abs(end[-1] - value) < _AT_BORDER:
-            returns.append(end)
-
-    for a, b in itertools.pairwise(points):
-        if (a[-1] - value) * (b[-1] - value) < 0:
-            share = (value - a[-1]) / (b[-1] - a[-1])
-            guess = ((1 - share) * a + share * b)[:, None]
-            passed = correct_on_curve(equations, guess, _across_key(guess))
-            if passed.ok[0]:
-                returns.append(passed.Z[:, 0])
-    return returns

@@ -125,7 +125,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         located). Without slopes nothing is located. `near` may name another line, whose
         atlas is given, from whose gaits the first of this one's are sought.
     inputs : list
-        The line's atlas.
+        The line's atlas, or that of the line `near`.
 
     Returns
     -------
@@ -518,7 +518,7 @@ def _event_between(
         why=("", ""),
         steps=problem.steps,
     )
-    located = passings(problem, segment, kind)
+    located = passings(problem, segment, condition)
     if not located:
         return None, True
     gait = located[0][1].at

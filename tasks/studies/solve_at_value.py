@@ -4,7 +4,6 @@ varying the slope, or a key at a fixed slope.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,11 @@ import numpy as np
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import Condition
-from gaitsweep.tasks.branches.curves import follow_both_directions
+from gaitsweep.tasks.branches.curves import (
+    across_last,
+    at_value,
+    follow_both_directions,
+)
 from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
@@ -23,7 +26,7 @@ from gaitsweep.tasks.branches.equations import (
 )
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.branches.root import hermite
-from gaitsweep.tasks.branches.special_points import where_fulfilled
+from gaitsweep.tasks.branches.special_points import passings
 from gaitsweep.tasks.contract.registry import SLOPES
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
@@ -40,8 +43,8 @@ SLOPE = "slope"
 #: Window of slopes that is searched by default [rad].
 _WINDOW = (1e-6, SLOPES[1])
 #: Shares of a key's range at which gaits are searched for, from which curves over it
-#: begin, and at which its value is ordinary.
-_SURVEYED, _ORDINARY = (0.03, 0.25, 0.5, 0.75, 0.97), 0.4871
+#: begin.
+_SURVEYED = (0.03, 0.25, 0.5, 0.75, 0.97)
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,8 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
     params : mapping
         `walker` (name or table) and `set` (keys to change); `measure`, the name of a
         variable, and `value`, in the walker's units; `vary`, "slope" or a key of the
-        walker, and `between`, its least and largest value; `slope` [rad] where a key is
-        varied; `violation_limits`, those that are not the registry's.
+        walker, and `between`, its least and largest value, which a slope may lack;
+        `slope` [rad] where a key is varied; `violation_limits`, those that are not the registry's.
 
     Returns
     -------
@@ -131,7 +134,10 @@ def _target(
     vary = str(params.get("vary", SLOPE))
     if vary in changes:
         raise WalkerError(vary, changes[vary], "is varied and cannot be set too")
-    low, high = params.get("between") or _WINDOW
+    between = params.get("between")
+    if between is None and vary != SLOPE:
+        raise WalkerError("between", between, "must hold the range of a key")
+    low, high = between or _WINDOW
     if not low < high:
         raise WalkerError("between", (low, high), "must rise")
     return _Target(measure, value, vary, float(low), float(high))
@@ -147,7 +153,7 @@ def _along_slope(
     low, high = np.log([target.low, target.high])
     found, reached = [], []
     for branch in branches:
-        for _, point in where_fulfilled(problem, branch, target.condition):
+        for _, point in passings(problem, branch, target.condition):
             Z = point.Z[:, 0]
             if low <= Z[-1] <= high:
                 found.append((Z[:-1], float(Z[-1])))
@@ -177,9 +183,7 @@ def _keys(line: Mapping[str, Any], target: _Target) -> Keys:
     def walker_at(value: float) -> Walker:
         return resolve(line["walker"], {**line["set"], target.vary: value})
 
-    ordinary = target.low + _ORDINARY * (target.high - target.low)
-    walker_at(ordinary)
-    return Keys((target.vary,), walker_at, (target.low,), (target.high,), (ordinary,))
+    return Keys.of_one(target.vary, walker_at, target.low, target.high)
 
 
 def _along_key(
@@ -192,7 +196,7 @@ def _along_key(
     found: list[tuple[np.ndarray, float]] = []
     reached: list[tuple[float, float]] = []
     curves = 0
-    for points, tangents in _gaits_over_key(keys, slope):
+    for points, tangents in _gaits_over_key(gaits):
         curves += 1
         values = measure_at(target.measure, gaits.evaluate(points.T))
         finite = values[np.isfinite(values)]
@@ -218,8 +222,8 @@ def _passings(
     target, by the values of the measure (p,).
     """
     equations = Equations(keys, [target.condition], slope)
-    is_beyond = values > target.value
-    for k in np.flatnonzero(is_beyond[1:] != is_beyond[:-1]).tolist():
+    side = np.sign(values - target.value)
+    for k in np.flatnonzero(side[1:] * side[:-1] < 0).tolist():
         before = points[k], tangents[k]
         after = points[k + 1], tangents[k + 1]
         share = (target.value - values[k]) / (values[k + 1] - values[k])
@@ -230,49 +234,34 @@ def _passings(
             yield solved.Z[:, 0]
 
 
-def _gaits_over_key(
-    keys: Keys, slope: float
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Curves of gaits at a slope over the range of a key: points (p, u) and tangents.
+def _gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Curves of gaits at a fixed slope over the range of a key: points (p, u) and
+    tangents.
 
     They begin at the gaits of some walkers in the range, and each is followed once.
     """
-    gaits = Equations(keys, [], slope)
-    scale, low, high = float(keys.scale[0]), keys.low[0], keys.high[0]
+    assert gaits.keys is not None and gaits.log_slope is not None
+    (scale,), (low,), (high,) = gaits.keys.scale, gaits.keys.low, gaits.keys.high
     window = np.array([[low / scale, high / scale]])
+    across = across_last(gaits.size)
     followed: list[np.ndarray] = []
     for share in _SURVEYED:
         value = low + share * (high - low)
-        branches = atlases.survey(Problem(keys.walker_at(value)), COARSE)
-        for branch in branches:
-            for _, Z, _ in branch.guesses(np.log([slope])):
+        for branch in atlases.survey(Problem(gaits.keys.walker_at(value)), COARSE):
+            for _, Z, _ in branch.guesses(np.array([gaits.log_slope])):
                 guess = np.append(Z[:-1, 0], value / scale)[:, None]
-                across = np.eye(len(guess))[:, [-1]]
                 first = correct_on_curve(gaits, guess, across)
-                if not first.ok[0] or _is_on(gaits, followed, first.Z, across):
+                if not first.ok[0] or _is_on(gaits, followed, first.Z[:, 0]):
                     continue
                 points, tangents, _ = follow_both_directions(gaits, first, window)
                 followed.append(points)
                 yield points, tangents
 
 
-def _is_on(
-    gaits: Equations, curves: list[np.ndarray], X: np.ndarray, across: np.ndarray
-) -> bool:
-    """Whether a gait (u, 1) lies on one of some curves (p, u), which pass its value of
-    the key.
-    """
-    value = X[-1, 0]
-    for points in curves:
-        for a, b in itertools.pairwise(points):
-            if not min(a[-1], b[-1]) <= value <= max(a[-1], b[-1]):
-                continue
-            share = (value - a[-1]) / ((b[-1] - a[-1]) or 1.0)
-            guess = (a + share * (b - a))[:, None]
-            passed = correct_on_curve(gaits, guess, across)
-            if passed.ok[0] and same(passed.Z, X, SAME_POINT)[0]:
-                return True
-    return False
+def _is_on(gaits: Equations, curves: list[np.ndarray], X: np.ndarray) -> bool:
+    """Whether a gait (u,) lies on one of some curves (p, u)."""
+    passed = [Y for points in curves for Y in at_value(gaits, points, X[-1])]
+    return any(same(X, Y, SAME_POINT) for Y in passed)
 
 
 def _described(

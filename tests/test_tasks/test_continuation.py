@@ -232,7 +232,7 @@ def test_a_pole_of_the_local_exponent_is_no_root():
         points = [
             point
             for branch in found
-            for _, point in passings(problem, branch, "exponent_two_thirds")
+            for _, point in passings(problem, branch, CONDITIONS["exponent_two_thirds"])
         ]
         assert len(points) == count
         for point in points:

@@ -919,7 +919,7 @@ def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
         branch=np.zeros(4, int),
         line=np.zeros(4, int),
         stable=np.array([False, True, False, False]),
-        evaluate=lambda node, share: np.array([node + share]),
+        interpolate=lambda node, share: np.array([node + share]),
     )
     monkeypatch.setattr(module_of_passings, "evaluate", lambda problem, Z: Z[0])
     flip = Condition("flip", lambda at: 3.074 - 2 * at)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches.atlas import survey, to_arrays
+from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.special_points import passings
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_branches import branch
@@ -12,6 +13,7 @@ from gaitsweep.tasks.studies.solve_points import atlas
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import branches
 
+FLIP = CONDITIONS["flip"]
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 
 
@@ -114,11 +116,11 @@ def test_a_branch_that_ends_within_its_window_has_no_row_at_its_edges(tables):
 def test_two_flips_between_two_nodes_are_both_located():
     """Between the nodes the scalar changes its sign twice: neither was seen."""
     problem, found = branches("A", detuning=0.6, m_h=0.5)
-    (doubling,) = [each for each in found if passings(problem, each, "flip")]
-    flips = [place for place, _ in passings(problem, doubling, "flip")]
+    (doubling,) = [each for each in found if passings(problem, each, FLIP)]
+    flips = [place for place, _ in passings(problem, doubling, FLIP)]
     outside = np.r_[: int(flips[0]) + 1, int(flips[1]) + 1 : len(doubling.q)]
 
-    located = passings(problem, doubling.part(outside), "flip")
+    located = passings(problem, doubling.part(outside), FLIP)
 
     slopes = sorted(float(np.exp(point.at.q[0])) for _, point in located)
     assert slopes == pytest.approx([0.0085101, 0.0098504], rel=2e-3)
