@@ -131,6 +131,8 @@ class Points:
 
     def take(self, rows: np.ndarray) -> "Points":
         """Some of the points, in that order."""
+        if np.array_equal(rows, np.arange(len(self))):
+            return self
         return Points(
             {name: array[rows] for name, array in self.values.items()}, self.sentences
         )
@@ -164,9 +166,8 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
                 ),
             )
         )
-        values[name] = np.concatenate(
-            [_widened(name, array, shape) for array in arrays]
-        )
+        widened = [_widened(name, array, shape) for array in arrays]
+        values[name] = np.concatenate(widened) if len(widened) > 1 else widened[0]
     return Points(values, sentences)
 
 

@@ -14,8 +14,9 @@ from numpy.polynomial.chebyshev import chebvander
 
 from gaitsweep.tasks.charts.box import Refused, roots
 
-#: Points at which polynomials are evaluated at a time, and rows of a matrix product.
-_POINTS = 256
+#: Points at which polynomials of several and of one dimension are evaluated at a time,
+#: so that their sums stay in the cache; and rows of a matrix product.
+_POINTS, _POINTS_OF_CURVE = 256, 1024
 _ROWS = 8
 #: Share of the error wanted, or of the largest if all are below, above which the last
 #: coefficients along a dimension ask for more nodes there.
@@ -110,24 +111,27 @@ class Chart:
         """
         coefficients = self.coefficients[:, columns]
         values = np.empty((len(points), coefficients.shape[1]))
+        # The last coordinate first: points that share their last ones are neighbours.
         order = np.lexsort(points.T) if self.sizes else np.arange(len(points))
-        for k in range(0, len(order), _POINTS):
-            some = order[k : k + _POINTS]
+        block = _POINTS if len(self.sizes) > 1 else _POINTS_OF_CURVE
+        for k in range(0, len(order), block):
+            some = order[k : k + block]
             values[some] = self._sums(points[some], coefficients)
         return values.T
 
     def _sums(self, points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-        """Sum over one dimension after the other, the last first; what several points
-        share is summed once.
+        """Sum over one dimension after the other, the last first; what neighbours among
+        the points share is summed once.
         """
         c = coefficients.shape[1]
         sums = coefficients[None]
         place = np.zeros(len(points), int)
+        is_new = np.zeros(len(points), bool)
+        is_new[0] = True
         last = len(self.sizes) - 1
         for k in range(last, -1, -1):
-            _, first, back = np.unique(
-                points[:, k:], axis=0, return_index=True, return_inverse=True
-            )
+            is_new[1:] |= points[1:, k] != points[:-1, k]
+            first = np.flatnonzero(is_new)
             n = self.sizes[k]
             basis = chebvander(points[first, k], n - 1)
             if k == last:
@@ -136,7 +140,7 @@ class Chart:
             else:
                 sums = _terms(basis, sums[place[first]].reshape(len(first), -1, n, c))
             sums = sums.reshape(len(first), -1, c)
-            place = back.reshape(-1)
+            place = np.cumsum(is_new) - 1
         return sums[place, 0]
 
     def tails(self, last: int = 1) -> np.ndarray:
