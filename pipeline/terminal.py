@@ -32,6 +32,12 @@ def is_terminal() -> bool:
     return bool(getattr(sys.stderr, "isatty", bool)())
 
 
+def is_notebook() -> bool:
+    """Whether cells of a notebook are run."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return hasattr(shell, "kernel")
+
+
 def columns() -> int:
     """Width of the terminal that standard error is; 119 where it is not known."""
     with contextlib.suppress(OSError, ValueError, AttributeError):

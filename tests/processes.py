@@ -3,11 +3,19 @@ what it left.
 """
 
 import contextlib
+import fcntl
 import os
+import pty
 import signal
+import struct
+import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
 from unittest.mock import MagicMock
+
+ROOT = Path(__file__).parents[1]
 
 
 def sidecar_path(toy, what=".journal"):
@@ -119,3 +127,25 @@ def suspend(pid: int, seconds: float) -> None:
         ):  # one that woke may have ended another
             os.kill(each, signal.SIGCONT)
         time.sleep(0.3)
+
+
+def on_a_terminal(arguments, cwd, size=(24, 80)):
+    """Exit code of `gaitsweep` and what it writes to standard error, a terminal of so
+    many rows and columns.
+    """
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-m", "gaitsweep", *arguments],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+    )
+    os.close(theirs)
+    said = b""
+    with contextlib.suppress(OSError):  # nobody writes there any more
+        while part := os.read(ours, 1 << 16):
+            said += part
+    os.close(ours)
+    return process.wait(100), said.decode()

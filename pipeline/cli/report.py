@@ -2,14 +2,13 @@
 
 import argparse
 import contextlib
-import time
 from collections.abc import Callable, Iterator
 
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.api.reports import write
 
-#: Time for which a report says nothing [s].
-_QUIET = 2.0
+#: Of a terminal: one may not know its size.
+_ROWS = 20
 
 
 def run(options: argparse.Namespace) -> int:
@@ -30,29 +29,20 @@ def run(options: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
-    """Show how many pages of a report are made, if it takes long."""
-    begin = said = first = time.monotonic()
-    shown = False
+    """Show on a terminal how many pages of a report are made."""
+    if not terminal.is_terminal():
+        yield lambda made: None
+        return
 
-    def tell(made: int) -> None:
-        nonlocal said, shown, first
-        now = time.monotonic()
-        if (
-            not made
-        ):  # what comes before is done once: libraries are loaded, archives read
-            first = now
-            return
-        if now - begin > _QUIET and now - said > (
-            0.5 if terminal.is_terminal() else 10
-        ):
-            said, shown = now, terminal.is_terminal()
-            text = f"{made} of {total} pages, {(now - first) / made * (total - made):.0f} s to go"
-            terminal.say(
-                f"\r\033[K{text}" if shown else text, end="" if shown else "\n"
-            )
+    from tqdm import tqdm
 
-    try:
+    columns = terminal.columns() - 1
+    with tqdm(total=total, unit="page", leave=False, ncols=columns, nrows=_ROWS) as bar:
+
+        def tell(made: int) -> None:
+            if not made:
+                # What comes before is done once: libraries are loaded, archives read.
+                bar.unpause()
+            bar.update(made - bar.n)
+
         yield tell
-    finally:
-        if shown:
-            terminal.say("\r\033[K", end="")

@@ -1,16 +1,15 @@
-"""Progress of a run: a line on the terminal, an event log beside the journal, and
-`status`, which reads it.
+"""Progress of a study: its state, an event log beside the journal, and `status`, which
+reads it.
 
 Progress only listens; nothing waits for it.
 """
 
 import contextlib
 import json
-import sys
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +24,10 @@ from gaitsweep.pipeline.outcomes import ANSWERS
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
-_LOG, _SLOW, _FAST = (
-    5.0,
-    60.0,
-    0.5,
-)  # intervals of states in the log, of lines without a terminal, and with one [s]
+#: Time for which a remote worker that answered counts as there [s].
+_ANSWERED = 60.0
+#: What users read of tasks that no study names.
+_STAGES = {"atlas": "searches"}
 
 
 class Progress(Listener):
@@ -135,7 +133,7 @@ class Progress(Listener):
         remote = [
             worker
             for when, worker in list(self.remote_workers.values())
-            if time.monotonic() - when < _SLOW
+            if time.monotonic() - when < _ANSWERED
         ]
         return {
             "elapsed": round(elapsed, 1),
@@ -191,111 +189,6 @@ class Progress(Listener):
             self.file.flush()
 
 
-class Display:
-    """Shows the progress of all studies of a command on one line, or in a notebook, and
-    logs their states.
-
-    Parameters
-    ----------
-    points : list of int
-        Points of each study.
-    quiet : bool
-    """
-
-    def __init__(self, points: list[int], quiet: bool):
-        self.number, self.points, self.quiet = len(points), sum(points), quiet
-        self.open: list[Progress] = []
-        self.over, self.past = (
-            0,
-            total([]),
-        )  # number of studies that are over, and their states together
-        self.start, self.lock = time.monotonic(), threading.Lock()
-        self.is_terminal = terminal.is_terminal()
-        self.bar = None if quiet else notebook_bar()
-        self.stopped = threading.Event()
-        self.thread = threading.Thread(target=self._tick, daemon=True)
-
-    def __enter__(self) -> "Display":
-        self.thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stopped.set()
-        self.thread.join()
-        if self.bar:
-            self.bar(self._state())
-        if self.is_terminal and not self.quiet:
-            terminal.say(_CLEAR, end="")
-
-    def begin(self, study: Progress) -> None:
-        """Show a study."""
-        with self.lock:
-            self.open.append(study)
-
-    def end(self, study: Progress, is_over: bool) -> None:
-        """Count a study that is over; one that is not will begin again."""
-        with self.lock:
-            self.open.remove(study)
-            if is_over:
-                self.over += 1
-                self.past = {**total([self.past, study.state()]), "eta": 0.0}
-
-    def _state(self) -> dict[str, Any]:
-        """State of all studies together, also of those that have not begun."""
-        with self.lock:
-            now = [study.state() for study in self.open]
-            waiting = self.number - self.over - len(now)
-            state = total([self.past, *now])
-            if self.number == 1:
-                return state
-
-            elapsed = time.monotonic() - self.start
-            state |= {
-                "studies": f"{self.over:,} of {self.number:,}",
-                "rate": state["done"] / elapsed,
-            }
-            if waiting:
-                # Those that are over took the time until now; before any is, those that
-                # wait are as those that run.
-                each = (
-                    elapsed / self.over
-                    if self.over > len(now)
-                    else state["eta"] / max(1, len(now))
-                )
-                state |= {
-                    "points": self.points,
-                    "eta": round(state["eta"] + each * waiting, 1),
-                    "overdue": False,
-                }
-            return state
-
-    def _tick(self) -> None:
-        last_log = last_shown = time.monotonic()  # the time of day may be set back
-        while not self.stopped.wait(_FAST):
-            clock = time.monotonic()
-            if not self.open:
-                continue
-            if clock - last_log >= _LOG:
-                last_log = clock
-                for study in list(self.open):
-                    study.log_state()
-            if not self.quiet and clock - last_shown >= (
-                _FAST if self.is_terminal or self.bar else _SLOW
-            ):
-                last_shown = clock
-                state = self._state()
-                if self.bar:
-                    self.bar(state)
-                elif (
-                    self.is_terminal
-                ):  # of a line that wraps, only the last part would be cleared
-                    terminal.say(
-                        f"{_CLEAR}{sentence(state)[: terminal.columns() - 1]}", end=""
-                    )
-                else:
-                    terminal.say(sentence(state))
-
-
 def total(states: list[dict[str, Any]]) -> dict[str, Any]:
     """State of several studies together, as `sentence` reads it."""
     summed = {key: sum(state[key] for state in states) for key in _SUMMED}
@@ -310,36 +203,6 @@ def total(states: list[dict[str, Any]]) -> dict[str, Any]:
         "stages": stages,
         "overdue": all(state["overdue"] for state in states),
     }
-
-
-def notebook_bar() -> Callable[[dict[str, Any]], None] | None:
-    """Show a bar under the cell of a notebook; returns its update by a state, None
-    outside notebooks.
-    """
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    if not hasattr(shell, "kernel"):
-        return None
-    from IPython.display import display
-
-    def content(state: dict[str, Any]) -> dict[str, str]:
-        done, todo = (
-            sum(stage[k] for stage in state["stages"].values())
-            for k in ("done", "todo")
-        )
-        part = (
-            min(1.0, (state["cached"] + done) / (state["cached"] + todo or 1))
-            if todo
-            else 1.0
-        )
-        text = sentence(state)
-        return {
-            "text/plain": text,
-            "text/html": f'<progress value="{part:.4f}" max="1"></progress> {text}',
-        }
-
-    empty = {"text/plain": "", "text/html": '<progress max="1"></progress>'}
-    handle = display(empty, raw=True, display_id=True)
-    return lambda state: handle.update(content(state), raw=True)
 
 
 def _format(value: Any) -> str:
@@ -359,7 +222,7 @@ def sentence(state: dict[str, Any]) -> str:
         )
         parts.append(f"{state['rate']:,.0f} a second")
     parts += [
-        f"{name} {stage['done']:,} of {stage['todo']:,}"
+        f"{_STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
         for name, stage in state["stages"].items()
         if name != "points"
     ]

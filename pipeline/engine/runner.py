@@ -22,11 +22,12 @@ from gaitsweep.pipeline.archive.provenance import (
     version,
 )
 from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.display import Display
 from gaitsweep.pipeline.engine.engine import Engine
 from gaitsweep.pipeline.engine.listener import Finished, Listener
 from gaitsweep.pipeline.engine.locks import lock_archive
 from gaitsweep.pipeline.engine.loop import Loop
-from gaitsweep.pipeline.engine.progress import Display, Progress
+from gaitsweep.pipeline.engine.progress import Progress
 from gaitsweep.pipeline.engine.signals import Signals
 from gaitsweep.pipeline.engine.work import Work
 from gaitsweep.pipeline.errors import (

@@ -4,20 +4,15 @@ the data of every figure.
 
 import base64
 import contextlib
-import gc
 import hashlib
-import multiprocessing
-import os
-import pickle
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import joblib
 import pandas as pd
 import rjsmin
 
@@ -130,19 +125,25 @@ def _in_processes(
     """What `_make` gives for each source, by slug; pages depend on no other, so every
     core makes some.
 
-    Each is made in a process of its own that only writes to a pipe: what one does not
-    deliver, for lack of memory or in error, is made here, where the error is raised.
+    What processes do not deliver, for lack of memory or in error, is made here, where
+    the error is raised.
     """
     made: dict[str, folder.Page] = {}
-    workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
-    if (
-        workers > 1 and threading.active_count() == 1
-    ):  # a fork keeps the locks that other threads hold
-        _environment()
-        with contextlib.suppress(OSError):  # no room for another process
-            for slug, page in _forked(dict(zip(slugs, sources, strict=True)), workers):
+    workers = min(_MAX_PROCESSES, joblib.cpu_count(), len(sources))
+    if workers > 1:
+        calls = [
+            joblib.delayed(_delivered)(source, slug)
+            for source, slug in zip(sources, slugs, strict=True)
+        ]
+        parallel = joblib.Parallel(
+            workers, return_as="generator_unordered", batch_size=1, pre_dispatch="all"
+        )
+        # Whatever happens to a process: an error of a page is raised again below.
+        with contextlib.suppress(Exception):
+            for slug, page in parallel(calls):
                 made[slug] = page
                 tell(len(made))
+
     for source, slug in zip(sources, slugs, strict=True):
         if slug not in made:
             made[slug] = _make(source, slug)
@@ -150,57 +151,9 @@ def _in_processes(
     return {slug: made[slug] for slug in slugs}
 
 
-def _forked(
-    sources: dict[str, Source], workers: int
-) -> Iterator[tuple[str, folder.Page]]:
-    """Yield pages, with their slugs, as processes make them, one each."""
-    fork, waiting = multiprocessing.get_context("fork"), [*sources.items()][::-1]
-    running: dict[Any, tuple[str, multiprocessing.process.BaseProcess]] = {}
-    try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                slug, source = waiting.pop()
-                receiver, sender = fork.Pipe(duplex=False)
-                process = fork.Process(
-                    target=_deliver,
-                    args=(source, slug, sender, [*running, receiver]),
-                    daemon=True,
-                )
-                process.start()
-                sender.close()
-                running[receiver] = slug, process
-            ready: list[Any] = connection.wait(list(running))
-            for end in ready:
-                with contextlib.suppress(EOFError, pickle.UnpicklingError):
-                    yield running[end][0], end.recv()
-                running.pop(end)[1].join()
-                end.close()
-    finally:
-        for end, (_, maker) in running.items():
-            maker.terminate()
-            maker.join()
-            end.close()
-
-
-def _deliver(
-    source: Source,
-    slug: str,
-    sender: connection.Connection,
-    receivers: list[connection.Connection],
-) -> None:
-    """Make a page in a process of its own, and send it; on an error it ends without a
-    word.
-
-    The ends at which its parent receives are closed here, so that it does not wait for
-    one that was killed.
-    """
-    gc.freeze()  # collections would copy the memory that processes share
-    try:
-        for receiver in receivers:
-            receiver.close()
-        sender.send(_make(source, slug))
-    finally:
-        os._exit(0)
+def _delivered(source: Source, slug: str) -> tuple[str, folder.Page]:
+    """A page with its slug, from a process of its own."""
+    return slug, _make(source, slug)
 
 
 def _study_page(source: Source, slug: str) -> folder.Page:

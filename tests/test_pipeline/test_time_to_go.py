@@ -1,5 +1,6 @@
 """How long a run will take is told from what its parts took, which sample it evenly."""
 
+import io
 import json
 import os
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from answering import Answering, study_of
 from conftest import STUDY
-from gaitsweep.pipeline.engine import progress
+from gaitsweep.pipeline.engine import display
 from gaitsweep.pipeline.engine.loop import run_all
 from gaitsweep.pipeline.engine.progress import Progress
 from gaitsweep.pipeline.engine.request import Answer
@@ -91,38 +92,53 @@ def test_what_is_left_is_told_to_a_half_after_a_fifth_of_the_work(
     assert len(wrong) > 10 and min(wrong) > 1 / 1.5 and max(wrong) < 1.5
 
 
-@pytest.mark.parametrize(
-    ("is_terminal", "columns"), [(False, 80), (True, 80), (True, 0)]
-)
-def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal, columns):
+class Screen(io.StringIO):
+    """A standard error that is a terminal."""
+
+    def isatty(self):
+        return True
+
+    def fileno(self):
+        return 2
+
+
+STATE = {
+    "points": 1000, "cached": 100, "done": 240, "todo": 900, "rate": 42.0, "eta": 19.7,
+    "counts": {}, "stages": {"points": {"done": 240, "todo": 900}}, "overdue": False,
+}  # fmt: skip
+
+
+def _displayed(monkeypatch, screen):
+    """What a display writes to a screen within some of its intervals."""
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(display, "_BAR", 0.01)
+    monkeypatch.setattr(display, "_LINE", 0.01)
+    study = SimpleNamespace(state=lambda: STATE, log_state=lambda: None)
+    with display.Display([9], quiet=False) as shown:
+        shown.begin(study)
+        time.sleep(0.2)
+    return screen.getvalue()
+
+
+@pytest.mark.parametrize("columns", [200, 40, 0])
+def test_the_progress_of_all_studies_is_a_bar_on_a_terminal(monkeypatch, columns):
     """However narrow the terminal is; one may not know its width."""
-    monkeypatch.setattr(sys, "stderr", SimpleNamespace(fileno=lambda: 2))
-    monkeypatch.setattr(
-        os, "get_terminal_size", lambda number: os.terminal_size((columns, 24))
-    )
-    said, waits = [], iter([False, True])
-    display = progress.Display([9], quiet=False)
-    display.begin(SimpleNamespace(state=dict, log_state=lambda: None))
-    display.is_terminal, display.stopped = (
-        is_terminal,
-        SimpleNamespace(wait=lambda _: next(waits)),
-    )
-    for name, value in (
-        ("_FAST", 0.0),
-        ("_SLOW", 0.0),
-        ("total", list),
-        ("sentence", lambda _: "3 of 9 points" * 10),
-    ):
-        monkeypatch.setattr(progress, name, value)
-    monkeypatch.setattr(
-        progress.terminal, "say", lambda text, end="\n": said.append((text, end))
-    )
-    display._tick()
-    (line,) = said
-    shown = ("3 of 9 points" * 10)[: 79 if columns else 118]
-    assert line == (
-        ("\r\033[K" + shown, "") if is_terminal else ("3 of 9 points" * 10, "\n")
-    )
+    size = os.terminal_size((columns, 24))
+    monkeypatch.setattr(os, "get_terminal_size", lambda number: size)
+
+    lines = _displayed(monkeypatch, Screen()).split("\r")
+
+    whole = [line for line in lines if line.startswith(" 34%|")]
+    assert whole and max(map(len, lines)) < (columns or 120)
+    if columns != 40:
+        assert "340 of 1,000 points (34 %), 42 a second, 19.7 s to go" in whole[0]
+
+
+def test_the_progress_in_a_file_is_a_line_now_and_then(monkeypatch):
+    lines = _displayed(monkeypatch, io.StringIO()).splitlines()
+
+    assert len(lines) > 1
+    assert {*lines} == {"340 of 1,000 points (34 %), 42 a second, 19.7 s to go"}
 
 
 @pytest.mark.soak

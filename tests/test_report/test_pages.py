@@ -1,6 +1,4 @@
-import itertools
 import json
-import multiprocessing
 import os
 import re
 import signal
@@ -19,14 +17,13 @@ import pytest
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import read as archive_reader
 from gaitsweep.pipeline.archive.citation import PAPER
-from gaitsweep.pipeline.cli import commands
-from gaitsweep.pipeline.cli import report as report_command
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import plain, typeset
 from gaitsweep.pipeline.statuses import STATUS_NAMES
+from processes import on_a_terminal
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import GAITS, KNEED, POINT, write
@@ -288,36 +285,23 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
     assert _files(pages.write(archives, tmp_path).parent) == _files(report)
 
 
-@pytest.mark.parametrize("trouble", ["none", "no process", "killed"])
+@pytest.mark.parametrize("trouble", ["none", "killed"])
 def test_pages_made_in_one_process_or_several_have_the_same_bytes(
     report, archives, tmp_path, monkeypatch, trouble
 ):
-    """Processes that cannot be had, or are killed, are done without; every page made is
-    told.
-    """
-    started, own, make, told = [], os.getpid(), pages._make, []
-    start = multiprocessing.context.ForkProcess.start
+    """Processes that are killed are done without; every page made is told."""
+    told = []
+    if trouble == "killed":
+        monkeypatch.setattr(pages, "_delivered", _die)
 
-    def begin(process):
-        started.append(process)
-        if trouble == "no process":
-            raise OSError("no process")
-        start(process)
-
-    def die_elsewhere(*arguments):
-        return (
-            make(*arguments)
-            if os.getpid() == own
-            else os.kill(os.getpid(), signal.SIGKILL)
-        )
-
-    monkeypatch.setattr(multiprocessing.context.ForkProcess, "start", begin)
-    monkeypatch.setattr(pages, "_make", die_elsewhere if trouble == "killed" else make)
-    monkeypatch.setattr(pages.os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(pages.threading, "active_count", lambda: 1)
     pages.write(archives, tmp_path, tell=told.append)
-    assert started and told == list(range(len(archives) + 1))
+
+    assert told == list(range(len(archives) + 1))
     assert _files(tmp_path) == _files(report)
+
+
+def _die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _files(folder):
@@ -362,11 +346,7 @@ def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path
         "MATPLOTLIBRC": str(tmp_path / "matplotlibrc"),
         "SOURCE_DATE_EPOCH": "x",
     }
-    code, said = _command(archives, tmp_path, **settings)
-    assert (
-        code,
-        [line for line in said.splitlines() if not line.endswith(" s to go")],
-    ) == (0, [])  # if it takes long
+    assert _command(archives, tmp_path, **settings) == (0, "")
     assert _files(tmp_path / "out") == _files(report)
 
 
@@ -397,38 +377,13 @@ def test_an_archive_that_is_read_without_memory_is_not_damaged(
         failure()
 
 
-def test_the_pages_of_a_long_report_are_counted(
-    archives, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(report_command, "_QUIET", -1.0)
-    monkeypatch.setattr(report_command.terminal, "is_terminal", lambda: True)
-    monkeypatch.setattr(report_command.time, "monotonic", itertools.count().__next__)
-    assert commands.main(["report", *map(str, archives), "-o", str(tmp_path)]) == 0
-    counted = re.findall(
-        r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err
-    )
-    assert [int(made) for made, *_ in counted] == list(range(1, len(archives) + 1))
-    assert counted[-1][2] == "0" and {total for _, total, _ in counted} == {
-        str(len(archives))
-    }
+def test_the_pages_of_a_long_report_are_counted_on_a_terminal(archives, tmp_path):
+    arguments = ["report", *map(str, archives), "-o", str(tmp_path)]
 
+    code, said = on_a_terminal(arguments, tmp_path)
 
-def test_the_time_to_go_of_a_report_is_that_of_its_pages(tmp_path, monkeypatch, capsys):
-    """To read 300 archives takes a minute, and is done once."""
-    clock = iter([0.0, 60.0, 60.5, 61.0])
-    monkeypatch.setattr(report_command.time, "monotonic", clock.__next__)
-    monkeypatch.setattr(report_command.terminal, "is_terminal", lambda: True)
-
-    def write(archives, out, only, bundle, tell):
-        for made in range(3):
-            tell(made)
-        return out / "index.html"
-
-    monkeypatch.setattr(report_command, "write", write)
-    assert commands.main(["report", *["a.nc"] * 300, "-o", str(tmp_path)]) == 0
-
-    said = re.findall(r"\d+ of \d+ pages, \d+ s to go", capsys.readouterr().err)
-    assert said[0] == "1 of 300 pages, 150 s to go"
+    assert code == 0
+    assert re.search(rf"[1-9]\d*/{len(archives)} \[", said)
 
 
 def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(
