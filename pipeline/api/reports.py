@@ -23,6 +23,7 @@ def report(
     *,
     only: bool = False,
     bundle: bool = False,
+    extra: "Sequence[tuple[str, Figure, str]]" = (),
 ) -> Path:
     """Write the pages of archives, as the command does.
 
@@ -36,6 +37,9 @@ def report(
         Remove other pages there.
     bundle : bool
         Write `bundle.html` too: all pages there in one file.
+    extra : sequence of (str, matplotlib.figure.Figure, str)
+        Titles, figures and captions of your own, which the page of a single archive
+        shows after its figures.
 
     Returns
     -------
@@ -47,6 +51,8 @@ def report(
     ------
     ArchiveError
         If a file is not an archive of gaitsweep, or the folder cannot be written.
+    StudyError
+        If `extra` has no page, or holds what is no figure.
     """
     several = [archives] if isinstance(archives, str | Path) else archives
     return write(
@@ -54,6 +60,7 @@ def report(
         archive_path(folder),
         only,
         bundle,
+        extra=extra,
     )
 
 
@@ -63,6 +70,7 @@ def write(
     only: bool,
     bundle: bool,
     tell: Callable[[int], object] = lambda made: None,
+    extra: "Sequence[tuple[str, Figure, str]]" = (),
 ) -> Path:
     """Write the pages as `report` does; `tell` is told the number of pages made, before
     the first and after each.
@@ -77,7 +85,7 @@ def write(
     try:
         from gaitsweep.pipeline.report import pages
 
-        return pages.write(archives, folder, only, tell, bundle)
+        return pages.write(archives, folder, only, tell, bundle, extra)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:

@@ -18,7 +18,10 @@ import rjsmin
 
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
+from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report import entry, folder, html_tables, paper
+from gaitsweep.pipeline.report.extra import Picture
+from gaitsweep.pipeline.report.extra import pictures as extra_pictures
 from gaitsweep.pipeline.report.figures import Undrawn, draw, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
@@ -65,6 +68,7 @@ def write(
     only: bool = False,
     tell: Callable[[int], object] = lambda made: None,
     bundle: bool = False,
+    extra: Sequence[tuple[str, Any, str]] = (),
 ) -> Path:
     """Write the report of some archives into a folder: their pages, and the index and
     ledger of all pages there.
@@ -84,6 +88,9 @@ def write(
     bundle : bool
         Write `bundle.html` too, which holds all pages of the folder; one that is there
         is kept up to date.
+    extra : sequence of (str, matplotlib.figure.Figure, str)
+        Titles, figures and captions of the caller's own, for the page of a single
+        archive.
 
     Returns
     -------
@@ -95,32 +102,46 @@ def write(
     ------
     ArchiveError
         If a file is not an archive of gaitsweep.
+    StudyError
+        If `extra` has no page, or holds what is no figure.
     OSError
         If the folder cannot be written.
     """
     sources = [read(Path(archive)) for archive in archives]
+    pictures = extra_pictures(extra)
+    if pictures and len(sources) != 1:
+        raise StudyError(
+            f"`extra` belongs to the page of one archive; got {len(sources)} archives."
+        )
+    if pictures and sources[0].only_claims:
+        raise StudyError(
+            f"`extra` has no page: {sources[0].name} only feeds the ledger."
+        )
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
     tell(0)
-    pages = _in_processes(sources, slugs, tell)
+    pages = _in_processes(sources, slugs, tell, pictures)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
     is_shown = len(sources) == 1 and not sources[0].only_claims
     return out / (f"{slugs[0]}.html" if is_shown else "index.html")
 
 
-def _make(source: Source, slug: str) -> folder.Page:
+def _make(source: Source, slug: str, pictures: Sequence[Picture] = ()) -> folder.Page:
     """Text of the page of a study, and its data files by their names."""
     with blamed_if_damaged(source.path):
         if source.only_claims:
             parts: Any = _environment().get_template("parts.html").module
             return str(parts.entry([vars(_entry(source, slug))])), {}
-        return _study_page(source, slug)
+        return _study_page(source, slug, pictures)
 
 
 def _in_processes(
-    sources: list[Source], slugs: list[str], tell: Callable[[int], object]
+    sources: list[Source],
+    slugs: list[str],
+    tell: Callable[[int], object],
+    pictures: list[Picture],
 ) -> dict[str, folder.Page]:
     """What `_make` gives for each source, by slug; pages depend on no other, so every
     core makes some.
@@ -146,7 +167,7 @@ def _in_processes(
 
     for source, slug in zip(sources, slugs, strict=True):
         if slug not in made:
-            made[slug] = _make(source, slug)
+            made[slug] = _make(source, slug, pictures)
             tell(len(made))
     return {slug: made[slug] for slug in slugs}
 
@@ -156,7 +177,7 @@ def _delivered(source: Source, slug: str) -> tuple[str, folder.Page]:
     return slug, _make(source, slug)
 
 
-def _study_page(source: Source, slug: str) -> folder.Page:
+def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folder.Page:
     """The page of one study, which depends on no other, and its data files."""
     drawings, undrawn = _drawings(source, slug)
     sections = html_tables.sections(source)
@@ -181,6 +202,7 @@ def _study_page(source: Source, slug: str) -> folder.Page:
         slug=slug,
         drawings=drawings,
         undrawn=undrawn,
+        pictures=pictures,
         lines=lines,
         states=states,
         entries=[vars(_entry(source, slug, drawings, lines, files))],
