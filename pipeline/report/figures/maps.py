@@ -46,89 +46,161 @@ _OTHER_COLOURS, _FALL_COLOURS = (
 )
 
 
+class _Maps(NamedTuple):
+    """A quantity of gaits over two axes: a map for each gait and each place on the
+    other axes.
+
+    Attributes
+    ----------
+    variable : str
+        The quantity.
+    down, along : str
+        The axes.
+    columns, states : list of str
+        The variables whose values a cell tells, and those of the state from which its
+        gait walks.
+    rows : list of dict
+        Places on the other axes, a row of maps each; `names` are their words, and
+        `more` says how many there are beside them.
+    gaits : list of str
+        Those that are drawn; `omitted` are the others that there are.
+    parts : dict
+        Of each gait a table for each row.
+    """
+
+    variable: str
+    down: str
+    along: str
+    columns: list[str]
+    states: list[str]
+    rows: list[dict[str, Any]]
+    names: list[str]
+    more: str
+    gaits: list[str]
+    omitted: list[str]
+    parts: dict[str, list[pd.DataFrame]]
+
+    @property
+    def shown(self) -> pd.Series:
+        """All values that are drawn."""
+        drawn = [
+            part[self.variable] for gait in self.gaits for part in self.parts[gait]
+        ]
+        return pd.concat(drawn)
+
+    def grids(self, part: pd.DataFrame) -> dict[str, pd.DataFrame]:
+        """A table's variables over the two axes."""
+        return {
+            name: part.pivot(index=self.down, columns=self.along, values=name)
+            for name in (*self.columns, *self.states)
+        }
+
+
 def heatmap(source: Source) -> Sketch | None:
     """Map a quantity of each gait over two axes, with the border of stability; one row
     per value of other axes.
     """
+    maps = _maps(source)
+    if maps is None:
+        return None
+
+    rows = len(maps.rows)
+    height = 260 if rows == 1 else 60 + 150 * rows
+    sketch = Sketch("heatmap", height, rows, len(maps.gaits), sharex=True, sharey=True)
+    shown = maps.shown
+    for row in range(rows):
+        for column in range(len(maps.gaits)):
+            picture = _draw_cell_map(sketch, source, maps, row, column, shown)
+
+    titles = [
+        _axis_title(source, name) for name in (maps.variable, maps.along, maps.down)
+    ]
+    for axes in sketch.grid:
+        axes[0].set_ylabel(titles[2] if rows == 1 else symbol(maps.down))
+    add_bar(picture, sketch.panels).set_label(titles[0])
+    return sketch.finish(**_words_of_maps(source, maps, titles, shown))
+
+
+def _maps(source: Source) -> _Maps | None:
+    """What there is to map; None if there is no plane of a quantity."""
     grid = source.grid
     wide = [d for d in source.axes if d != "walker" and grid.sizes[d] > 1][:2]
-    variable = next((v for v in _SHOWN if v in grid), None)
+    variable = next((name for name in _SHOWN if name in grid), None)
     if len(wide) < 2 or variable is None:
         return None
-    down, along = wide
+
     columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in grid]
     states = [name for name in START[1:] if name in grid] if source.steps == 1 else []
-    states = states if set(START[1:4]) <= set(states) else []
-    table = (
-        grid.sortby(wide)[[*dict.fromkeys((*columns, *states))]]
-        .to_dataframe()
-        .reset_index()
-    )  # an axis may fall
+    if not set(START[1:4]) <= set(states):
+        states = []
+    wanted = [*dict.fromkeys((*columns, *states))]
+    table = grid.sortby(wide)[wanted].to_dataframe().reset_index()  # an axis may fall
+
     rest = [d for d in source.axes if d not in wide]
-    every = [
-        dict(zip(rest, place, strict=True))
-        for place in itertools.product(*(grid[d].values for d in rest))
-    ]
+    places = itertools.product(*(grid[d].values for d in rest))
+    every = [dict(zip(rest, place, strict=True)) for place in places]
     rows, names, more = choose_rows(every)
-    parts = {
-        gait: [rows_at(table[table["gait"] == gait], at) for at in rows]
-        for gait in source.gaits
-    }
-    present = [
-        gait
-        for gait, maps in parts.items()
-        if any(np.isfinite(part[variable]).any() for part in maps)
-    ]
-    if not (gaits := present[:2]):
+
+    parts, present = {}, []
+    for gait in source.gaits:
+        of_gait = table[table["gait"] == gait]
+        parts[gait] = [rows_at(of_gait, at) for at in rows]
+        if any(np.isfinite(part[variable]).any() for part in parts[gait]):
+            present.append(gait)
+    if not present:
         return None
-    height = 260 if len(rows) == 1 else 60 + 150 * len(rows)
-    sketch = Sketch("heatmap", height, len(rows), len(gaits), sharex=True, sharey=True)
-    shown = pd.concat([part[variable] for gait in gaits for part in parts[gait]])
-    for k, (at, name) in enumerate(zip(rows, names, strict=True)):
-        for axes, gait in zip(sketch.grid[k], gaits, strict=True):
-            part = parts[gait][k]
-            grids = {
-                v: part.pivot(index=down, columns=along, values=v)
-                for v in (*columns, *states)
-            }
-            _set_scales(axes, grids[variable])
-            picture = draw_map(axes, grids[variable], shown)
-            _draw_stability_border(axes, grids.get("spectral_radius"))
-            title = ", ".join(filter(None, (f"{gait} step", name)))
-            axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
-            fixed = {"gait": gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}}
-            sketch.pieces.append(part[[down, along, *columns]].assign(**fixed))
-            held = cells(
-                source,
-                at,
-                grids,
-                (down, along, *columns),
-                sketch.grid.size,
-                f"{gait} step",
-            )
-            sketch.maps.append(Panel(axes, grids[variable], held))
-        sketch.grid[k][0].set_ylabel(
-            _axis_title(source, down) if len(rows) == 1 else symbol(down)
-        )
-    quantity, x_title, y_title = (
-        _axis_title(source, name) for name in (variable, along, down)
+    gaits, omitted = present[:2], present[2:]
+    down, along = wide
+    return _Maps(
+        variable, down, along, columns, states, rows, names, more, gaits, omitted, parts
     )
-    add_bar(picture, sketch.panels).set_label(quantity)
-    return sketch.finish(
-        quantity=spaced(variable),
-        Quantity=quantity.capitalize(),
-        variable=variable,
-        x=x_title,
-        y=y_title,
-        along=along,
-        down=down,
-        border="spectral_radius" in grid,
-        omitted=", ".join(present[2:]),
-        more=more,
-        rows=f" {more}" if more else "",
-        low=shown.min(),
-        high=shown.max(),
-    )
+
+
+def _draw_cell_map(
+    sketch: Sketch, source: Source, maps: _Maps, row: int, column: int, shown: pd.Series
+) -> Any:
+    """Draw the map of a gait at a place on the other axes; `shown` are the values of
+    all maps. Returns its picture.
+    """
+    axes, gait = sketch.grid[row][column], maps.gaits[column]
+    at, part = maps.rows[row], maps.parts[gait][row]
+    grids = maps.grids(part)
+    _set_scales(axes, grids[maps.variable])
+    picture = draw_map(axes, grids[maps.variable], shown)
+    _draw_stability_border(axes, grids.get("spectral_radius"))
+    title = ", ".join(filter(None, (f"{gait} step", maps.names[row])))
+    axes.set_title(shorten(title, 60 // len(maps.gaits)), pad=5)
+
+    wide = [maps.down, maps.along]
+    fixed = {d: value for d, value in at.items() if source.grid.sizes[d] > 1}
+    data = part[[*wide, *maps.columns]].assign(gait=gait, **fixed)
+    sketch.pieces.append(data)
+    named = (*wide, *maps.columns)
+    held = cells(source, at, grids, named, sketch.grid.size, f"{gait} step")
+    sketch.maps.append(Panel(axes, grids[maps.variable], held))
+    return picture
+
+
+def _words_of_maps(
+    source: Source, maps: _Maps, titles: list[str], shown: pd.Series
+) -> dict[str, Any]:
+    """What the caption of maps says, by the titles of quantity and axes."""
+    quantity, x_title, y_title = titles
+    return {
+        "quantity": spaced(maps.variable),
+        "Quantity": quantity.capitalize(),
+        "variable": maps.variable,
+        "x": x_title,
+        "y": y_title,
+        "along": maps.along,
+        "down": maps.down,
+        "border": "spectral_radius" in source.grid,
+        "omitted": ", ".join(maps.omitted),
+        "more": maps.more,
+        "rows": f" {maps.more}" if maps.more else "",
+        "low": shown.min(),
+        "high": shown.max(),
+    }
 
 
 def draw_map(axes: Axes, values: pd.DataFrame, every: pd.Series) -> Any:
