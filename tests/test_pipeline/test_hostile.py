@@ -366,7 +366,7 @@ def _change_row(path, dice):
     """Change one value of a row, and its checksums."""
     db = sqlite3.connect(path)
     number, *row = dice.choice(
-        db.execute("SELECT id, key, kin, head, payload FROM records").fetchall()
+        db.execute("SELECT id, key, head, payload FROM records").fetchall()
     )
     at = dice.randrange(len(row))
     old = row[at]
@@ -391,18 +391,10 @@ def _change_row(path, dice):
             ]
         )
     with contextlib.suppress(TypeError, sqlite3.Error, OverflowError):
-        key, kin, head, payload = row
-        changed = (
-            number,
-            key,
-            kin,
-            *file.sums(number, key, kin, head, payload),
-            head,
-            payload,
-        )
-        db.execute(
-            "INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", changed
-        )
+        key, head, payload = row
+        sums = file.sums(number, key, head, payload)
+        changed = number, key, *sums, head, payload
+        db.execute("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?, ?, ?)", changed)
     db.commit()
     db.close()
 

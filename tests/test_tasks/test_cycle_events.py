@@ -28,7 +28,8 @@ def family(walker, low, high, longest, first=1):
     start = locate_cascade._first_gaits(
         problem, problem, _atlas(walker, ()), slopes, first, 200
     )[0]
-    return list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
+    window = np.log(low), np.log(high)
+    return locate_cascade._follow_family(problem, start, window, longest).events
 
 
 def wide(values):

@@ -283,7 +283,7 @@ def test_a_doubt_is_what_a_chord_between_samples_could_hide():
 
 
 @pytest.mark.parametrize(
-    ("change", "slope"), [({}, 0.2), ({"r_s": 0.06}, 0.05)], ids=["foot", "knee"]
+    ("change", "slope"), [({}, 0.3), ({"r_s": 0.06}, 0.05)], ids=["foot", "knee"]
 )
 def test_a_fixed_point_whose_foot_or_knee_strikes_earlier_is_no_step(change, slope):
     """The second derivation stops at the first strikes: steps are the fixed points
