@@ -180,7 +180,7 @@ def _stack(parts: Sequence[Columns]) -> Columns:
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     if set(_LAYOUTS.get(group, ("",))) <= set(columns):
-        _arrays(file, plan, group, columns)
+        _Arrays(file, plan, group, columns).write()
         return
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
@@ -196,78 +196,104 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         write_variable(netcdf_group, name, ("row",), values, attributes, **options)
 
 
-def _arrays(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    """Write the rows of a table as arrays over the lines' axes and the table's own
-    dimensions.
+class _Arrays:
+    """Writes the rows of a table as arrays over the lines' axes and slope, which are
+    its cases, and then over the table's own dimensions.
 
     A coordinate that differs from case to case, as the ranges of basins do by default,
     is an array over the cases and its own index.
     """
-    study, lines = plan.study, plan.graph.grid
-    dims = [*lines.line_dims, "slope"]
-    known = {
-        "walker": np.array(study.names),
-        **{axis.name: axis.values for axis in study.axes},
-    }
-    sizes, orders = [len(known[d]) for d in dims], [np.argsort(known[d]) for d in dims]
-    places = [
-        order[np.searchsorted(known[d], columns[d], sorter=order)]
-        for d, order in zip(dims, orders, strict=True)
-    ]
-    case = np.ravel_multi_index(places, sizes)
-    netcdf_group = file.createGroup(group)
-    netcdf_group.createDimension("slope", len(study.slope))
-    _variable(
-        netcdf_group,
-        "slope",
-        ("slope",),
-        study.slope,
-        _attributes(plan, group, "slope"),
-    )
-    inner: dict[str, tuple[np.ndarray, int]] = {}
-    for name in _LAYOUTS[group][1:]:
+
+    def __init__(self, file: Any, plan: Plan, group: str, columns: Columns):
+        self.plan, self.group, self.columns = plan, group, columns
+        self.netcdf_group = file.createGroup(group)
+        self.dims = [*plan.graph.grid.line_dims, "slope"]
+        self.sizes, self.case = _cases(plan, self.dims, columns)
+        #: Of the table's own coordinates the place of each row, and their number.
+        self.inner: dict[str, tuple[np.ndarray, int]] = {}
+
+    def write(self) -> None:
+        """Write coordinates, then all other columns."""
+        slope = self.plan.study.slope
+        self.netcdf_group.createDimension("slope", len(slope))
+        self._variable("slope", ("slope",), slope, self._described("slope"))
+        for name in _LAYOUTS[self.group][1:]:
+            self._write_coordinate(name)
+
+        for name, values in self.columns.items():
+            if name not in (*self.dims, "walker", *self.inner):
+                self._write_column(name, values)
+
+    def _write_coordinate(self, name: str) -> None:
+        """Write one of the table's own coordinates."""
         dim = _RENAMED.get(name, name)
-        place, values = _positions(case, columns[name])
-        inner[name] = place, values.shape[-1]
-        netcdf_group.createDimension(dim, values.shape[-1])
+        place, values = _positions(self.case, self.columns[name])
+        count = values.shape[-1]
+        self.inner[name] = place, count
+        self.netcdf_group.createDimension(dim, count)
         if values.ndim == 1:
-            _variable(netcdf_group, dim, (dim,), values, _attributes(plan, group, name))
-        else:
-            array = np.full((math.prod(sizes), values.shape[-1]), np.nan)
-            array[np.unique(case)] = values
-            shaped = array.reshape(*sizes, -1)
-            _variable(
-                netcdf_group,
-                f"{name}_values",
-                (*dims, dim),
-                shaped,
-                _attributes(plan, group, name),
-            )
-    for name, values in columns.items():
-        if name in (*dims, "walker", *inner):
-            continue
-        described: dict[str, Any] = dict(_attributes(plan, group, name))
+            self._variable(dim, (dim,), values, self._described(name))
+            return
+
+        array = np.full((math.prod(self.sizes), count), np.nan)
+        array[np.unique(self.case)] = values
+        shaped = array.reshape(*self.sizes, -1)
+        dims = (*self.dims, dim)
+        self._variable(f"{name}_values", dims, shaped, self._described(name))
+
+    def _write_column(self, name: str, values: np.ndarray) -> None:
+        """Write a column: words as flags, absent numbers as NaN or -1."""
+        described: dict[str, Any] = dict(self._described(name))
         if values.dtype.kind == "U":
             words, values = np.unique(values, return_inverse=True)
-            meanings = " ".join(str(word).replace(" ", "_") for word in words)
-            described |= {
-                "flag_values": np.arange(len(words), dtype=np.int8),
-                "flag_meanings": meanings,
-            }
-        is_whole = values.dtype.kind in "iu"
-        dtype = (
-            np.min_scalar_type(-int(values.max(initial=0)) - 1)
-            if is_whole
-            else np.dtype(float)
+            meanings = [str(word).replace(" ", "_") for word in words]
+            described["flag_values"] = np.arange(len(words), dtype=np.int8)
+            described["flag_meanings"] = " ".join(meanings)
+
+        dtype, absent = np.dtype(float), np.nan
+        if values.dtype.kind in "iu":
+            dtype, absent = np.min_scalar_type(-int(values.max(initial=0)) - 1), -1
+
+        constant = _CONSTANT.get(name, ())
+        along = [each for each in self.inner if each not in constant]
+        places = [self.inner[each][0] for each in along]
+        counts = [self.inner[each][1] for each in along]
+        array = np.full((math.prod(self.sizes), *counts), absent, dtype)
+        array[(self.case, *places)] = values
+        dims = (*self.dims, *(_RENAMED.get(each, each) for each in along))
+        self._variable(name, dims, array.reshape(*self.sizes, *counts), described)
+
+    def _described(self, name: str) -> dict[str, str]:
+        return _attributes(self.plan, self.group, name)
+
+    def _variable(
+        self,
+        name: str,
+        dims: tuple[str, ...],
+        values: np.ndarray,
+        attributes: dict[str, Any],
+    ) -> None:
+        group = self.netcdf_group
+        fill = np.nan if values.dtype.kind == "f" and name not in dims else False
+        filters = _FILTERS if values.size and dims else {}
+        write_variable(
+            group, name, dims, values, attributes, fill_value=fill, **filters
         )
-        kept = [c for c in inner if c not in _CONSTANT.get(name, ())]
-        shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
-        array = np.full(shape, -1 if is_whole else np.nan, dtype)
-        array[(case, *(inner[c][0] for c in kept))] = values
-        names = (*dims, *(_RENAMED.get(c, c) for c in kept))
-        _variable(
-            netcdf_group, name, names, array.reshape(*sizes, *shape[1:]), described
-        )
+
+
+def _cases(
+    plan: Plan, dims: Sequence[str], columns: Columns
+) -> tuple[list[int], np.ndarray]:
+    """Lengths of some axes of the grid, and the number of each row's place on them."""
+    known = {axis.name: axis.values for axis in plan.study.axes}
+    known["walker"] = np.array(plan.study.names)
+    sizes, places = [], []
+    for dim in dims:
+        order = np.argsort(known[dim])
+        found = np.searchsorted(known[dim], columns[dim], sorter=order)
+        places.append(order[found])
+        sizes.append(len(known[dim]))
+    return sizes, np.ravel_multi_index(places, sizes)
 
 
 def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -283,18 +309,6 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
         return place, every
     first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
     return at - first[number], every[of_each % len(every)].reshape(len(cases), -1)
-
-
-def _variable(
-    group: Any,
-    name: str,
-    dims: tuple[str, ...],
-    values: np.ndarray,
-    attributes: dict[str, Any],
-) -> None:
-    fill = np.nan if values.dtype.kind == "f" and name not in dims else False
-    filters = _FILTERS if values.size and dims else {}
-    write_variable(group, name, dims, values, attributes, fill_value=fill, **filters)
 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
