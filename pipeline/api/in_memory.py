@@ -115,68 +115,120 @@ def gaits(
         If the arguments do not broadcast, or no point has a slope and a walker that can
         be.
     """
-    wanted = (*wanted, *(name for name in always(accuracy) if name not in wanted))
-    options = {
-        **({"steps": steps} if steps > 1 else {}),
-        **({"violation_limits": limits} if limits else {}),
-    }
-    base = Study(
-        "", "", "grid", (walker,), GAITS, (), wanted, options=options, accuracy=accuracy
-    )
+    base = _base(walker, wanted, steps, accuracy, limits or {})
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
-    slope, is_slope = flat["slope"], slopes.is_slope(flat["slope"])
-    lines, unsolvable = list[_Line](), list[tuple[np.ndarray, StudyError]]()
-    for line, at in _lines(
-        walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]
-    ):
-        at = at[is_slope[at]]
-        try:
-            lines.append(
-                _Line(base, line, at, slope, dispatch.ask("check_walker", line))
-            )
-        except StudyError as error:
-            unsolvable.append((at, error))
-    if len(slope) and not any(len(one.at) for one in lines):
+    lines, unsolvable = _checked(base, walker, flat, _varying_keys(arrays))
+
+    # An argument that is nowhere right is a mistake, not a result.
+    slope = flat["slope"]
+    if len(slope) and not any(len(line.at) for line in lines):
         if unsolvable:
             raise unsolvable[0][1]
         slopes.check(float(slope[0]))
-    wrong, which = np.unique(slope[~is_slope], return_inverse=True)
-    for k, value in enumerate(wrong.tolist()):
-        why = StudyError(f"`slope` {slopes.BOUND}; got {value!r}.")
-        unsolvable.append((np.flatnonzero(~is_slope)[which == k], why))
-    answers = [one.check for one in lines]
+    unsolvable += _wrong_slopes(slope)
+
+    answers = [line.check for line in lines]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {
-        name: a.assign_attrs(attributes.of_axis(name, answers[:1]))
-        for name, a in varying.items()
+        name: values.assign_attrs(attributes.of_axis(name, answers[:1]))
+        for name, values in varying.items()
     }
     constants = _constants(lines[0].line, answers, varying) if lines else {}
     moved = _moved(lines[0].line, answers, varying) if lines else {}
+
     multipliers = max((check["multipliers"] for check in answers), default=3)
-    found = [
-        (at, Points.of_ending(len(at), "raised", str(error), wanted))
+    # A list that becomes shorter while its lines are solved.
+    lines = [line for line in lines if len(line.at)]
+    found = _solve(base, lines)
+    points = _in_order(found, unsolvable, base.variables, multipliers)
+    study = replace(base, checks=tuple(answers[:1]))
+    return _dataset(points, grid[0], coordinates, moved, constants, study)
+
+
+def _base(
+    walker: Definition,
+    wanted: tuple[str, ...],
+    steps: int,
+    accuracy: float,
+    limits: Mapping[str, float],
+) -> Study:
+    """The study of all points, without axes."""
+    others = tuple(name for name in always(accuracy) if name not in wanted)
+    variables = (*wanted, *others)
+    options: dict[str, Any] = {}
+    if steps > 1:
+        options["steps"] = steps
+    if limits:
+        options["violation_limits"] = limits
+    return Study(
+        "",
+        "",
+        "grid",
+        (walker,),
+        GAITS,
+        (),
+        variables,
+        options=options,
+        accuracy=accuracy,
+    )
+
+
+def _varying_keys(arrays: Mapping[str, xr.DataArray]) -> list[str]:
+    """Names of the keys that vary."""
+    return [name for name, a in arrays.items() if name != "slope" and a.ndim]
+
+
+def _checked(
+    base: Study, walker: Definition, flat: Arrays, varying: list[str]
+) -> tuple[list[_Line], list[tuple[np.ndarray, StudyError]]]:
+    """Lines of the grid at their slopes, and the points of those whose walker cannot
+    be, with why.
+    """
+    slope = flat["slope"]
+    is_slope = slopes.is_slope(slope)
+    lines: list[_Line] = []
+    unsolvable: list[tuple[np.ndarray, StudyError]] = []
+    for line, every in _lines(walker, flat, varying):
+        at = every[is_slope[every]]
+        try:
+            check = dispatch.ask("check_walker", line)
+        except StudyError as error:
+            unsolvable.append((at, error))
+        else:
+            lines.append(_Line(base, line, at, slope, check))
+    return lines, unsolvable
+
+
+def _wrong_slopes(slope: np.ndarray) -> list[tuple[np.ndarray, StudyError]]:
+    """The points whose slope is none, with why."""
+    wrong = np.flatnonzero(~slopes.is_slope(slope))
+    values, which = np.unique(slope[wrong], return_inverse=True)
+    return [
+        (wrong[which == k], StudyError(f"`slope` {slopes.BOUND}; got {value!r}."))
+        for k, value in enumerate(values.tolist())
+    ]
+
+
+def _in_order(
+    found: Iterator[_Found],
+    unsolvable: list[tuple[np.ndarray, StudyError]],
+    variables: tuple[str, ...],
+    multipliers: int,
+) -> Points:
+    """All points in the order of the grid: those that are found, and those that cannot
+    be solved.
+    """
+    parts = [
+        (at, Points.of_ending(len(at), "raised", str(error), variables))
         for at, error in unsolvable
     ]
-    lines = [
-        one for one in lines if len(one.at)
-    ]  # which become fewer while they are solved
-    found += _solve(base, lines)
-    places, parts = zip(
-        *found or [(np.empty(0, int), Points.of_ending(0, "raised", "", wanted))],
-        strict=True,
-    )
-    points = joined(parts, (len(GAITS), multipliers)).take(
-        np.argsort(np.concatenate(places))
-    )
-    return _dataset(
-        points,
-        grid[0],
-        coordinates,
-        moved,
-        constants,
-        replace(base, checks=tuple(answers[:1])),
-    )
+    parts += found
+    if not parts:
+        parts = [(np.empty(0, int), Points.of_ending(0, "raised", "", variables))]
+    places, points = zip(*parts, strict=True)
+    order = np.argsort(np.concatenate(places))
+    return joined(points, (len(GAITS), multipliers)).take(order)
 
 
 def _lines(
