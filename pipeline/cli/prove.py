@@ -119,76 +119,92 @@ def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
 def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
     """Every converged gait of an archive as the parameters of its proof."""
     with read.open_archive(path) as file:
-        missing = [name for name in ("status", *_NEEDED) if name not in file.variables]
-        if missing or "gait" not in file.dimensions:
-            raise ArchiveError(
-                f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}."
-            )
-        if "steps" in file.ncattrs():
-            raise ArchiveError(
-                f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step."
-            )
-        dims, names = (
-            file["status"].dimensions,
-            [n for n in _VALUES if n in file.variables],
-        )
-        try:
-            provenance = json.loads(file.provenance)
-            tables, varied = (
-                provenance["walkers"],
-                {key: file[key] for key in provenance["varied"]},
-            )
-            walkers = [
-                tables[k]
-                for k in range(
-                    file.dimensions["walker"].size if "walker" in dims else 1
-                )
-            ]
-            lost = [
-                key
-                for key, values in varied.items()
-                if not {*values.dimensions} <= {*dims}
-            ]
-            if lost or not all(isinstance(walker, str | dict) for walker in walkers):
-                raise ValueError(lost)
-        except (ValueError, LookupError, TypeError) as error:
-            raise ArchiveError(f"{path} does not say which walker it is of.") from error
-        if "kneestrike_time" not in names and all(
-            isinstance(w, dict) and w.get("knees", True) for w in walkers
-        ):
+        _check_gaits(file, path)
+        dims = file["status"].dimensions
+        walkers, varied = _walkers(file, path)
+        names = [name for name in _VALUES if name in file.variables]
+        if "kneestrike_time" not in names and all(map(_has_knees, walkers)):
             raise ArchiveError(
                 f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
             )
-        status = np.ma.getdata(file["status"][...])
-        places = np.argwhere(np.isin(status, FOUND))
-        if sample is not None and sample < len(places):
-            places = places[
-                np.sort(
-                    np.random.default_rng(_DRAW).choice(
-                        len(places), sample, replace=False
-                    )
-                )
-            ]
-        coordinates = {d: file[d][...].tolist() for d in dims}
+        coordinates = {dim: file[dim][...].tolist() for dim in dims}
         if not np.isfinite(np.array(coordinates["slope"], float)).all():
             raise ArchiveError(f"{path} has a slope that is no number.")
-        for index in map(tuple, places.tolist()):
+
+        for index in _places(np.ma.getdata(file["status"][...]), sample):
             place = dict(zip(dims, index, strict=True))
-            at = {d: coordinates[d][i] for d, i in place.items()}
+            at = {dim: coordinates[dim][i] for dim, i in place.items()}
             # What an axis such as `detuning` moves is stored key by key.
-            moved = {
-                k: float(values[tuple(place[d] for d in values.dimensions)])
-                for k, values in varied.items()
-            }
+            moved = {}
+            for key, values in varied.items():
+                on_its_axes = tuple(place[dim] for dim in values.dimensions)
+                moved[key] = float(values[on_its_axes])
             numbers = {n: float(np.ma.filled(file[n][index], np.nan)) for n in names}
-            walker = walkers[place.get("walker", 0)]
-            given = {
-                "walker": walker,
+            yield {
+                "at": at,
+                "walker": walkers[place.get("walker", 0)],
                 "set": moved,
                 "slope": at["slope"],
                 "gait": at["gait"],
+                "values": numbers,
             }
-            yield {"at": at, **given, "values": numbers}
+
+
+def _check_gaits(file: Any, path: Path) -> None:
+    """Refuse an archive without gaits of one step.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    missing = [name for name in ("status", *_NEEDED) if name not in file.variables]
+    if missing or "gait" not in file.dimensions:
+        lacking = missing[0] if missing else "gait"
+        raise ArchiveError(f"{path} holds no gaits to prove: it has no {lacking}.")
+    if "steps" in file.ncattrs():
+        raise ArchiveError(
+            f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step."
+        )
+
+
+def _walkers(
+    file: Any, path: Path
+) -> tuple[list[str | dict[str, Any]], dict[str, Any]]:
+    """The walkers of an archive, and the variables of keys that vary over its axes.
+
+    Raises
+    ------
+    ArchiveError
+        If it does not say so.
+    """
+    dims = {*file["status"].dimensions}
+    try:
+        provenance = json.loads(file.provenance)
+        varied = {key: file[key] for key in provenance["varied"]}
+        count = file.dimensions["walker"].size if "walker" in dims else 1
+        walkers = [provenance["walkers"][k] for k in range(count)]
+        if any({*values.dimensions} - dims for values in varied.values()):
+            raise ValueError
+        if not all(isinstance(walker, str | dict) for walker in walkers):
+            raise ValueError
+    except (ValueError, LookupError, TypeError) as error:
+        raise ArchiveError(f"{path} does not say which walker it is of.") from error
+    return walkers, varied
+
+
+def _has_knees(walker: str | dict[str, Any]) -> bool:
+    """Whether a table of a walker is of one with knees; names are not asked."""
+    return isinstance(walker, dict) and bool(walker.get("knees", True))
+
+
+def _places(status: np.ndarray, sample: int | None) -> list[tuple[int, ...]]:
+    """Places of the gaits that were found, or of some of them drawn by lot."""
+    places = np.argwhere(np.isin(status, FOUND))
+    if sample is not None and sample < len(places):
+        dice = np.random.default_rng(_DRAW)
+        drawn = dice.choice(len(places), sample, replace=False)
+        places = places[np.sort(drawn)]
+    return [tuple(place) for place in places.tolist()]
 
 
 def _shown(proof: Mapping[str, Any]) -> str:
