@@ -1,6 +1,6 @@
 """Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
 
-`gaits`, `solve`, `step_map` and `simulate` answer in Python; `run` runs a study, `load`
+`gaits`, `solve`, `sensitivities`, `step_map` and `simulate` answer in Python; `run` runs a study, `load`
 opens its archive, `report` and `figure` show it; `schema` describes studies to editors.
 The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
 computes.
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gaitsweep.pipeline.api.reports import figure, report
+    from gaitsweep.pipeline.api.sensitivities import sensitivities
     from gaitsweep.pipeline.api.steps import simulate, step_map
     from gaitsweep.pipeline.api.studies import gaits, load, run, solve
     from gaitsweep.pipeline.errors import (
@@ -46,6 +47,7 @@ _HOMES = {
         ("gaits", "load", "run", "solve"), "gaitsweep.pipeline.api.studies"
     ),
     "schema": "gaitsweep.pipeline.study.schema",
+    "sensitivities": "gaitsweep.pipeline.api.sensitivities",
     "Plot": "gaitsweep.pipeline.study.plot",
     "Variable": "gaitsweep.tasks.contract.registry",
     **dict.fromkeys(_ERRORS, "gaitsweep.pipeline.errors"),
@@ -68,6 +70,7 @@ __all__ = [
     "report",
     "run",
     "schema",
+    "sensitivities",
     "simulate",
     "solve",
     "step_map",

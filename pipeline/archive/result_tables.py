@@ -245,10 +245,8 @@ class _Arrays:
         """Write a column: words as flags, absent numbers as NaN or -1."""
         described: dict[str, Any] = dict(self._described(name))
         if values.dtype.kind == "U":
-            words, values = np.unique(values, return_inverse=True)
-            meanings = [str(word).replace(" ", "_") for word in words]
-            described["flag_values"] = np.arange(len(words), dtype=np.int8)
-            described["flag_meanings"] = " ".join(meanings)
+            values, flags = _flags(values)
+            described |= flags
 
         dtype, absent = np.dtype(float), np.nan
         if values.dtype.kind in "iu":
@@ -279,6 +277,14 @@ class _Arrays:
         write_variable(
             group, name, dims, values, attributes, fill_value=fill, **filters
         )
+
+
+def _flags(words: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
+    """Words as numbers, and the attributes that say what these mean."""
+    different, numbers = np.unique(words, return_inverse=True)
+    meanings = [str(word).replace(" ", "_") for word in different]
+    values = np.arange(len(different), dtype=np.int8)
+    return numbers, {"flag_values": values, "flag_meanings": " ".join(meanings)}
 
 
 def _cases(

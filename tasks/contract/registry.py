@@ -206,6 +206,7 @@ CLAIMS = tuple(
 CALLS = {
     "solve": "gaitsweep.tasks.studies.solve_at_slope:solve_one",
     "solve_at": "gaitsweep.tasks.studies.solve_at_value:solve_at_value",
+    "differentiate": "gaitsweep.tasks.studies.differentiate_gaits:differentiate",
     "step_map": "gaitsweep.tasks.studies.map_step:map_step",
     "simulate": "gaitsweep.tasks.studies.simulate_steps:simulate_steps",
     "prove": "gaitsweep.tasks.studies.prove_gaits:prove_one",

@@ -4,12 +4,14 @@ is a point where the measure has that value.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import VARIABLES
-from gaitsweep.tasks.measures.gaits import of_all_steps, steps_of
+from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
 
 #: Variables that say how well a gait is known, not what it is.
@@ -64,8 +66,6 @@ def level(name: str, value: float) -> Condition:
     return Condition("level", measured, target=value)
 
 
-# Beside the ends of walking some measures have no value.
-@np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def measure_at(name: str, at: Evaluation) -> np.ndarray:
     """Measure gaits where they are evaluated.
 
@@ -79,15 +79,36 @@ def measure_at(name: str, at: Evaluation) -> np.ndarray:
     -------
     ndarray, shape (n,) [the walker's units]
     """
-    if name == _RADIUS:
-        return np.abs(at.multipliers).max(axis=1)
+    return measures_at([name], at)[name]
+
+
+# Beside the ends of walking some measures have no value.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
+    """Measure gaits where they are evaluated, as `measure_at` does.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of `measures`.
+    at : Evaluation
+
+    Returns
+    -------
+    dict of ndarray, shape (n,) [the walker's units]
+    """
     problem, slope = at.problem, np.exp(at.q)
     walkers = problem.every_walker
-    needed = ["step_length", "period"] if name in TRAVEL else [name]
+    has_travel = any(name in TRAVEL for name in names)
+    needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
+    if has_travel:
+        needed += ["step_length", "period"]
     y, scale = at.stride.y, problem.section(at.w)[1]
     steps = steps_of(problem, walkers, at.stride, y, scale, at.times, slope)
     measured = of_all_steps(steps.measure(needed), problem.steps)
-    if name in TRAVEL:
+    if has_travel:
         length, period = measured["step_length"], measured["period"]
         measured |= travel(walkers, slope, length, period, problem.steps)
-    return np.asarray(measured[name], float)
+    if _RADIUS in names:
+        measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)
+    return {name: np.asarray(measured[name], float) for name in names}

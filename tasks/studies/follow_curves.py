@@ -34,8 +34,8 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.walkers.resolve import is_one_link, resolve, walker_of_line
-from gaitsweep.tasks.walkers.walker import ONE_LINK, Walker, WalkerError
+from gaitsweep.tasks.walkers.resolve import resolve, value_of_key
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Why a line has no curve.
 _NO_START = (
@@ -85,7 +85,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.asarray(params["slope"], float)
     window = _Window((slope.min(), slope.max()), keys)
     tables = _Tables([], [])
-    value = _value_of_line(line, key)
+    value = value_of_key(line, key)
     for begin in _beginnings(value, keys):
         problem = Problem(keys.walker_at(begin))
         if begin == value:
@@ -269,24 +269,6 @@ def _error(equations: Equations, X: ndarray, window: _Window) -> float:
     problem = equations.problem_at(X[:, None]).alone(0)
     Z = window.inside(X)[:-1]
     return slope_error(problem, condition, Z) + 8 * EPS
-
-
-def _value_of_line(line: Mapping[str, Any], key: str) -> float:
-    """The line's value of a key."""
-    walker = walker_of_line(line)
-    settings = line.get("set", {})
-    if key in settings:
-        return float(settings[key])
-
-    # A walker's table may be detuned too.
-    given = line["walker"] if isinstance(line["walker"], Mapping) else {}
-    derived = {
-        "detuning": given.get("detuning", 0.0),
-        "foot_mass_ratio": walker.m_s / walker.total_mass,
-    }
-    if is_one_link(given):
-        derived |= {name: given.get(name, 0.0) for name in ONE_LINK}
-    return float(derived[key] if key in derived else getattr(walker, key))
 
 
 def _seeds(

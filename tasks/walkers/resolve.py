@@ -240,6 +240,26 @@ def walker_of_line(line: Mapping[str, Any]) -> Walker:
     return resolve(line["walker"], line.get("set"))
 
 
+def value_of_key(line: Mapping[str, Any], key: str) -> float:
+    """Return a line's value of a key: of a walker, of a leg of one link, `detuning` or
+    `foot_mass_ratio`.
+    """
+    walker = walker_of_line(line)
+    settings = line.get("set", {})
+    if key in settings:
+        return float(settings[key])
+
+    # A walker's table may be detuned too.
+    given = line["walker"] if isinstance(line["walker"], Mapping) else {}
+    derived = {
+        "detuning": given.get("detuning", 0.0),
+        "foot_mass_ratio": walker.m_s / walker.total_mass,
+    }
+    if is_one_link(given):
+        derived |= {name: given.get(name, 0.0) for name in ONE_LINK}
+    return float(derived[key] if key in derived else getattr(walker, key))
+
+
 def _table(walker: str | Mapping[str, Any]) -> Mapping[str, Any]:
     """The table of a walker that may be given by its name."""
     return {"base": walker} if isinstance(walker, str) else walker

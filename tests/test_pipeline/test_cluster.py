@@ -42,7 +42,9 @@ class Cluster:
             self.file,
         )
         end = time.monotonic() + 30
-        while not self.file.exists() and time.monotonic() < end:
+        # It is there before anything is written.
+        while not (self.file.exists() and self.file.read_text()):
+            assert time.monotonic() < end
             time.sleep(0.05)
         self.address = json.loads(self.file.read_text())["address"]
         self.workers = []

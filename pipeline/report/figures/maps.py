@@ -130,30 +130,42 @@ def _maps(source: Source) -> _Maps | None:
         return None
 
     columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in grid]
-    states = [name for name in START[1:] if name in grid] if source.steps == 1 else []
-    if not set(START[1:4]) <= set(states):
-        states = []
-    wanted = [*dict.fromkeys((*columns, *states))]
-    table = grid.sortby(wide)[wanted].to_dataframe().reset_index()  # an axis may fall
+    states = _states(source)
+    table = _sorted(source, wide, [*dict.fromkeys((*columns, *states))])
+    rows, names, more = choose_rows(_places_beside(source, wide))
 
-    rest = [d for d in source.axes if d not in wide]
-    places = itertools.product(*(grid[d].values for d in rest))
-    every = [dict(zip(rest, place, strict=True)) for place in places]
-    rows, names, more = choose_rows(every)
-
-    parts, present = {}, []
+    parts = {}
     for gait in source.gaits:
         of_gait = table[table["gait"] == gait]
-        parts[gait] = [rows_at(of_gait, at) for at in rows]
-        if any(np.isfinite(part[variable]).any() for part in parts[gait]):
-            present.append(gait)
-    if not present:
+        of_rows = [rows_at(of_gait, at) for at in rows]
+        if any(np.isfinite(part[variable]).any() for part in of_rows):
+            parts[gait] = of_rows
+    if not parts:
         return None
-    gaits, omitted = present[:2], present[2:]
-    down, along = wide
+    drawn, omitted = [*parts][:2], [*parts][2:]
     return _Maps(
-        variable, down, along, columns, states, rows, names, more, gaits, omitted, parts
+        variable, *wide, columns, states, rows, names, more, drawn, omitted, parts
     )
+
+
+def _sorted(source: Source, wide: list[str], names: list[str]) -> pd.DataFrame:
+    """A table of variables, along two axes, which may fall, in rising order."""
+    return source.grid.sortby(wide)[names].to_dataframe().reset_index()
+
+
+def _states(source: Source) -> list[str]:
+    """Variables of the state from which a cell's gait walks, if they are all there."""
+    if source.steps > 1:
+        return []
+    states = [name for name in START[1:] if name in source.grid]
+    return states if set(START[1:4]) <= set(states) else []
+
+
+def _places_beside(source: Source, wide: list[str]) -> list[dict[str, Any]]:
+    """All places on the axes that are not those of a map."""
+    rest = [d for d in source.axes if d not in wide]
+    places = itertools.product(*(source.grid[d].values for d in rest))
+    return [dict(zip(rest, place, strict=True)) for place in places]
 
 
 def _draw_cell_map(
@@ -165,19 +177,18 @@ def _draw_cell_map(
     axes, gait = sketch.grid[row][column], maps.gaits[column]
     at, part = maps.rows[row], maps.parts[gait][row]
     grids = maps.grids(part)
-    _set_scales(axes, grids[maps.variable])
-    picture = draw_map(axes, grids[maps.variable], shown)
+    values = grids[maps.variable]
+    _set_scales(axes, values)
+    picture = draw_map(axes, values, shown)
     _draw_stability_border(axes, grids.get("spectral_radius"))
     title = ", ".join(filter(None, (f"{gait} step", maps.names[row])))
     axes.set_title(shorten(title, 60 // len(maps.gaits)), pad=5)
 
-    wide = [maps.down, maps.along]
+    named = (maps.down, maps.along, *maps.columns)
     fixed = {d: value for d, value in at.items() if source.grid.sizes[d] > 1}
-    data = part[[*wide, *maps.columns]].assign(gait=gait, **fixed)
-    sketch.pieces.append(data)
-    named = (*wide, *maps.columns)
+    sketch.pieces.append(part[[*named]].assign(gait=gait, **fixed))
     held = cells(source, at, grids, named, sketch.grid.size, f"{gait} step")
-    sketch.maps.append(Panel(axes, grids[maps.variable], held))
+    sketch.maps.append(Panel(axes, values, held))
     return picture
 
 

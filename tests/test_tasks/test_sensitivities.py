@@ -1,0 +1,156 @@
+"""Derivatives of gaits by slope and keys."""
+
+import numpy as np
+import pytest
+
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import KEYS
+
+LINK = {
+    "l": 0.9,
+    "c": 0.4,
+    "r": 0.2,
+    "m": 5.0,
+    "w": 0.01,
+    "R": 0.1,
+    "m_h": 5.0,
+    "g": 9.81,
+    "knees": False,
+    "units": "SI",
+}
+#: Kinds of the keys of a leg of one link.
+KINDS = {
+    **KEYS,
+    "l": "length",
+    "c": "length",
+    "r": "length",
+    "w": "length",
+    "m": "mass",
+}
+#: Powers of length, mass and gravity in some measures.
+POWERS = {
+    "stance_angle": (0, 0, 0),
+    "stance_rate": (-0.5, 0, 0.5),
+    "period": (0.5, 0, -0.5),
+    "speed": (0.5, 0, 0.5),
+    "power": (0.5, 1, 1.5),
+    "loss_normal": (1, 1, 1),
+    "spectral_radius": (0, 0, 0),
+    "foot_clearance": (1, 0, 0),
+    "least_normal_impulse": (0.5, 1, 0.5),
+}
+
+
+@pytest.mark.parametrize(("walker", "slope"), [("C", 0.02), ("B", 0.01), (LINK, 0.02)])
+def test_measures_are_homogeneous_in_lengths_masses_and_gravity(walker, slope):
+    """Euler's theorem: sum of p dM/dp over all keys of a dimension = power M."""
+    names = list(POWERS)
+    found = gaitsweep.sensitivities(walker, slope, variables=names)
+    values = gaitsweep.gaits(walker, slope, variables=names)
+    table = walker if isinstance(walker, dict) else resolve(walker).table()
+
+    for place, kind in enumerate(("length", "mass", "acceleration")):
+        keys = [key for key in found.key.values if KINDS.get(key) == kind]
+        own = np.array([table[key] for key in keys])
+        if "l" in keys:
+            # `R` is changed at a fixed length from the hip to the ground.
+            own[keys.index("l")] += table["R"]
+        for name, powers in POWERS.items():
+            terms = own * found[name].sel(key=keys).values[:2]
+            of_gaits = values[name].values[:2]
+
+            off = terms.sum(axis=1) - powers[place] * of_gaits
+
+            size = np.abs(terms).sum(axis=1) + np.abs(of_gaits)
+            assert np.abs(off).max() < 1e-8 * size.max(), (kind, name)
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope", "key", "value"),
+    [
+        ("C", 0.02, "slope", 0.02),
+        ("C", 0.02, "w_t", None),
+        ("physical", 0.03, "c_s", None),
+        ("B", 0.01, "eps_T", None),
+        ("A", 0.01, "detuning", 0.25),
+        ("E", 0.01, "foot_mass_ratio", 0.05),
+        ("E", 0.01, "m_h", 0.0),
+    ],
+)
+def test_derivatives_are_those_of_gaits_that_are_solved_beside(
+    walker, slope, key, value
+):
+    """Differences of single solves; beyond a least value, on one side."""
+    names = ["stance_angle", "period", "speed", "loss_normal"]
+    changes = {key: value} if value is not None and key != "slope" else {}
+    value = getattr(resolve(walker), key) if value is None else value
+    found = gaitsweep.sensitivities(
+        walker, slope, keys=[] if key == "slope" else [key], variables=names, **changes
+    )
+
+    by_difference, values = _differences(walker, slope, names, key, value)
+
+    for name in names:
+        exact = found[name].sel(key=key).values[:2]
+        gaits = np.isfinite(by_difference[name])
+        size = np.abs(exact[gaits]) + np.abs(values[name][gaits])
+        off = np.abs(by_difference[name] - exact)[gaits]
+        assert gaits.any() and off.max() < 1e-5 * size.max()
+
+
+def _differences(walker, slope, names, key, value):
+    """Derivatives of the first gaits by differences, and values beside; by the hip's
+    mass, which is 0, on one side.
+    """
+    step = 1e-4 * (abs(value) or 0.1)
+    places, weights = np.array([-1.0, 1.0]), np.array([-0.5, 0.5])
+    if key == "m_h":
+        places, weights = np.arange(3.0), np.array([-1.5, 2.0, -0.5])
+
+    varied = value + step * places
+    at = {"slope": varied} if key == "slope" else {"slope": slope, key: varied}
+    beside = gaitsweep.gaits(walker, variables=names, **at)
+    values = {name: beside[name].values[:, :2] for name in names}
+    derivatives = {name: weights @ values[name] / step for name in names}
+    return derivatives, {name: values[name][0] for name in names}
+
+
+def test_a_line_of_slopes_is_differentiated_at_once_and_gaits_that_are_none_are_nan():
+    slopes = np.array([0.005, 0.02])
+
+    found = gaitsweep.sensitivities("C", slopes, keys=["R"], variables=["period"])
+
+    alone = gaitsweep.sensitivities("C", 0.02, keys=["R"], variables=["period"])
+    assert found.period.dims == ("dim_0", "gait", "key")
+    assert np.allclose(found.period[1], alone.period, rtol=1e-9, equal_nan=True)
+    assert np.isnan(found.period.sel(gait="other1")).all()
+    assert found.period.attrs["units"] == "s"
+    assert found.key_units.values.tolist() == ["rad", "m"]
+
+
+def test_keys_that_change_the_unknowns_of_a_gait_are_told():
+    found = gaitsweep.sensitivities("D", 0.009, keys=["m_h", "R"], variables=["speed"])
+
+    assert np.isfinite(found.speed.sel(gait="long", key="m_h"))
+    assert np.isnan(found.speed.sel(key="R")).all()
+    reasons = dict(zip(found.key.values, found.key_reason.values, strict=True))
+    assert reasons["m_h"] == "" and reasons["R"].startswith("`R` is special")
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"keys": ["m_q"]}, "`keys` must be of l_t, "),
+        ({"variables": ["violations"]}, "`variables` must be a measure of its gaits"),
+        ({"slope": [[0.01]]}, "`slope` must have one dimension at most"),
+        ({"slope": 2.0}, "`slope` must lie in [1e-18, 0.5) rad"),
+        ({"m_q": 1.0}, "`m_q` is not a walker key"),
+    ],
+)
+def test_wrong_questions_are_refused_in_a_line(asked, said):
+    with pytest.raises(StudyError) as refused:
+        gaitsweep.sensitivities("C", **{"slope": 0.01, **asked})
+
+    assert str(refused.value).startswith(said)
