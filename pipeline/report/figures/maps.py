@@ -125,27 +125,37 @@ def _maps(source: Source) -> _Maps | None:
     """What there is to map; None if there is no plane of a quantity."""
     grid = source.grid
     wide = [d for d in source.axes if d != "walker" and grid.sizes[d] > 1][:2]
-    variable = next((name for name in _SHOWN if name in grid), None)
-    if len(wide) < 2 or variable is None:
+    quantities = [name for name in _SHOWN if name in grid]
+    if len(wide) < 2 or not quantities:
         return None
 
+    variable = quantities[0]
     columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in grid]
     states = _states(source)
     table = _sorted(source, wide, [*dict.fromkeys((*columns, *states))])
     rows, names, more = choose_rows(_places_beside(source, wide))
 
+    parts = _parts(source, table, variable, rows)
+    if not parts:
+        return None
+    down, along = wide
+    drawn, omitted = [*parts][:2], [*parts][2:]
+    return _Maps(
+        variable, down, along, columns, states, rows, names, more, drawn, omitted, parts
+    )
+
+
+def _parts(
+    source: Source, table: pd.DataFrame, variable: str, rows: list[dict[str, Any]]
+) -> dict[str, list[pd.DataFrame]]:
+    """Of each gait that there is, its part of a table at each place."""
     parts = {}
     for gait in source.gaits:
         of_gait = table[table["gait"] == gait]
         of_rows = [rows_at(of_gait, at) for at in rows]
         if any(np.isfinite(part[variable]).any() for part in of_rows):
             parts[gait] = of_rows
-    if not parts:
-        return None
-    drawn, omitted = [*parts][:2], [*parts][2:]
-    return _Maps(
-        variable, *wide, columns, states, rows, names, more, drawn, omitted, parts
-    )
+    return parts
 
 
 def _sorted(source: Source, wide: list[str], names: list[str]) -> pd.DataFrame:
