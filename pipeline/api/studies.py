@@ -16,6 +16,7 @@ from gaitsweep.pipeline.api.reports import archive_path
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
 from gaitsweep.pipeline.archive.unfold import dataset
+from gaitsweep.pipeline.companions import default_archive
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.places import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
@@ -190,7 +191,7 @@ def run(
     ):
         raise Location("", "archive").wrong("must be a name that ends in .nc", archive)
     study = _study(wanted, accuracy)
-    path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
+    path = Path(archive) if archive else default_archive(study.name)
     runner.run(
         [(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet)
     )

@@ -9,12 +9,11 @@ from typing import Any
 
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.companions import ARCHIVES
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.study import toml
 from gaitsweep.tasks.contract.registry import CLAIMS, TASKS
-
-_FOLDER = Path("data", "archive")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +51,9 @@ def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
     computed.
     """
     archives = {
-        name: path for path in sorted(_FOLDER.glob("*.nc")) for name in _claims_of(path)
+        name: path
+        for path in sorted(ARCHIVES.glob("*.nc"))
+        for name in _claims_of(path)
     }
     tables: dict[Path, dict[str, dict[str, Any]]] = {}
     for name in ids:

@@ -17,6 +17,7 @@ import numpy as np
 
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
+from gaitsweep.pipeline.errors import WalkerFileError
 from gaitsweep.pipeline.study import options, overlay, slopes
 from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.files import changed, other, read_toml, walker
@@ -97,10 +98,7 @@ def parse(
         If anything in it is invalid.
     """
     top = Location(path.name)
-    if list(table) == ["walker"]:
-        raise top.error(
-            "This file holds a walker and no study; `gaitsweep solve --walker FILE.toml` solves its gaits"
-        )
+    _check_is_study(table, top)
     _table(table, KEYS, top)
     name = table.get("name")
     if name is None:
@@ -170,6 +168,12 @@ def parse(
         _check_of_one_step(study, top)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured) if measured else study
+
+
+def _check_is_study(table: Mapping[str, Any], top: Location) -> None:
+    if list(table) == ["walker"]:
+        sentence = "This file holds a walker and no study; `gaitsweep solve --walker FILE.toml` solves its gaits"
+        raise WalkerFileError(str(top.error(sentence)))
 
 
 def _check_of_one_step(study: Study, top: Location) -> None:

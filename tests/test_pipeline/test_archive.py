@@ -42,6 +42,7 @@ from gaitsweep.pipeline.archive.provenance import commit, stored
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.archive.written import write_strings
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan
@@ -314,7 +315,8 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
             (file[place] if place else file).delncattr(name)
 
     study = parse.read(tmp_path / "s.toml")
-    with contextlib.closing(Journal(tmp_path / "s.journal", write=False)) as journal:
+    stored = Companions(path).journal
+    with contextlib.closing(Journal(stored, write=False)) as journal:
         for attribute in (
             ("", "title"),
             ("status", "units"),
@@ -339,7 +341,7 @@ def never_packed(folder, name):
     (folder / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     command = ["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1"]
     assert commands.main([*command, "--quiet"]) == 0
-    with contextlib.closing(Journal(folder / "s.journal")) as journal:
+    with contextlib.closing(Journal(Companions(folder / "s.nc").journal)) as journal:
         graph = Graph(parse.read(folder / "s.toml"))
         key = graph.chunk_node(graph.grid.chunk(0)).key
         head, payload = journal.get(key)
@@ -357,7 +359,7 @@ def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
     command, archive = never_packed(tmp_path, name), tmp_path / "s.nc"
     before = archive.read_bytes()
     with (
-        contextlib.closing(Journal(tmp_path / "s.journal")) as journal,
+        contextlib.closing(Journal(Companions(archive).journal)) as journal,
         pytest.raises(CorruptStoreError),
     ):
         write.write(Plan(parse.read(tmp_path / "s.toml"), journal), archive)
@@ -366,7 +368,7 @@ def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
     said = capsys.readouterr().err.splitlines()
     assert (
         said[-1]
-        == f"gaitsweep: {tmp_path}/s.journal cannot be repaired; run again with --fresh."
+        == f"gaitsweep: {Companions(archive).journal} cannot be repaired; run again with --fresh."
     )
     assert (
         commands.main([*command, "--fresh", "--quiet"]) == 0
