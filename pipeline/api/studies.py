@@ -24,11 +24,12 @@ from gaitsweep.pipeline.study import (
     broadcast,
     files,
     model,
-    options,
     parse,
     single_point,
     toml,
+    want,
 )
+from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.contract.registry import MAX_STEPS
 
@@ -294,14 +295,15 @@ def gaits(
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
         raise Location("", "variables").wrong("must be a list of names", names)
-    wanted = parse.variables(
+    wanted = want.variables(
         None if names is None else list(names), Location("", "variables"), bound
     )
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error(
             "Proofs are of gaits of one step: `proofs` needs `steps` = 1"
         )
-    limits = options.violation_limits(violation_limits or {}, Location(""))
+    place = Location("", "violation_limits")
+    limits = VIOLATION_LIMITS.read(violation_limits or {}, place)
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
     found = in_memory.gaits(
         walker, wanted, {"slope": slope, **keys}, steps, bound, limits
