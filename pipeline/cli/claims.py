@@ -12,7 +12,6 @@ from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.companions import ARCHIVES
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
-from gaitsweep.pipeline.study import toml
 from gaitsweep.tasks.contract.registry import CLAIMS, TASKS
 
 
@@ -83,9 +82,7 @@ def _claims_of(path: Path) -> list[str]:
             TASKS[name].version == version for name, version in versions.items()
         ):
             return [
-                name
-                for name in toml.read(record["study"])["want"]["claims"]
-                if name in CLAIMS
+                name for name in record["table"]["want"]["claims"] if name in CLAIMS
             ]
     return []
 

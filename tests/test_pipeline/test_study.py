@@ -227,6 +227,18 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
     assert str(error.value) == said
 
 
+def test_adaptive_slopes_are_those_of_branches(write):
+    adaptive = "slope = { from = 0.01, to = 0.1, adaptive = 1e-3 }"
+    text = f'name = "s"\nkind = "orbit"\nwalker = "E"\n[axes]\n{adaptive}\n'
+    parse.read(write(text.replace("orbit", "branch")))
+    with pytest.raises(StudyError) as error:
+        parse.read(write(text))
+    assert str(error.value) == (
+        '`adaptive` is for studies of kind "branch", whose points follow the gaits'
+        " (s.toml, axes.slope.adaptive)."
+    )
+
+
 def test_a_window_has_two_ends(write):
     text = 'name = "s"\nkind = "cascade"\nwalker = "E"\n[axes]\nslope = [0.01]\n'
     with pytest.raises(StudyError) as error:
