@@ -4,11 +4,13 @@ string.
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import importlib.metadata
 import json
 import math
+import os
 import platform
 import re
 import shutil
@@ -29,6 +31,7 @@ _BEGINNING, _MAX_HEADER = (
     '{"commit": ',
     1 << 22,
 )  # of the provenance in an archive, and where it is [byte]
+_FATAL = 128  # with which git ends where there is no working tree, for example
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
 #: Those of them on which numbers depend.
@@ -209,12 +212,17 @@ def commit(root: Path = _ROOT) -> str:
     Raises
     ------
     OSError
-        If git cannot be started.
+        If git cannot be started, or has no memory: not for that may archives differ.
     """
     git = root / ".git"
     if not git.exists() or shutil.which("git") is None:
         return ""
     # The tree is named, as an installed package may lie within another one.
     asked = ["git", f"--git-dir={git}", "rev-parse", "--verify", "--quiet", "HEAD"]
-    answer = subprocess.run(asked, capture_output=True, text=True)
+    answer = subprocess.run(
+        asked, capture_output=True, text=True, env={**os.environ, "LC_ALL": "C"}
+    )
+    is_answer = answer.returncode in (0, 1, _FATAL)
+    if not is_answer or "memory" in answer.stderr:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), "git")
     return answer.stdout.strip()

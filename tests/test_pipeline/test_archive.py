@@ -221,6 +221,27 @@ def test_the_commit_is_that_of_the_working_tree(tmp_path, monkeypatch):
     commit.cache_clear()
 
 
+@pytest.mark.parametrize(
+    ("said", "code"), [("not a git repository", 128), ("Out of memory", 128), ("", 127)]
+)
+def test_an_archive_does_not_lack_its_commit_for_want_of_memory(
+    tmp_path, monkeypatch, said, code
+):
+    (tmp_path / ".git").mkdir()
+    program = tmp_path / "git"
+    program.write_text(f"#!/bin/sh\necho 'fatal: {said}' >&2\nexit {code}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+    commit.cache_clear()
+    if said == "not a git repository":
+        assert commit(tmp_path) == ""
+    else:
+        with pytest.raises(OSError, match="memory"):
+            commit(tmp_path)
+    commit.cache_clear()
+
+
 def test_an_archive_of_lines_says_how_each_ended(tmp_path):
     toy = Toy(tmp_path)
     toy.write(
