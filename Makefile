@@ -62,6 +62,7 @@ lint: $(COMPLETE)
 # The site, always anew, so that it shows what the code does now; a warning is an error. Pictures of pages are taken
 # where what they show has changed.
 docs: $(WRITING) $(COMPLETE)
+	$(BIN)/python docs/tables.py
 	$(BIN)/python docs/pictures.py
 	rm -rf build/docs build/doctrees
 	$(BIN)/python -m sphinx -q -j 2 -W --keep-going -c docs -d build/doctrees . build/docs

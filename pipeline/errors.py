@@ -49,6 +49,10 @@ class StudyError(GaitsweepError):
     """An invalid study, walker file or option."""
 
 
+class WalkerFileError(StudyError):
+    """A file of a walker where one of a study is wanted."""
+
+
 class NoGaitError(GaitsweepError):
     """There is no gait to begin with."""
 

@@ -1,6 +1,4 @@
-"""Files beside an archive: journal, lock, records; drafts of files, and how these are
-replaced.
-"""
+"""Files that are this program's own, drafts of files, and how these are replaced."""
 
 import contextlib
 import os
@@ -11,14 +9,6 @@ from pathlib import Path
 
 from gaitsweep.pipeline.errors import ArchiveError
 
-#: Files that a run writes beside an archive, and how the content of each begins; a
-#: journal is looked at page by page.
-_BEGINNINGS = {
-    ".journal-lock": rb'{"pid": \d+, "host": "',
-    ".events.jsonl": rb'{"time": \d+[.\d]*, "event": "',
-    ".run.json": rb'{\s*"study": "[^\n]*",\s*"archive": "',
-    ".journal": b"",
-}
 _HEAD = 1024  # read of a file to recognise it [byte]
 #: What is no regular file, by the letter with which `ls -l` shows it.
 _KINDS = {
@@ -29,24 +19,6 @@ _KINDS = {
     "c": "a device",
     "b": "a device",
 }
-
-
-def sidecar_path(path: Path, suffix: str) -> Path:
-    """Path of the journal, event log, lock or record of an archive."""
-    return path.with_name(path.name.removesuffix(".nc") + suffix)
-
-
-def check_sidecars(path: Path) -> None:
-    """Check that the files of a run beside an archive are this program's, those that
-    are there.
-
-    Raises
-    ------
-    ArchiveError
-        If there is another file in the place of one.
-    """
-    for suffix, beginning in _BEGINNINGS.items():
-        check_own(sidecar_path(path, suffix), beginning)
 
 
 def check_own(path: Path, beginning: bytes) -> None:

@@ -15,17 +15,24 @@ import time
 from pathlib import Path
 from unittest.mock import MagicMock
 
+from gaitsweep.pipeline.companions import Companions
+
 ROOT = Path(__file__).parents[1]
 
 
-def sidecar_path(toy, what=".journal"):
-    """A file of a toy's run."""
-    return toy.folder / "data" / "archive" / f"toy{what}"
+def companions(toy):
+    """The companions of a toy's archive."""
+    return Companions(toy.folder / "data" / "archive" / "toy.nc")
+
+
+def drafts(folder):
+    """Names of the hidden files in a folder of archives, companions apart."""
+    return {file.name for file in folder.rglob(".*")} - {".gaitsweep"}
 
 
 def wait_for_points(toy, n=1, seconds=60):
     """Wait until the event log tells of so many chunks."""
-    log, end = sidecar_path(toy, ".events.jsonl"), time.monotonic() + seconds
+    log, end = companions(toy).events, time.monotonic() + seconds
     while time.monotonic() < end:
         if log.exists() and log.read_text().count('"chunk"') >= n:
             return

@@ -6,6 +6,7 @@ import json
 import math
 import pkgutil
 import re
+import runpy
 import subprocess
 import sys
 import textwrap
@@ -86,6 +87,12 @@ def test_the_paper_is_cited_alike_everywhere():
             "10.1080/713603737",
         )
     )
+
+
+def test_the_tables_of_studies_are_those_of_their_fields():
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    filled = runpy.run_path(str(ROOT / "docs" / "tables.py"))["filled"]
+    assert filled(page) == page
 
 
 def test_every_command_and_option_exists():
@@ -221,11 +228,10 @@ def test_every_option_of_every_kind_is_in_the_docs_and_the_help():
     )  # those are described once, before the kinds
     assert of_all == {"tuned"} and "`tuned = [" in studies.partition("## Kinds")[0]
     for kind, known in OPTIONS.items():
-        (line,) = (
-            part for part in studies.split("- **")[1:] if part.startswith(f"{kind}**")
-        )
+        table = studies.partition(f"<!-- options of {kind} -->\n")[2]
+        rows = table.partition("\n\n")[0]
         for name, option in known.items():
-            assert name in of_all or f"`{name}`" in line, (kind, name)
+            assert name in of_all or f"| `{name}` | " in rows, (kind, name)
             assert option.meaning in text, (kind, name)
 
 

@@ -16,6 +16,7 @@ from gaitsweep.pipeline.api.reports import archive_path
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
 from gaitsweep.pipeline.archive.unfold import dataset
+from gaitsweep.pipeline.companions import default_archive
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.places import MAX_JOBS
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
@@ -23,11 +24,12 @@ from gaitsweep.pipeline.study import (
     broadcast,
     files,
     model,
-    options,
     parse,
     single_point,
     toml,
+    want,
 )
+from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.tasks.contract.registry import MAX_STEPS
 
@@ -190,7 +192,7 @@ def run(
     ):
         raise Location("", "archive").wrong("must be a name that ends in .nc", archive)
     study = _study(wanted, accuracy)
-    path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
+    path = Path(archive) if archive else default_archive(study.name)
     runner.run(
         [(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet)
     )
@@ -293,14 +295,15 @@ def gaits(
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
         raise Location("", "variables").wrong("must be a list of names", names)
-    wanted = parse.variables(
+    wanted = want.variables(
         None if names is None else list(names), Location("", "variables"), bound
     )
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error(
             "Proofs are of gaits of one step: `proofs` needs `steps` = 1"
         )
-    limits = options.violation_limits(violation_limits or {}, Location(""))
+    place = Location("", "violation_limits")
+    limits = VIOLATION_LIMITS.read(violation_limits or {}, place)
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
     found = in_memory.gaits(
         walker, wanted, {"slope": slope, **keys}, steps, bound, limits

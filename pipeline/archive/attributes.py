@@ -9,8 +9,8 @@ import numpy as np
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study import units
+from gaitsweep.pipeline.study.fields import EXTRA_AXES
 from gaitsweep.pipeline.study.model import Study
-from gaitsweep.pipeline.study.parse import EXTRA_AXES
 from gaitsweep.pipeline.study.ways import ends
 from gaitsweep.tasks.contract.registry import PROVED, VIOLATIONS, Variable
 

@@ -4,13 +4,17 @@ string.
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import importlib.metadata
 import json
 import math
+import os
 import platform
 import re
+import shutil
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +31,7 @@ _BEGINNING, _MAX_HEADER = (
     '{"commit": ',
     1 << 22,
 )  # of the provenance in an archive, and where it is [byte]
+_FATAL = 128  # with which git ends where there is no working tree, for example
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
 #: Those of them on which numbers depend.
@@ -84,7 +89,7 @@ def provenance(plan: Plan) -> str:
 
 def stored(path: Path) -> dict[str, Any]:
     """Provenance of an archive, found in its first bytes without the netCDF library,
-    which a damaged file can crash.
+    which a damaged file can crash, and in `table` the study's text as it is read.
 
     Empty if there is no archive, or its study or walkers cannot be read.
     """
@@ -94,8 +99,8 @@ def stored(path: Path) -> dict[str, Any]:
         record: dict[str, Any] = json.JSONDecoder().raw_decode(
             text, text.index(_BEGINNING)
         )[0]
-        toml.read(record["study"])
-        return {**record, "walkers": [dict(walker) for walker in record["walkers"]]}
+        walkers = [dict(walker) for walker in record["walkers"]]
+        return {**record, "walkers": walkers, "table": toml.read(record["study"])}
     except (
         OSError,
         AttributeError,
@@ -121,8 +126,8 @@ def check_same_study(path: Path, study: Study) -> None:
     record = stored(path)
     if not record:
         return
-    other, walkers = toml.read(record["study"]), record["walkers"]
-    kind, own = other.get("kind", "grid"), [check["table"] for check in study.checks]
+    kind, walkers = record["table"].get("kind", "grid"), record["walkers"]
+    own = [check["table"] for check in study.checks]
     if kind != study.kind:
         difference = f"its kind is {kind}, not {study.kind}"
     elif walkers and own and not any(_is_same(a, b) for a in walkers for b in own):
@@ -200,21 +205,24 @@ def cpu_features() -> list[str]:
     return [platform.machine(), *(f for f in _FEATURES if f in flags)]
 
 
+@functools.cache
 def commit(root: Path = _ROOT) -> str:
-    """Commit of the working tree of this package; empty if there is none."""
+    """Commit of the working tree of this package; empty if there is none, or no git.
+
+    Raises
+    ------
+    OSError
+        If git cannot be started, or has no memory: not for that may archives differ.
+    """
     git = root / ".git"
-    try:
-        if git.is_file():  # of a linked working tree
-            git = root / git.read_text().removeprefix("gitdir: ").strip()
-        head = (git / "HEAD").read_text().strip()
-        if not head.startswith("ref: "):
-            return head
-        shared = git / "commondir"
-        git = git / shared.read_text().strip() if shared.is_file() else git
-        ref = git / head[5:]
-        if ref.is_file():
-            return ref.read_text().strip()
-        packed = (git / "packed-refs").read_text().splitlines()
-        return next((line.split()[0] for line in packed if line.endswith(head[5:])), "")
-    except OSError:
+    if not git.exists() or shutil.which("git") is None:
         return ""
+    # The tree is named, as an installed package may lie within another one.
+    asked = ["git", f"--git-dir={git}", "rev-parse", "--verify", "--quiet", "HEAD"]
+    answer = subprocess.run(
+        asked, capture_output=True, text=True, env={**os.environ, "LC_ALL": "C"}
+    )
+    is_answer = answer.returncode in (0, 1, _FATAL)
+    if not is_answer or "memory" in answer.stderr:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), "git")
+    return answer.stdout.strip()

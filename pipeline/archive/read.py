@@ -10,13 +10,14 @@ import signal
 import subprocess
 import sys
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from gaitsweep.pipeline.archive import layout
+from gaitsweep.pipeline.companions import default_archive
 from gaitsweep.pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
 from gaitsweep.pipeline.grid import boxes as grid
 from gaitsweep.pipeline.paths import kind_of
@@ -86,9 +87,13 @@ def size_of(path: Path) -> int:
         status = path.stat()
         if kind := kind_of(status.st_mode):  # opening it might wait for another program
             raise ArchiveError(f"{path} is {kind}, not an archive.")
+        if path.suffix == ".toml":
+            raise ArchiveError(
+                f"{path} is a study or a walker; an archive NAME.nc is wanted."
+            )
         open(path, "rb").close()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        near = Path("data", "archive", f"{Path(path).name}.nc")
+        near = default_archive(path.name)
         hint = f"; did you mean {near}?" if near.is_file() else "."
         raise ArchiveError(f"There is no archive {path}{hint}") from None
     except OSError as error:
@@ -375,10 +380,29 @@ def not_attempted(path: Path) -> int | None:
     """
     try:
         probe([path])
+    except (ArchiveError, WorkerError):
+        return None
+    return _not_attempted(path)
+
+
+def _not_attempted(path: Path) -> int | None:
+    """The same of an archive that was read before."""
+    try:
         with open_archive(path) as file:
             return int(file.not_attempted)
     except (ArchiveError, WorkerError, ValueError, TypeError, AttributeError):
         return None
+
+
+def complete(paths: Sequence[Path]) -> list[Path]:
+    """Those of some archives that can be read and have no point that was not attempted."""
+    if not paths:
+        return []
+    try:
+        _probe(list(paths))
+    except (ArchiveError, WorkerError):
+        return [path for path in paths if not_attempted(path) == 0]
+    return [path for path in paths if _not_attempted(path) == 0]
 
 
 def _limit_time(seconds: int) -> None:

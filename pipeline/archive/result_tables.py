@@ -14,7 +14,7 @@ from gaitsweep.pipeline.archive.attributes import of_axis, over_steps
 from gaitsweep.pipeline.archive.written import write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.study import units
-from gaitsweep.pipeline.study.parse import EXTRA_AXES
+from gaitsweep.pipeline.study.fields import EXTRA_AXES
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.columns import table_columns
 

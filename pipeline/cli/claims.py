@@ -9,12 +9,10 @@ from typing import Any
 
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.archive import provenance, read
+from gaitsweep.pipeline.companions import ARCHIVES
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
-from gaitsweep.pipeline.study import toml
 from gaitsweep.tasks.contract.registry import CLAIMS, TASKS
-
-_FOLDER = Path("data", "archive")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +50,9 @@ def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
     computed.
     """
     archives = {
-        name: path for path in sorted(_FOLDER.glob("*.nc")) for name in _claims_of(path)
+        name: path
+        for path in sorted(ARCHIVES.glob("*.nc"))
+        for name in _claims_of(path)
     }
     tables: dict[Path, dict[str, dict[str, Any]]] = {}
     for name in ids:
@@ -82,9 +82,7 @@ def _claims_of(path: Path) -> list[str]:
             TASKS[name].version == version for name, version in versions.items()
         ):
             return [
-                name
-                for name in toml.read(record["study"])["want"]["claims"]
-                if name in CLAIMS
+                name for name in record["table"]["want"]["claims"] if name in CLAIMS
             ]
     return []
 

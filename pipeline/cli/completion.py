@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
-from gaitsweep.pipeline.study.parse import EXTRA_AXES
+from gaitsweep.pipeline.study.fields import EXTRA_AXES
 
 #: zsh runs the bash functions.
 _ZSH = """# zsh completion for gaitsweep; in ~/.zshrc, after compinit: eval "$(gaitsweep completion zsh)"

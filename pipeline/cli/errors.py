@@ -2,7 +2,7 @@
 
 import contextlib
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from gaitsweep.pipeline import terminal
@@ -15,10 +15,37 @@ from gaitsweep.pipeline.errors import (
     unwritten,
 )
 
+#: Exit codes, gravest first.
+_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+
+
+def gravest(codes: Iterable[int]) -> int:
+    """The exit code of a command that did several things; 0 if it did none."""
+    return min(codes, key=_BY_SEVERITY.index, default=0)
+
+
+def say(error: Exception, debug: bool) -> int:
+    """Print an error on one line, with `debug` below its traceback; returns its exit
+    code.
+    """
+    if debug:
+        traceback.print_exception(error)
+
+    known = error if isinstance(error, GaitsweepError) else None
+    if is_disk_full(error):  # of standard output
+        terminal.silence(1)
+        known = DiskFullError("The disk is full; not everything could be printed.")
+    elif limit := reached_limit(error):
+        known = unwritten(Path(), limit)
+
+    internal = f"Internal error, {described(error)}; --debug shows where."
+    terminal.say(f"gaitsweep: {known or internal}")
+    return known.exit_code if known else 2
+
 
 @contextlib.contextmanager
 def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
-    """Print an error on one line and append its exit code to `codes`."""
+    """Print the error with which a command ends, and append its exit code to `codes`."""
     try:
         yield
     except BrokenPipeError:
@@ -28,14 +55,4 @@ def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
         terminal.say("gaitsweep: Stopped.")
         codes.append(130)
     except Exception as error:
-        if debug:
-            traceback.print_exc()
-        known = error if isinstance(error, GaitsweepError) else None
-        if is_disk_full(error):  # of standard output
-            terminal.silence(1)
-            known = DiskFullError("The disk is full; not everything could be printed.")
-        elif limit := reached_limit(error):
-            known = unwritten(Path(), limit)
-        internal = f"Internal error, {described(error)}; --debug shows where."
-        terminal.say(f"gaitsweep: {known or internal}")
-        codes.append(known.exit_code if known else 2)
+        codes.append(say(error, debug))

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.cli import kinds, studies
+from gaitsweep.pipeline.cli.errors import gravest, say
+from gaitsweep.pipeline.companions import Companions
+from gaitsweep.pipeline.errors import GaitsweepError
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
@@ -18,16 +20,24 @@ from gaitsweep.tasks.contract.registry import FITS, TASKS, VARIABLES
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the plan of every study."""
+    """Print the plan of every study; returns the gravest exit code."""
+    targets, invalid = studies.targets(options)
+    codes = [*invalid.values()]
     records, described = [], list[str]()
-    for study, path in studies.archives(options):
-        store = Journal(paths.sidecar_path(path, ".journal"), write=False)
-        planned = Plan(study, store, options.retry_failed)
-        counts = summary(planned)
+    for study, path in targets:
+        try:
+            store = Journal(Companions(path).journal, write=False)
+            planned = Plan(study, store, options.retry_failed)
+            counts = summary(planned)
+        except GaitsweepError as error:
+            codes.append(say(error, options.debug))
+            continue
         records.append(_record(planned, counts, path))
         described += lines(planned, counts, path)
-    kinds.show(options, records, described)
-    return 0
+
+    if records:
+        kinds.show(options, records, described)
+    return gravest(codes)
 
 
 def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.archive import read
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.statuses import FOUND
-from gaitsweep.pipeline.study import parse, slopes
+from gaitsweep.pipeline.study import slopes, want
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led
 from gaitsweep.tasks.contract.registry import GAITS
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
             raise StudyError(
                 f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}."
             )
-    parse.need_proofs(Location("", "proofs"))
+    want.need_proofs(Location("", "proofs"))
     if not _LEAST <= options.accuracy <= _MOST:
         raise Location("", "accuracy").wrong(
             f"must lie in [{_LEAST:g}, {_MOST:g}]", options.accuracy

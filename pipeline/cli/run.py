@@ -10,37 +10,30 @@ from pathlib import Path
 
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.cli import studies
-from gaitsweep.pipeline.cli.errors import report_errors
+from gaitsweep.pipeline.cli.errors import gravest, say
 from gaitsweep.pipeline.engine import runner
-
-#: Exit codes of several studies, gravest first: the gravest is that of all.
-_EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run studies; returns the gravest exit code."""
-    codes: list[int] = []
-    targets = studies.archives(options, codes)
+    targets, invalid = studies.targets(options)
     names = (field.name for field in dataclasses.fields(runner.Options))
     run_options = runner.Options(**{name: getattr(options, name) for name in names})
     start = time.monotonic()
 
-    def report(error: Exception) -> None:
-        with report_errors([], options.debug):
-            raise error
-
-    ends = runner.run(targets, run_options, report)
-    codes += [end.code for end in ends]
+    ends = runner.run(targets, run_options, lambda error: say(error, options.debug))
     if not options.quiet:
-        finished = {end.study.path: end for end in ends if end.code in (0, 1)}
-        others = [str(path) for path in options.studies if path not in finished]
-        for line in _after(list(finished.values()), others, time.monotonic() - start):
+        finished = [end for end in ends if end.code in (0, 1)]
+        stopped = {end.study.path for end in ends if end.code not in (0, 1)}
+        stopped |= invalid.keys()
+        unfinished = [path for path in options.studies if path in stopped]
+        for line in _after(finished, unfinished, time.monotonic() - start):
             terminal.say(line)
-    return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
+    return gravest([*(end.code for end in ends), *invalid.values()])
 
 
 def _after(
-    ends: list[runner.StudyRun], unfinished: list[str], seconds: float
+    ends: list[runner.StudyRun], unfinished: list[Path], seconds: float
 ) -> Iterator[str]:
     """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see
     the results.
@@ -56,7 +49,8 @@ def _after(
             else f"{len(archives)}"
         )
         parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
-        parts += [f"not run to the end: {', '.join(unfinished)}"] if unfinished else []
+        if unfinished:
+            parts.append(f"not run to the end: {', '.join(map(str, unfinished))}")
         yield f"{count} studies in {terminal.duration(seconds)}: {'; '.join(parts)}"
     if archives:
         folder = (

@@ -6,34 +6,38 @@ from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.cli import kinds, studies
+from gaitsweep.pipeline.cli.errors import gravest, say
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine.progress import last_state, sentence
-from gaitsweep.pipeline.paths import sidecar_path
+from gaitsweep.pipeline.errors import GaitsweepError
 from gaitsweep.pipeline.terminal import counted, duration
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the state of every run."""
-    logs = sorted(Path("data/archive").glob("*.events.jsonl"))
-    recorded = [
-        log.with_name(log.name.removesuffix(".events.jsonl") + ".nc") for log in logs
-    ]
-    every = [options.archive] if options.archive else recorded
-    archives = [path for _, path in studies.archives(options)] or every
-    states = {path: state_of(path) for path in archives}
-    record = [{"archive": str(path), **(state or {})} for path, state in states.items()]
-    lines = [line for path, state in states.items() for line in _lines(path, state)]
-    kinds.show(
-        options, record, lines or ["There is no record of a run in data/archive."]
-    )
-    return 0
+    """Print the state of every run; returns the gravest exit code."""
+    archives, codes = studies.archives(options.names, options.debug)
+    records, lines = [], list[str]()
+    for path in archives:
+        try:
+            state = state_of(path)
+        except GaitsweepError as error:
+            codes.append(say(error, options.debug))
+            continue
+        records.append({"archive": str(path), **(state or {})})
+        lines += _lines(path, state)
+
+    if records or not codes:
+        nothing = "There is no record of a run in data/archive."
+        kinds.show(options, records, lines or [nothing])
+    return gravest(codes)
 
 
 def state_of(path: Path) -> dict[str, Any] | None:
     """State of the run of an archive, with `running` and, if so, its `holder`; None
     without a record.
     """
-    last = last_state(sidecar_path(path, ".events.jsonl"))
+    last = last_state(Companions(path).events)
     if last is None:
         return None
     holder = locks.holder(path)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import ArchiveError, BusyError
-from gaitsweep.pipeline.paths import sidecar_path
 
 _TRIES, _PAUSE = 5, 0.05  # how often a lock is tried, and the time between [s]
 
@@ -28,7 +28,8 @@ def lock_archive(path: Path) -> Iterator[None]:
     BusyError
         If another run holds it.
     """
-    with open(sidecar_path(path, ".journal-lock"), "a+", encoding="utf-8") as file:
+    companions = Companions(path)
+    with open(companions.lock, "a+", encoding="utf-8") as file:
         try:
             for _ in range(_TRIES):  # `status` holds it for a moment
                 with contextlib.suppress(BlockingIOError):
@@ -48,11 +49,7 @@ def lock_archive(path: Path) -> Iterator[None]:
             raise ArchiveError(
                 f"{path} cannot be locked: its disk has no locks; choose another folder."
             ) from error
-        for file_path in (
-            path.resolve(),
-            sidecar_path(path, ".journal"),
-            sidecar_path(path, ".run.json"),
-        ):
+        for file_path in (path.resolve(), companions.journal, companions.record):
             paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()
@@ -72,7 +69,7 @@ def lock_archive(path: Path) -> Iterator[None]:
 
 def holder(path: Path) -> dict[str, Any] | None:
     """Who runs a study into an archive, as far as is known; None if nobody does."""
-    lock = sidecar_path(path, ".journal-lock")
+    lock = Companions(path).lock
     if not lock.is_file():  # another one might be waited for
         return None
     with contextlib.suppress(OSError), open(lock, encoding="utf-8") as file:

@@ -21,6 +21,7 @@ from gaitsweep.pipeline.archive.provenance import (
     cpu_features,
     version,
 )
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.display import Display
 from gaitsweep.pipeline.engine.engine import Engine
@@ -40,7 +41,6 @@ from gaitsweep.pipeline.errors import (
 )
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid.method import variables
-from gaitsweep.pipeline.paths import sidecar_path
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study.model import Study
@@ -71,7 +71,7 @@ class Options:
 def run(
     targets: Sequence[tuple[Study, Path]],
     options: Options,
-    report: Callable[[Exception], None] | None = None,
+    report: Callable[[Exception], object] | None = None,
 ) -> list["StudyRun"]:
     """Run studies into archives, all as one graph; one that fails does not end the
     others.
@@ -200,9 +200,10 @@ class StudyRun:
         study: Study,
         path: Path,
         options: Options,
-        report: Callable[[Exception], None],
+        report: Callable[[Exception], object],
     ):
         self.study, self.path, self.options, self.report = study, path, options, report
+        self.companions = Companions(path)
         self.is_open, self.is_over = False, False
         self.code, self.counts = 1, Counter[str]()
         self.progress: Progress | None = None
@@ -231,13 +232,14 @@ class StudyRun:
         _check_room(self.study, self.path)
         read.check_replaceable(self.path)
         write.check_path(self.path)
-        paths.check_sidecars(self.path)
+        self.companions.check()
+        self.companions.make_folder()
         self._resources.enter_context(lock_archive(self.path))
         if not self.options.fresh:
             check_same_study(self.path, self.study)
         self.is_open = True
         if self.options.fresh:
-            forget(sidecar_path(self.path, ".journal"))
+            forget(self.companions.journal)
 
     def begin(self, engine: Engine, signals: Signals) -> Work | None:
         """Open the study, compare it with its journal, and lay out what is missing.
@@ -248,12 +250,12 @@ class StudyRun:
         with self._guarded():
             if not self.is_open:
                 self._open()
-            self._store = Journal(sidecar_path(self.path, ".journal"))
+            self._store = Journal(self.companions.journal)
             plan = Plan(
                 self.study, self._store, self.options.retry_failed, signals.check
             )
             todo = summary(plan)
-            log = sidecar_path(self.path, ".events.jsonl")
+            log = self.companions.events
             self.progress = progress = Progress(
                 plan, todo, log, engine, self.options.quiet, self.options.verbose
             )
@@ -347,7 +349,7 @@ class StudyRun:
                 "exit_code": self.code,
                 "seconds": round(time.monotonic() - self._clock, 3),
             }
-            record = sidecar_path(self.path, ".run.json")
+            record = self.companions.record
             try:
                 _write_record(record, self._record)
             except OSError as failure:

@@ -76,8 +76,8 @@ def write(
     Parameters
     ----------
     archives : iterable of Path
-        Archives written by `gaitsweep run`; nothing else is read but the
-        `NAME.run.json` next to each.
+        Archives written by `gaitsweep run`; nothing else is read but the record of
+        the run of each, `.gaitsweep/NAME.run.json` beside it.
     out : Path
         Folder of the pages, created if missing. A page and its data files are named
         after the study; a study reported again replaces them.

@@ -19,7 +19,7 @@ import xarray as xr
 from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive import read as archives
 from gaitsweep.pipeline.archive.unfold import dataset, table
-from gaitsweep.pipeline.paths import sidecar_path
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.report.words import axis_values, print_units
 from gaitsweep.pipeline.study import toml
 from gaitsweep.pipeline.study.ways import ends
@@ -598,8 +598,8 @@ def _name(walker: Any, place: int) -> str:
 
 
 def _run(path: Path) -> dict[str, Any]:
-    """The record of the run, from the file next to the archive; empty if there is none."""
-    record = sidecar_path(path, ".run.json")
+    """The record of the run, from the companions of the archive; empty if there is none."""
+    record = Companions(path).record
     try:
         fields = json.loads(record.read_text()) if record.is_file() else {}
     except (OSError, ValueError, RecursionError):

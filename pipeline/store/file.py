@@ -142,16 +142,20 @@ def is_ours(path: Path) -> bool:
     return True
 
 
-def forget(path: Path) -> None:
-    """Remove a store; a file that is none is left alone.
+def forget(path: Path) -> int:
+    """Remove a store and return its size [byte]; a file that is none is left alone.
 
     Raises
     ------
     ArchiveError
         If there is another file in its place.
     """
-    if is_ours(path):
-        _remove(path)
+    if not is_ours(path):
+        return 0
+    files = [path.with_name(path.name + suffix) for suffix in ("", "-wal", "-shm")]
+    size = sum(file.stat().st_size for file in files if file.exists())
+    _remove(path)
+    return size
 
 
 def _remove(path: Path, *suffixes: str) -> None:

@@ -37,6 +37,8 @@ def read_text(path: Path, shown: str, most: int = 1) -> str:
                 if path.exists()
                 else f"There is no file {shown}."
             )
+        if path.suffix == ".nc":
+            raise StudyError(f"{shown} is an archive; a file NAME.toml is wanted.")
         if path.stat().st_size > most << 20:
             raise StudyError(f"{shown} is larger than {most} MiB.")
         return path.read_text(encoding="utf-8-sig")

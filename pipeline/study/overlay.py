@@ -5,7 +5,6 @@
 import csv
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
@@ -21,13 +20,13 @@ _SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "N*m": "N m
 _DEGREES = ("deg", "°", "degree", "degrees")
 
 
-def read(name: object, study: Study, location: Location) -> Columns:
+def read(name: str, study: Study, location: Location) -> Columns:
     """Read measurements from a CSV file.
 
     Parameters
     ----------
-    name : object
-        The study's entry: a file beside it. Its first row names each column and its
+    name : str
+        A file beside the study. Its first row names each column and its
         unit, as `slope [rad]`, `period [s]`, `period_error [s]`; `walker` and `gait`
         hold names. Degrees are converted to radians. Every axis with several values
         needs a column.
@@ -46,8 +45,6 @@ def read(name: object, study: Study, location: Location) -> Columns:
     StudyError
         If the file cannot be read, or a column, a unit or a cell is wrong.
     """
-    if not isinstance(name, str) or not name or Path(name).is_absolute():
-        raise location.wrong("must be a path relative to the study", name)
     shown = clip(name, 200)
     text = location.blamed(files.read_text, study.path.parent / name, shown, _MAX_MIB)
     try:

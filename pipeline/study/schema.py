@@ -8,27 +8,24 @@ and for corners of a grid beyond the first 256. Editors of TOML complete from
 referred to, and conditions only narrow what is stated before.
 """
 
+import dataclasses
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
 from typing import Any, Literal
 
 from gaitsweep import extensions
 from gaitsweep.pipeline import dispatch
-from gaitsweep.pipeline.study import options, parse
+from gaitsweep.pipeline.study import fields
+from gaitsweep.pipeline.study.fields import Field
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.contract.accuracy import ACCURACIES
+from gaitsweep.pipeline.study.values import Number, Schema, Slope, one_of, table
 from gaitsweep.tasks.contract.registry import (
     CLAIMS,
     FIGURES,
     FITS,
-    GAITS,
     NEEDED_KINDS,
-    OPTIONS,
     OVER_LINES,
-    VARIABLES,
 )
 
-Schema = dict[str, Any]
 #: What a study may want beside variables.
 _NAMES = {"fits": FITS, "figures": FIGURES, "claims": CLAIMS}
 
@@ -67,81 +64,53 @@ def schema(kind: Literal["study", "walker"] = "study") -> dict[str, object]:
 
 
 def _study() -> Schema:
-    keys = tuple(name for name in parse.axis_keys() if name != "slope")
-    known: dict[str, list[Schema]] = {}  # options of all kinds
-    for of_kind in OPTIONS.values():
-        for name, option in of_kind.items():
-            about: Schema = (
-                {} if option.default is None else {"default": option.default}
-            )
-            about |= {"description": option.meaning} | options.schema(
-                option.holds, keys
-            )
-            if about not in known.setdefault(name, []):
-                known[name].append(about)
-    groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = {
-        "variables": _list(
-            options.one_of([*VARIABLES, *extensions.names("measures"), *groups]), 1
-        )
-    }
-    wanted |= {
-        name: _list(options.one_of([*own, *extensions.names(name)]))
-        for name, own in _NAMES.items()
-    }
-    memory = {"type": "string", "pattern": f"^{parse.MEMORY}$"}
-    limits: dict[str, Schema] = {
-        "seconds": {
-            "type": "number",
-            "exclusiveMinimum": 0,
-            "maximum": parse.MAX_SECONDS,
-        },
-        "memory": {"anyOf": [_between("integer", *parse.MEMORIES), memory]},
-    }
-    file = {
-        "type": "string",
-        "minLength": 1,
-        "description": "CSV file of measurements, relative to the study",
-    }
     holds = {
-        "name": {"type": "string", "pattern": f"^{parse.NAME}$"},
-        "kind": {**options.one_of(OPTIONS), "default": "grid"},
-        "accuracy": _between("number", *ACCURACIES),
         "walker": {
             "anyOf": [_name(), {**_list(_name(), 1), "uniqueItems": True}, _walker()]
         },
-        "gaits": _list(options.one_of(GAITS), 1),
-        "axes": _table({name: _axis(name) for name in parse.axis_keys()}, ["slope"]),
-        "want": _table(_described(parse.WANTED, wanted)),
-        "limits": _table(_described(parse.LIMITS, limits)),
-        "options": _table({name: {"anyOf": each} for name, each in known.items()}),
-        "figures": _table({"overlay": _table({"file": file}, ["file"])}),
+        "axes": table({name: _axis(name) for name in fields.axis_names()}, ["slope"]),
+        "want": _table(fields.WANT),
+        "limits": _table(fields.LIMITS),
+        "options": table(_of_all_kinds()),
+        "figures": table({"overlay": _table(fields.OVERLAY, ["file"])}),
     }
-    conditions = [_of_kind(kind, keys) for kind in OPTIONS]
-    return {
-        **_table(_described(parse.KEYS, holds), ["name", "walker", "axes"]),
-        "allOf": conditions,
-    }
+    known = {name: _described(field) for name, field in fields.STUDY.items()}
+    for name, schema in holds.items():
+        known[name] |= schema
+    conditions = [_of_kind(kind) for kind in fields.OPTIONS]
+    return {**table(known, ["name", "walker", "axes"]), "allOf": conditions}
 
 
-def _of_kind(kind: str, keys: tuple[str, ...]) -> Schema:
+def _of_all_kinds() -> dict[str, Schema]:
+    """Options of all kinds of studies: each what any of them lets it hold."""
+    known: dict[str, list[Schema]] = {}
+    for options in fields.OPTIONS.values():
+        for name, field in options.items():
+            schemas = known.setdefault(name, [])
+            if (schema := _described(field)) not in schemas:
+                schemas.append(schema)
+    return {name: {"anyOf": schemas} for name, schemas in known.items()}
+
+
+def _described(field: Field) -> Schema:
+    """What a field holds, with its default and its meaning."""
+    about: Schema = {"description": field.meaning, **field.value.schema}
+    if field.default is not None:
+        about["default"] = field.value.written(field.default)
+    return about
+
+
+def _table(known: Mapping[str, Field], needed: Iterable[str] = ()) -> Schema:
+    """A table of fields."""
+    return table({name: _described(field) for name, field in known.items()}, needed)
+
+
+def _of_kind(kind: str) -> Schema:
     """What else holds for studies of a kind."""
-    of_options = {
-        name: options.schema(option.holds, keys)
-        for name, option in OPTIONS[kind].items()
-    }
-    wanted: dict[str, Schema] = {}
-    for key, names in _NAMES.items():
-        others = [
-            n
-            for n in names
-            if NEEDED_KINDS.get(n, kind) != kind
-            or (kind == "design" and n in OVER_LINES)
-        ]
-        wanted |= {key: {"items": {"not": {"enum": others}}}} if others else {}
+    options = {name: field.value.schema for name, field in fields.OPTIONS[kind].items()}
     own: dict[str, Any] = {
-        "options": _table(of_options),
-        "want": {"properties": wanted},
+        "options": table(options),
+        "want": {"properties": _not_wanted(kind)},
     }
     if kind != "grid":
         own["accuracy"] = False
@@ -154,18 +123,28 @@ def _of_kind(kind: str, keys: tuple[str, ...]) -> Schema:
     return {"if": is_of_it, "then": {"properties": own}}
 
 
+def _not_wanted(kind: str) -> dict[str, Schema]:
+    """What studies of a kind cannot want."""
+    found: dict[str, Schema] = {}
+    for key, names in _NAMES.items():
+        others = [name for name in names if NEEDED_KINDS.get(name, kind) != kind]
+        if kind == "design":
+            others += [name for name in names if name in OVER_LINES]
+        if others:
+            found[key] = {"items": {"not": {"enum": others}}}
+    return found
+
+
 def _axis(name: str) -> Schema:
     """An axis: a list, or a range; of the slope also an adaptive one, of detuning one
     that names a walker.
     """
     own = _key(name)
-    spaced = {
-        "from": own,
-        "to": options.schema("number", ()),
-        "n": _between("integer", 1, parse.MAX_VALUES),
-    }
-    spaced |= {"spacing": {**options.one_of(["linear", "log"]), "default": "linear"}}
-    spaced |= {"toward": _other()} if name == "detuning" else {}
+    about = {key: _described(field) for key, field in fields.RANGE.items()}
+    about["from"] = own | {"description": about["from"]["description"]}
+    spaced = {key: about[key] for key in ("from", "to", "n", "spacing")}
+    if name == "detuning":
+        spaced["toward"] = about["toward"] | _other()
     # One value is the first.
     one_value = {
         "if": {"properties": {"n": {"minimum": 2}}},
@@ -173,28 +152,24 @@ def _axis(name: str) -> Schema:
     }
     forms = [
         {**_list(own, 1), "uniqueItems": True},
-        _table(spaced, ["from", "to", "n"]) | one_value,
+        table(spaced, ["from", "to", "n"]) | one_value,
     ]
     if name == "slope":
-        adaptive = {
-            "from": own,
-            "to": own,
-            "adaptive": _between("number", *parse.TOLERANCES),
-        }
-        forms.append(_table(adaptive, ["from", "to", "adaptive"]))
+        adaptive = {"from": own, "to": own, "adaptive": about["adaptive"]}
+        forms.append(table(adaptive, ["from", "to", "adaptive"]))
     return {"description": own["description"], "anyOf": forms}
 
 
 def _key(name: str) -> Schema:
     """The number that a key of a walker, or an axis, holds."""
-    about = {"description": (_of_walkers("MEANINGS") | parse.EXTRA_AXES)[name]}
+    about = {"description": (_of_walkers("MEANINGS") | fields.EXTRA_AXES)[name]}
     if name == "slope":
-        return about | options.schema("slope", ())
+        return about | Slope().schema
     if name == "foot_mass_ratio":
         low, high = dispatch.resolve("gaitsweep.tasks.walkers.resolve:FOOT_MASS_RATIOS")
-        return about | {"type": "number", "minimum": low, "exclusiveMaximum": high}
+        return about | Number(low, high, without_high=True).schema
     most = _of_walkers("MAX_SIZE")
-    return about | _between("number", *_of_walkers("BOUNDS").get(name, (-most, most)))
+    return about | _between(*_of_walkers("BOUNDS").get(name, (-most, most)))
 
 
 def _walker(leads: bool = True) -> Schema:
@@ -209,21 +184,21 @@ def _walker(leads: bool = True) -> Schema:
         "knees": {"description": texts["knees"], "type": "boolean", "default": False},
         "units": {
             "description": texts["units"],
-            **options.one_of(["SI", "1"]),
+            **one_of(["SI", "1"]),
             "default": "1",
         },
         "base": {"description": "walker of which this one differs in the keys given"}
         | _name(),
-        "tuned": {"description": OPTIONS["grid"]["tuned"].meaning}
-        | _list(options.one_of(numbers)),
+        "tuned": {"description": fields.OPTIONS["grid"]["tuned"].meaning}
+        | _list(one_of(numbers)),
         "name": {"description": "what it is called"},
     }
     if leads:
         keys["toward"] = _other()
     needed = [
         f.name
-        for f in fields(_of_walkers("Walker"))
-        if f.default is f.default_factory is MISSING
+        for f in dataclasses.fields(_of_walkers("Walker"))
+        if f.default is f.default_factory is dataclasses.MISSING
     ]
     straight = {"properties": {"knees": {"const": False}}}
     zero = dispatch.resolve("gaitsweep.tasks.walkers.resolve:ZERO_IF_STRAIGHT")
@@ -237,7 +212,7 @@ def _walker(leads: bool = True) -> Schema:
         },
         {**straight, "required": ["knees", "l", *one_link]},
     ]
-    return {**_table(keys), "anyOf": whole}
+    return {**table(keys), "anyOf": whole}
 
 
 def _other() -> Schema:
@@ -252,7 +227,7 @@ def _other() -> Schema:
 def _name() -> Schema:
     """Name of a walker: of the catalogue, or a file."""
     catalogue = dispatch.resolve("gaitsweep.tasks.walkers.catalogue:CATALOGUE")
-    named = options.one_of([*catalogue, *extensions.names("walkers")])
+    named = one_of([*catalogue, *extensions.names("walkers")])
     return {"anyOf": [named, {"type": "string", "pattern": r"\.toml$"}]}
 
 
@@ -260,26 +235,11 @@ def _of_walkers(name: str) -> Any:
     return dispatch.resolve(f"gaitsweep.tasks.walkers.walker:{name}")
 
 
-def _described(
-    texts: Mapping[str, str], schemas: Mapping[str, Schema]
-) -> dict[str, Schema]:
-    return {name: {"description": text} | schemas[name] for name, text in texts.items()}
-
-
-def _between(kind: str, low: float, high: float) -> Schema:
-    return {"type": kind, "minimum": low} | (
-        {"maximum": high} if high < float("inf") else {}
-    )
+def _between(low: float, high: float) -> Schema:
+    """A number within bounds, of which the upper may be infinite."""
+    most = {"maximum": high} if high < float("inf") else {}
+    return {"type": "number", "minimum": low, **most}
 
 
 def _list(items: Schema, least: int = 0) -> Schema:
     return {"type": "array", "items": items, "minItems": least}
-
-
-def _table(keys: Mapping[str, Schema], needed: Iterable[str] = ()) -> Schema:
-    return {
-        "type": "object",
-        "properties": dict(keys),
-        "required": list(needed),
-        "additionalProperties": False,
-    }

@@ -7,10 +7,10 @@ from typing import Any
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import NoGaitError
 from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.files import Reader
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition
-from gaitsweep.pipeline.study.options import violation_limits
 from gaitsweep.pipeline.study.parse import accuracy
 from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS, VARIABLES
 
@@ -143,7 +143,8 @@ def _of_walker(
     given, changes = led(definition, keys)
     params = {"walker": files.changed(given, tuned=tuned), "set": changes}
     if limits:
-        params["violation_limits"] = violation_limits(limits, Location(""))
+        place = Location("", "violation_limits")
+        params["violation_limits"] = VIOLATION_LIMITS.read(limits, place)
     return params
 
 

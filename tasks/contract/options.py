@@ -18,11 +18,7 @@ MAX_STEPS = 64
 class Option:
     """One option of a kind of study: what it holds, its default, and its meaning.
 
-    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0",
-    "counts" (a list of them), "steps" (from 1 to MAX_STEPS), "slope" (above 0 and below
-    0.5), "share" (from 0 to 0.5), "range" (two rising numbers), "gait" (a label), "key"
-    (of a walker), "keys" (a list of them, not derived), "kinds" (of special points) or
-    "limits" (of violations, by name).
+    `holds` names a kind of value of `pipeline/study/fields.py`, which has its bounds.
     """
 
     holds: str

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gaitsweep import run
+from gaitsweep.pipeline.companions import Companions
 from soak.extended_reference import convert
 
 #: Longest tick of a clock of processor time [s].
@@ -92,9 +93,10 @@ def solve_study(study: dict[str, Any], jobs: int = 1) -> tuple[float, int]:
     """
     with tempfile.TemporaryDirectory() as folder:
         begin = time.process_time()
-        archive = run(study, jobs=jobs, archive=Path(folder, "study.nc"), quiet=True)
+        path = Path(folder, "study.nc")
+        archive = run(study, jobs=jobs, archive=path, quiet=True)
         # From the run's record, as `run` also reads the archive.
-        account = json.loads(Path(folder, "study.run.json").read_text())["account"]
+        account = json.loads(Companions(path).record.read_text())["account"]
     seconds = account["workers_cpu"] + account["parent_cpu"] - begin
     return seconds, int((archive.status == "converged").sum())
 

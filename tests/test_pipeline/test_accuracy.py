@@ -9,6 +9,7 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.cli.commands import main
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method, variables
@@ -165,7 +166,7 @@ def test_gaits_of_polynomials_are_not_probed(tmp_path):
     )
     events = [
         json.loads(line)
-        for line in (tmp_path / "coarse.events.jsonl").read_text().splitlines()
+        for line in Companions(tmp_path / "coarse.nc").events.read_text().splitlines()
     ]
     sizes = [event["points"] for event in events if event["event"] == "chunk"]
     assert sum(sizes) == 60_000

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 import zlib
 from collections import Counter
 from pathlib import Path
@@ -42,6 +43,7 @@ from gaitsweep.pipeline.archive.provenance import commit, stored
 from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.archive.written import write_strings
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import ArchiveError, DiskFullError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan
@@ -187,28 +189,57 @@ def test_the_checksum_of_a_chunk_is_that_of_its_corner_and_its_values_checksum()
     )
 
 
-def test_the_commit_is_that_of_the_working_tree(tmp_path):
+def git(folder, *arguments):
+    """What git answers in a folder, whoever asks."""
+    identity = ["-c", "user.name=x", "-c", "user.email=x@x"]
+    command = ["git", *identity, *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_commit_is_that_of_the_working_tree(tmp_path, monkeypatch):
     assert bool(commit()) == (ROOT / ".git").exists()
+    git(tmp_path, "init", "--quiet")
+    (tmp_path / "package").mkdir()
+    assert commit(tmp_path) == ""  # nothing is committed
+    commit.cache_clear()
+
+    git(tmp_path, "commit", "--quiet", "--allow-empty", "-m", "one")
+    first = git(tmp_path, "rev-parse", "HEAD")
+    git(tmp_path, "worktree", "add", "--quiet", "--detach", "linked")
+    git(tmp_path, "commit", "--quiet", "--allow-empty", "-m", "two")
+    monkeypatch.setenv("GIT_DIR", str(ROOT / ".git"))  # as a hook has it
+
+    assert len(first) == 40 and commit(tmp_path / "linked") == first
+    assert commit(tmp_path) not in ("", first, commit())
+    assert commit(tmp_path / "package") == ""  # it lies in a tree that is not its own
+    commit.cache_clear()
+
+    monkeypatch.setenv("PATH", "")
     assert commit(tmp_path) == ""
-    git, ref = tmp_path / ".git", tmp_path / ".git" / "refs" / "heads" / "main"
-    ref.parent.mkdir(parents=True)
-    (git / "HEAD").write_text("ref: refs/heads/main\n")
-    assert commit(tmp_path) == ""
-    (git / "packed-refs").write_text(
-        "# pack-refs\n00 refs/heads/other\n01 refs/heads/main\n"
-    )
-    assert commit(tmp_path) == "01"
-    ref.write_text("02\n")
-    assert commit(tmp_path) == "02"
-    linked, own = tmp_path / "linked", git / "worktrees" / "linked"
-    linked.mkdir()
-    own.mkdir(parents=True)
-    (linked / ".git").write_text(f"gitdir: {own}\n")
-    (own / "commondir").write_text("../..\n")
-    (own / "HEAD").write_text("ref: refs/heads/main\n")
-    assert commit(linked) == "02"
-    (git / "HEAD").write_text("03\n")
-    assert commit(tmp_path) == "03" and commit(linked) == "02"
+    commit.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("said", "code"), [("not a git repository", 128), ("Out of memory", 128), ("", 127)]
+)
+def test_an_archive_does_not_lack_its_commit_for_want_of_memory(
+    tmp_path, monkeypatch, said, code
+):
+    (tmp_path / ".git").mkdir()
+    program = tmp_path / "git"
+    program.write_text(f"#!/bin/sh\necho 'fatal: {said}' >&2\nexit {code}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+    commit.cache_clear()
+    if said == "not a git repository":
+        assert commit(tmp_path) == ""
+    else:
+        with pytest.raises(OSError, match="memory"):
+            commit(tmp_path)
+    commit.cache_clear()
 
 
 def test_an_archive_of_lines_says_how_each_ended(tmp_path):
@@ -314,7 +345,8 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
             (file[place] if place else file).delncattr(name)
 
     study = parse.read(tmp_path / "s.toml")
-    with contextlib.closing(Journal(tmp_path / "s.journal", write=False)) as journal:
+    stored = Companions(path).journal
+    with contextlib.closing(Journal(stored, write=False)) as journal:
         for attribute in (
             ("", "title"),
             ("status", "units"),
@@ -339,7 +371,7 @@ def never_packed(folder, name):
     (folder / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     command = ["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1"]
     assert commands.main([*command, "--quiet"]) == 0
-    with contextlib.closing(Journal(folder / "s.journal")) as journal:
+    with contextlib.closing(Journal(Companions(folder / "s.nc").journal)) as journal:
         graph = Graph(parse.read(folder / "s.toml"))
         key = graph.chunk_node(graph.grid.chunk(0)).key
         head, payload = journal.get(key)
@@ -357,7 +389,7 @@ def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
     command, archive = never_packed(tmp_path, name), tmp_path / "s.nc"
     before = archive.read_bytes()
     with (
-        contextlib.closing(Journal(tmp_path / "s.journal")) as journal,
+        contextlib.closing(Journal(Companions(archive).journal)) as journal,
         pytest.raises(CorruptStoreError),
     ):
         write.write(Plan(parse.read(tmp_path / "s.toml"), journal), archive)
@@ -366,7 +398,7 @@ def test_a_status_that_was_never_packed_is_damage(tmp_path, capsys, name):
     said = capsys.readouterr().err.splitlines()
     assert (
         said[-1]
-        == f"gaitsweep: {tmp_path}/s.journal cannot be repaired; run again with --fresh."
+        == f"gaitsweep: {Companions(archive).journal} cannot be repaired; run again with --fresh."
     )
     assert (
         commands.main([*command, "--fresh", "--quiet"]) == 0
@@ -491,7 +523,8 @@ def test_states_are_checked_box_by_box(copy, monkeypatch):
 
 def test_its_provenance_is_found_without_the_library(made):
     with netCDF4.Dataset(made) as file:
-        assert stored(made) == json.loads(file.provenance)
+        written = json.loads(file.provenance)
+    assert stored(made) == {**written, "table": tomllib.loads(written["study"])}
 
 
 def _edit(path, change):

@@ -32,6 +32,7 @@ from conftest import ROOT, STUDY, TOYS, Toy
 from gaitsweep import load
 from gaitsweep.pipeline.archive import read, write
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine import work as engine_work
 from gaitsweep.pipeline.engine.progress import last_state
@@ -48,7 +49,7 @@ from gaitsweep.pipeline.terminal import duration
 from gaitsweep.tasks.contract.status import beyond
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.statics import is_tuned
-from processes import ended, sidecar_path
+from processes import companions, ended
 
 #: For a shell, in folders with spaces too.
 TOY_COMMAND = shlex.join([sys.executable, str(TOYS / "gaitsweep_toy.py")])
@@ -259,9 +260,19 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             ["completion", 999 * "x"],
             f"Unknown shell `{'x' * 57}...`, known: bash, zsh.",
         ),
-        (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
-        (["diff", "s.toml", "none.nc"], "There is no archive none.nc."),
-        (["diff", "s.toml", "s.toml"], "s.toml is no netCDF file that can be read."),
+        *(
+            (
+                [*command, "s.toml"],
+                "s.toml is a study or a walker; an archive NAME.nc is wanted.",
+            )
+            for command in (["report"], ["verify"], ["prove"], ["diff", "a.nc"])
+        ),
+        (["diff", "a.nc", "none.nc"], "There is no archive none.nc."),
+        (["diff", "a.nc", "a.nc"], "a.nc is no netCDF file that can be read."),
+        *(
+            ([command, "a.nc"], "a.nc is an archive; a file NAME.toml is wanted.")
+            for command in ("run", "plan")
+        ),
         *(
             (
                 [command, "--walker", "D", "--slope", "2"],
@@ -354,6 +365,7 @@ def test_bad_input_is_one_line_and_exit_2(
     tmp_path, monkeypatch, capsys, arguments, said
 ):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.nc").write_text("no archive")
     for name in ("s.toml", "t.toml"):
         (tmp_path / name).write_text(
             STUDY.replace("toy", "t") if name == "t.toml" else STUDY
@@ -373,13 +385,12 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
     assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
 
 
-@pytest.mark.parametrize(
-    "suffix", [".journal", ".journal-lock", ".events.jsonl", ".nc"]
-)
-def test_a_folder_in_the_place_of_a_file_is_named(toy, suffix):
-    (toy.folder / "data" / "archive" / f"toy{suffix}").mkdir(parents=True)
+@pytest.mark.parametrize("name", ["journal", "lock", "events", "record", "archive"])
+def test_a_folder_in_the_place_of_a_file_is_named(toy, name):
+    path = getattr(companions(toy), name)
+    path.mkdir(parents=True)
     (said,) = toy("run", "toy.toml", "--quiet", expect=2).stderr.splitlines()
-    assert "data/archive/toy" in said and f"toy{suffix}" in said and "directory" in said
+    assert str(path.relative_to(toy.folder)) in said and "directory" in said
 
 
 def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
@@ -441,10 +452,8 @@ def test_status_tells_what_happened_to_people_and_machines(toy):
         re.M,
     )
     (found,) = json.loads(toy("status", "--json").stdout)
-    assert json.loads(
-        toy("status", "--json", "--archive", found["archive"]).stdout
-    ) == [found]
-    (none,) = json.loads(toy("status", "--json", "--archive", "other.nc").stdout)
+    assert json.loads(toy("status", "--json", found["archive"]).stdout) == [found]
+    (none,) = json.loads(toy("status", "--json", "other.nc").stdout)
     assert none == {"archive": "other.nc"}
     assert found["done"] == 400 and found["running"] is False
 
@@ -484,7 +493,7 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
         done.stderr.splitlines()[-1]
         == "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
     )
-    record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
+    record = json.loads(companions(toy).record.read_text())
     assert (
         record["exit_code"] == 0
         and record["counts"] == {"converged": 400}
@@ -545,9 +554,9 @@ def test_a_state_of_another_version_is_told_as_such(
     tmp_path, monkeypatch, capsys, record
 ):
     monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "data" / "archive"
-    folder.mkdir(parents=True)
-    (folder / "s.events.jsonl").write_text(f'{{"event": "state", {record}}}\n')
+    archive = tmp_path / "data" / "archive" / "s.nc"
+    Companions(archive).folder.mkdir(parents=True)
+    Companions(archive).events.write_text(f'{{"event": "state", {record}}}\n')
     assert commands.main(["status"]) == 0
     assert (
         capsys.readouterr().out
@@ -571,7 +580,7 @@ def test_a_run_needs_no_standard_error(toy, redirection):
 
 
 def test_letters_that_a_terminal_lacks_are_printed_by_number(toy):
-    said = toy("status", "--archive", "θ.nc", PYTHONIOENCODING="latin-1").stdout
+    said = toy("status", "θ.nc", PYTHONIOENCODING="latin-1").stdout
     assert said == "\\u03b8.nc: there is no record of a run.\n"
 
 
@@ -609,7 +618,7 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
     """`status` holds the lock for a moment, and it still names the last run."""
     toy("run", "toy.toml", "--quiet")
     path = toy.folder / "data" / "archive" / "toy.nc"
-    with sidecar_path(toy, ".journal-lock").open() as file:
+    with companions(toy).lock.open() as file:
         fcntl.flock(file, fcntl.LOCK_SH)
         timer = threading.Timer(0.1, fcntl.flock, (file, fcntl.LOCK_UN))
         timer.start()
@@ -641,7 +650,7 @@ def test_a_disk_without_locks_is_refused(toy, monkeypatch, capsys, reason):
     assert capsys.readouterr().err.endswith(
         "cannot be locked: its disk has no locks; choose another folder.\n"
     )
-    assert not sidecar_path(toy, ".journal").exists()
+    assert not companions(toy).journal.exists()
 
 
 def test_a_disk_without_shared_memory_holds_a_journal(toy, monkeypatch):
@@ -697,7 +706,7 @@ def test_memory_is_counted_in_pages_of_the_system(toy, monkeypatch):
         'name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n[limits]\nmemory = "1024 TiB"\n'
     )
     commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"])
-    assert last_state(sidecar_path(toy, ".events.jsonl"))["memory"] > 1 << 40
+    assert last_state(companions(toy).events)["memory"] > 1 << 40
 
 
 def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, capsys):
@@ -708,7 +717,7 @@ def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, cap
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1"]) == 0
     assert " in -" not in capsys.readouterr().err
-    assert last_state(sidecar_path(toy, ".events.jsonl"))["elapsed"] > 0
+    assert last_state(companions(toy).events)["elapsed"] > 0
 
 
 def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
@@ -744,7 +753,7 @@ def test_the_record_accounts_for_time_and_memory(tmp_path, capsys):
     )
     elapsed, account = (
         time.monotonic() - clock,
-        json.loads((tmp_path / "s.run.json").read_text())["account"],
+        json.loads(Companions(path).record.read_text())["account"],
     )
     assert 0 < account["integrators"] < account["workers_cpu"] < 2 * elapsed
     assert account["python"] == pytest.approx(
@@ -759,7 +768,7 @@ def test_the_record_accounts_for_time_and_memory(tmp_path, capsys):
         commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--quiet"])
         == 0
     )
-    again = json.loads((tmp_path / "s.run.json").read_text())["account"]
+    again = json.loads(Companions(path).record.read_text())["account"]
     assert again["workers_cpu"] == 0 and again["workers_idle"] == 1
 
 
@@ -782,8 +791,8 @@ def test_a_task_that_studies_share_is_computed_once(tmp_path, monkeypatch):
     events = [
         [
             json.loads(line)
-            for line in Path(f"data/archive/{name}.events.jsonl")
-            .read_text()
+            for line in Companions(Path(f"data/archive/{name}.nc"))
+            .events.read_text()
             .splitlines()
         ]
         for name in "abc"
@@ -797,9 +806,9 @@ def test_a_task_that_studies_share_is_computed_once(tmp_path, monkeypatch):
         and spent[2]["orbit"] > 0
     )
     accounts = [
-        json.loads(Path(f"data/archive/{name}.run.json").read_text())["account"][
-            "workers_cpu"
-        ]
+        json.loads(Companions(Path(f"data/archive/{name}.nc")).record.read_text())[
+            "account"
+        ]["workers_cpu"]
         for name in "abc"
     ]
     assert 0.0 in accounts[:2]
@@ -811,15 +820,16 @@ def refused(toy):
     journal.
     """
     folder = toy.folder / "data" / "archive"
-    folder.mkdir(parents=True)
+    foreign, busy = Companions(folder / "foreign.nc"), Companions(folder / "busy.nc")
+    busy.folder.mkdir(parents=True)
     for name in ("a", "busy", "foreign", "z"):
         toy.write(
             STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"),
             f"{name}.toml",
         )
     toy.write("nonsense = 1", "wrong.toml")
-    (folder / "foreign.journal").write_text("not ours")
-    lock = (folder / "busy.journal-lock").open("w")
+    foreign.journal.write_text("not ours")
+    lock = busy.lock.open("w")
     fcntl.flock(lock, fcntl.LOCK_EX)
     return lock, [f"{name}.toml" for name in ("a", "wrong", "busy", "foreign", "z")]
 
@@ -921,7 +931,8 @@ def test_one_study_that_fails_on_the_way_does_not_end_the_others(
     folder = Path("data", "archive")
     assert sorted(path.stem for path in folder.glob("*.nc")) == ["a", "c"]
     records = {
-        path.name[0]: json.loads(path.read_text()) for path in folder.glob("*.run.json")
+        name: json.loads(Companions(folder / f"{name}.nc").record.read_text())
+        for name in "abc"
     }
     assert {name: record["exit_code"] for name, record in records.items()} == {
         "a": 0,

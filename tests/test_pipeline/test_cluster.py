@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import cluster as cluster_executor
 from gaitsweep.pipeline.engine.cluster import connect
 from gaitsweep.pipeline.errors import StudyError, WorkerError
@@ -123,13 +124,14 @@ def test_a_signal_ignored_from_the_start_stays_ignored_on_a_cluster(toy, whole, 
 
 def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
     folder = toy.folder / "data" / "archive"
-    folder.mkdir(parents=True)
+    busy = Companions(folder / "busy.nc")
+    busy.folder.mkdir(parents=True)
     for name in ("busy", "z"):
         toy.write(
             STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"),
             f"{name}.toml",
         )
-    with (folder / "busy.journal-lock").open("w") as lock:
+    with busy.lock.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         said = toy(
             "run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5
@@ -495,8 +497,8 @@ def test_what_a_chunk_costs_on_a_cluster(toy, tell):
         )
         events = [
             json.loads(e)
-            for e in (toy.folder / "data/archive/toy.events.jsonl")
-            .read_text()
+            for e in Companions(toy.folder / "data/archive/toy.nc")
+            .events.read_text()
             .splitlines()
         ]
         times = [e["time"] for e in events if e["event"] == "chunk"][-700:]

@@ -13,6 +13,7 @@ import pytest
 import gaitsweep
 from gaitsweep import load
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
@@ -112,7 +113,7 @@ def test_archives_do_not_depend_on_chunks_and_resume(archives, tmp_path):
     assert (tmp_path / "s.nc").read_bytes() == (archives["grid"] / "s.nc").read_bytes()
     wider = GRID.replace("n = 6", "n = 11")
     (tmp_path / "s.toml").write_text(wider)
-    with contextlib.closing(Journal(tmp_path / "s.journal")) as journal:
+    with contextlib.closing(Journal(Companions(tmp_path / "s.nc").journal)) as journal:
         todo = summary(Plan(read(tmp_path / "s.toml"), journal)).todo
     # Other slopes are other chunks, but the branches are known.
     assert todo["points"] == {"new": 11} and not todo["atlas"]

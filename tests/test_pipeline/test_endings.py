@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from conftest import ROOT, STUDY, TOYS, Toy
-from processes import alive, descendants, sidecar_path, suspend, wait_for_points
+from processes import alive, companions, descendants, suspend, wait_for_points
 
 #: Where jobs are computed.
 PLACES = {
@@ -64,8 +64,7 @@ def opened(toy):
 def jobs_of_last_run(toy):
     """Events of chunks and tasks since the last run began."""
     events = [
-        json.loads(line)
-        for line in sidecar_path(toy, ".events.jsonl").read_text().splitlines()
+        json.loads(line) for line in companions(toy).events.read_text().splitlines()
     ]
     begin = max(i for i, event in enumerate(events) if event["event"] == "begin")
     return [event for event in events[begin:] if event["event"] in ("chunk", "task")]

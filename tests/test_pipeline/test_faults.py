@@ -22,7 +22,7 @@ import pytest
 from conftest import ROOT
 from faults import Faults, compiled, started
 from gaitsweep.tasks.mechanics import compile_cache
-from processes import damaged
+from processes import damaged, drafts
 
 STUDY = """name = "s"
 walker = "D"
@@ -188,9 +188,8 @@ class Trials:
             found.append(f"again: exit {again.code}, {again.err!r}")
         elif self._outputs() != self.wanted[name]:
             found.append("again: other bytes")
-        drafts = [str(file) for file in self.folder.rglob(".*") if file.name != ".lock"]
-        if drafts:
-            found.append(f"again: drafts {drafts}")
+        if left := drafts(self.folder) - {".lock"}:
+            found.append(f"again: drafts {left}")
         how = f"{errno.errorcode[fault.error]} {ended.what.split()[0] if ended.what else 'none'} {ended.code}"
         return found, f"{how}: {ended.what} {ended.err.strip()}"
 

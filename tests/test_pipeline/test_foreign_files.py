@@ -21,6 +21,7 @@ from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import provenance, read
 from gaitsweep.pipeline.archive.written import write_strings
 from gaitsweep.pipeline.cli import claims, commands, status
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.engine.locks import lock_archive
 from gaitsweep.pipeline.engine.progress import last_state
@@ -78,43 +79,76 @@ KINDS = [
     (unix_socket, " is a socket,"),
     (os.mkdir, " is a directory,"),
 ]
-SIDECARS = [".journal-lock", ".events.jsonl", ".run.json"]
-JOURNALS = [".journal", ".journal-wal", ".journal-shm", ".journal-journal"]
+COMPANIONS = ["s.lock", "s.events.jsonl", "s.run.json"]
+JOURNALS = ["s.journal", "s.journal-wal", "s.journal-shm", "s.journal-journal"]
+
+
+def companions(folder):
+    """The companions of an archive in a folder, which may hold them."""
+    found = Companions(folder / "s.nc")
+    found.folder.mkdir()
+    return found
 
 
 @pytest.mark.parametrize(("make", "kind"), KINDS)
-@pytest.mark.parametrize("suffix", [*SIDECARS, *JOURNALS])
-def test_what_stands_beside_an_archive_is_named_and_left_alone(
-    tmp_path, suffix, make, kind
+@pytest.mark.parametrize("name", [*COMPANIONS, *JOURNALS])
+def test_what_stands_in_the_place_of_a_companion_is_named_and_left_alone(
+    tmp_path, name, make, kind
 ):
-    precious(tmp_path / "precious")
-    make(path := tmp_path / f"s{suffix}")
+    own = companions(tmp_path)
+    precious(own.folder / "precious")
+    make(path := own.folder / name)
     before = state(path)
-    if suffix in SIDECARS:
-        said = opened(tmp_path / "s.nc")
+
+    if name in COMPANIONS:
+        said = opened(own.archive)
     else:
         with pytest.raises(ArchiveError) as raised:
-            Journal(path.with_name("s.journal"))
+            Journal(own.journal)
         said = str(raised.value)
-    assert (
-        said.startswith(f"{path} is")
-        and kind in said
-        and said.endswith("move it away.")
-    )
-    assert state(path) == before and {file.name for file in tmp_path.iterdir()} == {
-        "precious",
-        path.name,
-    }
-    assert (tmp_path / "precious").read_text() == "precious" and (
-        make is not precious or path.read_text() == "precious"
-    )
+
+    assert said.startswith(f"{path} is") and said.endswith("move it away.")
+    assert kind in said
+    assert state(path) == before
+    assert {file.name for file in own.folder.iterdir()} == {"precious", name}
+    assert (own.folder / "precious").read_text() == "precious"
+    assert make is not precious or path.read_text() == "precious"
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS[:-1])
+def test_what_stands_in_the_place_of_their_folder_is_named_and_left_alone(
+    tmp_path, make, kind
+):
+    (tmp_path / "precious").mkdir()
+    make(path := tmp_path / ".gaitsweep")
+    before = state(path)
+
+    said = opened(tmp_path / "s.nc")
+
+    assert said.startswith(f"{path}{kind or ' is a file,'}")
+    assert said.endswith("not a folder of gaitsweep; move it away.")
+    assert state(path) == before and not list((tmp_path / "precious").iterdir())
+
+
+def test_the_folder_of_companions_says_what_it_is(tmp_path):
+    assert opened(tmp_path / "s.nc") == ""
+    assert {file.name for file in tmp_path.iterdir()} == {".gaitsweep"}
+
+    text = (tmp_path / ".gaitsweep" / "README").read_text()
+    assert len(text.splitlines()) == 2
+    assert "gaitsweep" in text and "may be deleted when no run is in flight" in text
+
+    (tmp_path / ".gaitsweep" / "README").write_text("mine")
+    assert opened(tmp_path / "s.nc") == ""
+    assert (tmp_path / ".gaitsweep" / "README").read_text() == "mine"
 
 
 @pytest.mark.parametrize("content", ["", "\0\0\0"])
 def test_what_a_power_failure_leaves_is_nobodys(tmp_path, content):
-    for suffix in SIDECARS:
-        (tmp_path / f"s{suffix}").write_text(content)
-    assert opened(tmp_path / "s.nc") == ""
+    own = companions(tmp_path)
+    for name in COMPANIONS:
+        (own.folder / name).write_text(content)
+    assert opened(own.archive) == ""
 
 
 def test_the_files_of_an_earlier_run_are_known_again(tmp_path):
@@ -124,22 +158,10 @@ def test_the_files_of_an_earlier_run_are_known_again(tmp_path):
     run = runner.StudyRun(study(), path, runner.Options(), Mock())
     run.is_open = True
     run.end(None)
-    (tmp_path / "s.events.jsonl").write_text(
-        '{"time": 1.5, "event": "begin", "study": "s"}\n'
-    )
-    assert {file.name for file in tmp_path.iterdir()} == {
-        f"s{suffix}" for suffix in SIDECARS
-    }
-    paths.check_sidecars(path)
-
-
-def test_a_lock_has_a_name_that_no_other_program_uses(tmp_path):
-    """`uv.lock` was emptied by the archive `uv.nc`, `package.run.json` was replaced by
-    `package.nc`.
-    """
-    precious(tmp_path / "uv.lock")
-    with lock_archive(tmp_path / "uv.nc"):
-        assert (tmp_path / "uv.lock").read_text() == "precious"
+    own = Companions(path)
+    own.events.write_text('{"time": 1.5, "event": "begin", "study": "s"}\n')
+    assert {file.name for file in own.folder.iterdir()} == {"README", *COMPANIONS}
+    own.check()
 
 
 @pytest.mark.parametrize(
@@ -170,7 +192,7 @@ def test_what_the_system_says_of_a_file_is_repeated(tmp_path, monkeypatch):
     no run.
     """
     precious(path := tmp_path / "s.nc")
-    precious(log := tmp_path / "s.events.jsonl")
+    precious(log := companions(tmp_path).events)
 
     def refused(file, *_, **__):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(file))
@@ -184,12 +206,13 @@ def test_what_the_system_says_of_a_file_is_repeated(tmp_path, monkeypatch):
 
 
 def test_a_state_is_read_of_files_only(tmp_path):
-    os.mkfifo(tmp_path / "s.events.jsonl")
-    assert status.state_of(tmp_path / "s.nc") is None
-    (tmp_path / "s.events.jsonl").unlink()
-    (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
-    os.mkfifo(tmp_path / "s.journal-lock")
-    assert status.state_of(tmp_path / "s.nc") == {
+    own = companions(tmp_path)
+    os.mkfifo(own.events)
+    assert status.state_of(own.archive) is None
+    own.events.unlink()
+    own.events.write_text('{"event": "state"}\n')
+    os.mkfifo(own.lock)
+    assert status.state_of(own.archive) == {
         "event": "state",
         "over": False,
         "running": False,
@@ -197,10 +220,11 @@ def test_a_state_is_read_of_files_only(tmp_path):
 
 
 def test_a_run_that_has_not_yet_said_its_name_is_seen(tmp_path):
-    (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
-    with lock_archive(tmp_path / "s.nc"):
-        (tmp_path / "s.journal-lock").write_text("")
-        assert status.state_of(tmp_path / "s.nc") == {
+    own = companions(tmp_path)
+    own.events.write_text('{"event": "state"}\n')
+    with lock_archive(own.archive):
+        own.lock.write_text("")
+        assert status.state_of(own.archive) == {
             "event": "state",
             "over": False,
             "running": True,

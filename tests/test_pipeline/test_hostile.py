@@ -329,7 +329,7 @@ def stored(folder, dice):
     name, path = dice.choice([*RUNS]), folder / "stored.journal"
     for suffix in ("", "-wal", "-shm"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
-        kept = folder / "data" / "archive" / f"{name}.journal{suffix}"
+        kept = folder / "data/archive/.gaitsweep" / f"{name}.journal{suffix}"
         if kept.exists():
             shutil.copy(kept, path.with_name(path.name + suffix))
     is_made = dice.random() < 0.6

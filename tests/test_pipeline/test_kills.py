@@ -25,16 +25,18 @@ from gaitsweep.pipeline.archive import write
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
-from processes import alive, descendants, sidecar_path, wait_for_points
+from processes import alive, companions, descendants, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
+FILES = ("toy.journal", "toy.journal-wal")
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 PAGE = 8192
 
 
 def _clear(toy):
-    for file in (toy.folder / "data" / "archive").iterdir():
-        file.unlink()
+    for file in (toy.folder / "data" / "archive").rglob("*"):
+        if file.is_file():
+            file.unlink()
 
 
 def _handles_signals(pid):
@@ -226,7 +228,7 @@ def test_a_signal_that_comes_twice_leaves_a_line_and_a_record(toy, when):
         143,
         "gaitsweep: Stopped by SIGTERM; finished results are kept.\n",
     )
-    assert json.loads(sidecar_path(toy, ".run.json").read_text())["exit_code"] == 143
+    assert json.loads(companions(toy).record.read_text())["exit_code"] == 143
 
 
 def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
@@ -267,18 +269,14 @@ def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
     for _ in range(cuts):
         process = toy.start("run", "toy.toml", "--chunk", 10, **SLOW)
         wait_for_points(toy, dice.randint(1, 15))
-        for suffix in ("", "-wal"):  # what was mapped in memory is gone with the power
-            shutil.copy(
-                sidecar_path(toy, f".journal{suffix}"), toy.folder / f"cut{suffix}"
-            )
+        for name in FILES:  # what was mapped in memory is gone with the power
+            shutil.copy(companions(toy).folder / name, toy.folder / name)
         process.kill()
         process.communicate()
         _clear(toy)
-        for suffix in ("", "-wal"):
-            shutil.move(
-                toy.folder / f"cut{suffix}", sidecar_path(toy, f".journal{suffix}")
-            )
-        log = sidecar_path(toy, ".journal-wal")
+        for name in FILES:
+            shutil.move(toy.folder / name, companions(toy).folder / name)
+        log = companions(toy).folder / "toy.journal-wal"
         with open(log, "r+b") as file:
             size = log.stat().st_size
             for _ in range(dice.randint(0, 8)):
@@ -290,10 +288,10 @@ def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
                 lost["tails"] += 1
         toy("run", "toy.toml", "--chunk", 10)
         assert toy.bytes() == whole
-        with sqlite3.connect(sidecar_path(toy)) as db:
+        with sqlite3.connect(companions(toy).journal) as db:
             assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         db.close()
-        kept += sidecar_path(toy, ".events.jsonl").read_text().count('"chunk"') < 20
+        kept += companions(toy).events.read_text().count('"chunk"') < 20
         _clear(toy)
     tell(
         f"{cuts} power cuts ({dict(lost)} lost): equal bytes after each, {kept} with earlier work kept"

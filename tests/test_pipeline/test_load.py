@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from processes import alive, descendants, sidecar_path
+from processes import alive, companions, descendants
 
 STUDY = """name = "toy"
 walker = "E"
@@ -47,8 +47,8 @@ def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
     """
     toy.write(STUDY.format(n=n))
     dice, ends, end = random.Random(kills), Counter(), time.monotonic() + 3600
-    files, growth, jobs = set(), 0, 0
-    log = sidecar_path(toy, ".events.jsonl")
+    growth = jobs = 0
+    files, log = set(), companions(toy).events
     while True:
         process = toy.start(
             "run", "toy.toml", "--quiet", "--snapshot", 300, TOY_CHUNK="1"
@@ -100,13 +100,8 @@ def test_a_journal_of_a_billion_points(toy, tell, slopes, lines):
     """
     toy.write(STUDY.format(n=lines).replace("n = 50 ", f"n = {slopes} "))
     process = toy.start("run", "toy.toml", "--quiet", TOY_DIGITS="2", TOY_CHUNK="1000")
-    log, base, growth, files, largest = (
-        sidecar_path(toy, ".events.jsonl"),
-        None,
-        0,
-        0,
-        0,
-    )
+    log, base = companions(toy).events, None
+    growth = files = largest = 0
     while process.poll() is None:
         time.sleep(0.05)
         held = _held(process.pid)

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report import html_tables, pages
 from gaitsweep.pipeline.report.figures import measured
@@ -161,8 +162,9 @@ def test_measurements_are_archived_with_units(archive):
 def test_measurements_that_change_are_archived_though_nothing_is_solved(
     archive, tmp_path
 ):
-    for name in ("own.toml", "measured.csv", "own.nc", "own.journal"):
+    for name in ("own.toml", "measured.csv", "own.nc"):
         shutil.copy(archive.with_name(name), tmp_path)
+    shutil.copytree(Companions(archive).folder, tmp_path / ".gaitsweep")
     (tmp_path / "measured.csv").write_text(HEAD + "0.03,0.8\n")
     path = str(tmp_path / "own.nc")
     assert (

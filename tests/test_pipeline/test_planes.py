@@ -17,8 +17,9 @@ import pytest
 import xarray as xr
 
 import gaitsweep
-from gaitsweep.pipeline import paths, serialize
+from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.engine.runner import _check_room
@@ -116,7 +117,7 @@ def test_charts_are_made_once_and_kept(tmp_path):
     def run_and_count(text):
         run(tmp_path, text, jobs=1)
         with contextlib.closing(
-            Journal(paths.sidecar_path(tmp_path / "plane.nc", ".journal"), write=False)
+            Journal(Companions(tmp_path / "plane.nc").journal, write=False)
         ) as store:
             made.append(
                 sorted(store.number(key) for key in store if key.startswith("charts-"))
@@ -133,7 +134,7 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path):
     graph = Graph(read(written(tmp_path, text)))
     assert graph.method is Method.PLANE
     with contextlib.closing(
-        Journal(paths.sidecar_path(tmp_path / "plane.nc", ".journal"))
+        Journal(Companions(tmp_path / "plane.nc").journal)
     ) as store:
         store.put_result(
             graph.line_keys(0)["charts"], Outcome("raised", "It raised."), b""
@@ -204,9 +205,8 @@ def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(
 
 
 def test_a_grid_with_a_few_other_lines_keeps_its_charts(tmp_path):
-    journal = paths.sidecar_path(
-        run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=1), ".journal"
-    )
+    archive = run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=1)
+    journal = Companions(archive).journal
     refined = STUDY.format(walker="B", axes=AXES.replace("n = 18", "n = 21"))
     todo = summary(
         Plan(read(written(tmp_path, refined)), Journal(journal, write=False))
@@ -239,17 +239,14 @@ def test_the_halves_of_a_plane_are_jobs_of_their_own(tmp_path):
     """
     archive = run(tmp_path, HALVED, jobs=2)
     events = [
-        json.loads(line)
-        for line in paths.sidecar_path(archive, ".events.jsonl")
-        .read_text()
-        .splitlines()
+        json.loads(line) for line in Companions(archive).events.read_text().splitlines()
     ]
     charted = [event["charted"] for event in events if event.get("task") == "charts"]
     assert charted[0] == 0 and len(charted) == 2 * charted.count(0) + 1
     state = next(event for event in reversed(events) if event["event"] == "state")
     stage = state["stages"]["charts"]
     assert stage["done"] == stage["todo"] == sum(charted) == 200 and stage["eta"] == 0
-    with contextlib.closing(Journal(paths.sidecar_path(archive, ".journal"))) as store:
+    with contextlib.closing(Journal(Companions(archive).journal)) as store:
         graph = Graph(read(tmp_path / "plane.toml"))
         needed = [
             [

@@ -19,10 +19,18 @@ import pytest
 
 from conftest import ROOT, STUDY, TOYS, Toy
 from gaitsweep.pipeline import paths
+from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import runner
 from gaitsweep.pipeline.errors import BusyError
-from processes import alive, damaged, descendants, ignored, wait_for_points
-from processes import sidecar_path as journal
+from processes import (
+    alive,
+    companions,
+    damaged,
+    descendants,
+    drafts,
+    ignored,
+    wait_for_points,
+)
 
 SLOW = {"TOY_SECONDS": "0.002"}
 
@@ -120,10 +128,7 @@ def test_the_same_command_again_computes_and_writes_nothing(toy):
     first = written(toy)
     toy("run", "toy.toml")
     assert written(toy) == first
-    log = [
-        json.loads(line)
-        for line in journal(toy, ".events.jsonl").read_text().splitlines()
-    ]
+    log = [json.loads(line) for line in companions(toy).events.read_text().splitlines()]
     begins = [i for i, event in enumerate(log) if event["event"] == "begin"]
     assert len(begins) == 2 and not [
         e for e in log[begins[1] :] if e["event"] in ("chunk", "task")
@@ -132,7 +137,7 @@ def test_the_same_command_again_computes_and_writes_nothing(toy):
 
 def written(toy):
     """The archive's place on the disk, which each writing changes."""
-    return journal(toy, ".nc").stat().st_ino
+    return companions(toy).archive.stat().st_ino
 
 
 def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
@@ -140,7 +145,7 @@ def test_an_archive_that_is_not_of_the_results_is_written_again(toy, whole):
     were written in between.
     """
     toy("run", "toy.toml")
-    archive = journal(toy, ".nc")
+    archive = companions(toy).archive
     data = bytearray(archive.read_bytes())
     data[-1] ^= 1
     archive.write_bytes(data)
@@ -172,7 +177,7 @@ def test_an_archive_is_written_again_when_the_name_of_a_variable_changes(toy, tm
 
     toy("run", "toy.toml", **other)
 
-    with netCDF4.Dataset(journal(toy, ".nc")) as file:
+    with netCDF4.Dataset(companions(toy).archive) as file:
         assert file["period"].long_name == "time that a step takes"
 
 
@@ -208,10 +213,10 @@ def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(
     assert process.returncode == code
     assert "Traceback" not in err
     assert not alive(children)
-    kept = journal(toy, ".events.jsonl").read_text().count('"chunk"')
+    kept = companions(toy).events.read_text().count('"chunk"')
     toy("run", "toy.toml", "--chunk", 20)
     assert toy.bytes() == whole
-    events = map(json.loads, journal(toy, ".events.jsonl").read_text().splitlines())
+    events = map(json.loads, companions(toy).events.read_text().splitlines())
     # What was at work when the run was stopped is computed again, and nothing else.
     assert (
         sum(event["points"] for event in events if event["event"] == "chunk")
@@ -294,7 +299,7 @@ def test_a_run_says_what_it_did_and_that_code_changed(toy):
         return done.stdout + done.stderr
 
     def change_code():
-        with contextlib.closing(sqlite3.connect(journal(toy))) as db, db:
+        with contextlib.closing(sqlite3.connect(companions(toy).journal)) as db, db:
             assert (
                 db.execute(
                     "UPDATE notes SET value = 'other' WHERE key = 'code'"
@@ -305,7 +310,7 @@ def test_a_run_says_what_it_did_and_that_code_changed(toy):
     changed = "has changed since some of these results were stored"
     first = told()
     assert "toy: 400 points (" in first and changed not in first
-    record = json.loads(journal(toy, ".run.json").read_text())
+    record = json.loads(companions(toy).record.read_text())
     said = (
         "toy",
         "toy.nc",
@@ -341,10 +346,7 @@ def test_a_plan_equals_what_runs(toy):
         and "1 its inputs change" in plan
     )
     toy("run", "toy.toml")
-    log = [
-        json.loads(line)
-        for line in journal(toy, ".events.jsonl").read_text().splitlines()
-    ]
+    log = [json.loads(line) for line in companions(toy).events.read_text().splitlines()]
     last = log[max(i for i, e in enumerate(log) if e["event"] == "begin") :]
     assert sum(e["points"] for e in last if e["event"] == "chunk") == 400
     assert [e["task"] for e in last if e["event"] == "task"] == ["scaling"]
@@ -362,14 +364,11 @@ def test_a_plan_equals_what_runs(toy):
 )
 def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell, part):
     toy("run", "toy.toml", "--chunk", 10)
-    size = journal(toy).stat().st_size
-    os.truncate(journal(toy), int(part * size))
+    size = companions(toy).journal.stat().st_size
+    os.truncate(companions(toy).journal, int(part * size))
     toy("run", "toy.toml", "--chunk", 10)
     assert toy.bytes() == whole
-    log = [
-        json.loads(line)
-        for line in journal(toy, ".events.jsonl").read_text().splitlines()
-    ]
+    log = [json.loads(line) for line in companions(toy).events.read_text().splitlines()]
     last = max(i for i, event in enumerate(log) if event["event"] == "begin")
     again = sum(event["points"] for event in log[last:] if event["event"] == "chunk")
     assert again <= 400 * (1 - part) + 80
@@ -385,18 +384,18 @@ def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
     """
     dice, again = random.Random(times), 0
     toy("run", "toy.toml")
-    made = journal(toy).read_bytes()
+    made = companions(toy).journal.read_bytes()
     for _ in range(times):
-        journal(toy).write_bytes(made[:100] + damaged(made[100:], dice))
-        for what in (".events.jsonl", ".nc"):
-            journal(toy, what).unlink()
+        companions(toy).journal.write_bytes(made[:100] + damaged(made[100:], dice))
+        for file in (companions(toy).events, companions(toy).archive):
+            file.unlink()
         toy("run", "toy.toml")
         assert toy.bytes() == whole
-        with contextlib.closing(sqlite3.connect(journal(toy))) as db:
+        with contextlib.closing(sqlite3.connect(companions(toy).journal)) as db:
             assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-        again += '"chunk"' in journal(toy, ".events.jsonl").read_text()
+        again += '"chunk"' in companions(toy).events.read_text()
         toy("run", "toy.toml")
-        log = journal(toy, ".events.jsonl").read_text()
+        log = companions(toy).events.read_text()
         assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"') :]
     tell(
         f"{times} damaged journals: equal bytes after each, {again} with points computed again"
@@ -407,7 +406,7 @@ def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
     toy.write(STUDY.replace('["scaling"]', '["transition"]'))
     toy("run", "toy.toml")
     first = toy.bytes()
-    with contextlib.closing(sqlite3.connect(journal(toy))) as db:
+    with contextlib.closing(sqlite3.connect(companions(toy).journal)) as db:
         db.execute(
             "DELETE FROM records WHERE key LIKE 'atlas-%' OR key LIKE 'transition-%'"
         )
@@ -419,16 +418,18 @@ def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
 def test_a_run_touches_no_file_of_another(toy):
     """Whatever studies are called, and whatever a user keeps beside them."""
     folder = toy.folder / "data" / "archive"
-    folder.mkdir(parents=True)
+    companions(toy).folder.mkdir(parents=True)
     others = [
         folder / name
         for name in (
             "toy.nc.tmp.5.nc",
-            "toy.nc.tmp.5.journal",
             "toy.nc.tmp.backup",
             "b.nc.tmp.7",
             f".toy.nc.{32 * '0'}",
-            f".toy.journal.{32 * 'f'}",
+            "toy.journal",
+            ".gaitsweep/toy.nc.tmp.5.journal",
+            f".gaitsweep/.toy.journal.{32 * 'f'}",
+            ".gaitsweep/README",
         )
     ]
     for file in others:
@@ -441,9 +442,10 @@ def test_a_run_touches_no_file_of_another(toy):
 
 def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     path, gone, alive = tmp_path / "toy.nc", "0" * 32, "1" * 32
+    companions = Companions(path)
+    companions.make_folder()
     mine = [
-        paths.of(tmp_path / name, gone)
-        for name in ("toy.nc", "toy.journal", "toy.run.json")
+        paths.of(file, gone) for file in (path, companions.journal, companions.record)
     ]
     others = [
         paths.of(tmp_path / "toy.nc", alive),
@@ -452,7 +454,7 @@ def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     ]
     for file in (*mine, *others):
         file.touch()
-    (tmp_path / "toy.journal-lock").write_text(
+    companions.lock.write_text(
         json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone})
     )
     with runner.lock_archive(path):
@@ -464,25 +466,25 @@ def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
             pass
         assert paths.of(path).exists()
     for text in ("", "[]", '{"drafts": 3}', '{"drafts": "../toy2.nc"}', "\0\xff"):
-        (tmp_path / "toy.journal-lock").write_text(text)
+        companions.lock.write_text(text)
         with runner.lock_archive(path):
             assert all(file.exists() for file in others)
 
 
 def test_a_foreign_file_is_not_touched(toy):
-    journal(toy).parent.mkdir(parents=True)
-    for what in (".journal", ".nc"):
-        journal(toy, what).write_text("not ours\n")
+    companions(toy).folder.mkdir(parents=True)
+    for file in (companions(toy).journal, companions(toy).archive):
+        file.write_text("not ours\n")
         for options in ((), ("--fresh",)):
             assert "move it away" in toy("run", "toy.toml", *options, expect=2).stderr
-            assert journal(toy, what).read_text() == "not ours\n"
-        journal(toy, what).unlink()
+            assert file.read_text() == "not ours\n"
+        file.unlink()
 
 
 def test_a_mangled_archive_is_replaced_unopened(toy, whole):
     """What crashes or hangs the netCDF library is never given to it by the run itself."""
     toy("run", "toy.toml")
-    archive = journal(toy, ".nc")
+    archive = companions(toy).archive
     data = archive.read_bytes()
     archive.write_bytes(data[: 1 << 14] + b"\xff" * (len(data) - (1 << 14)))
     toy("run", "toy.toml")
@@ -495,8 +497,8 @@ def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):
     process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0", **SLOW)
     seen = set()
     while process.poll() is None:
-        if journal(toy, ".nc").exists():
-            with netCDF4.Dataset(journal(toy, ".nc")) as file:
+        if companions(toy).archive.exists():
+            with netCDF4.Dataset(companions(toy).archive) as file:
                 seen.add(int(file.not_attempted))
                 assert file.variables["status"].shape == (200, 2, 2)
         time.sleep(0.01)
@@ -535,8 +537,7 @@ def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n, chunk, place):
     """8 MB, full while the journal or the archive is written; with room again the same
     command finishes.
     """
-    small = tmp_path / "small"
-    small.mkdir()
+    (small := tmp_path / "small").mkdir()
     if subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", small], capture_output=True
     ).returncode:
@@ -561,8 +562,8 @@ def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n, chunk, place):
         assert "disk is full" in done.stderr and "Traceback" not in done.stderr
         assert not re.search("HDF5|Error", done.stderr)
         assert (small / "toy.nc").read_bytes() == old
-        assert not list(small.glob(".*"))
-        kept = (small / "toy.events.jsonl").read_text().count('"chunk"')
+        assert not drafts(small)
+        kept = Companions(small / "toy.nc").events.read_text().count('"chunk"')
         subprocess.run(["mount", "-o", "remount,size=64m", small], check=True)
         toy("run", "toy.toml", "--archive", small / "toy.nc")
         toy("run", "toy.toml")

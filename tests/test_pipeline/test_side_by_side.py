@@ -16,8 +16,7 @@ from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import parse
-from processes import damaged, wait_for_points
-from processes import sidecar_path as sidecar
+from processes import companions, damaged, wait_for_points
 
 SIDE_BY_SIDE = {"TOY_SIDE_BY_SIDE": "toy:lines"}
 GRID = STUDY.replace("n = 200", "n = 8").replace(
@@ -32,8 +31,7 @@ READ = GRID.replace('["scaling"]', '["transition"]')
 def chunks(toy):
     """Events of the last run that hold points."""
     events = [
-        json.loads(line)
-        for line in sidecar(toy, ".events.jsonl").read_text().splitlines()
+        json.loads(line) for line in companions(toy).events.read_text().splitlines()
     ]
     begin = max(i for i, event in enumerate(events) if event["event"] == "begin")
     return [event for event in events[begin:] if event["event"] == "chunk"]
@@ -197,11 +195,11 @@ def test_a_damaged_journal_gives_the_same_bytes(toy, wholes, tell, times):
     dice, again = random.Random(times), 0
     toy.write(READ)
     toy("run", "toy.toml", **SIDE_BY_SIDE)
-    made = sidecar(toy).read_bytes()
+    made = companions(toy).journal.read_bytes()
     for _ in range(times):
-        sidecar(toy).write_bytes(made[:100] + damaged(made[100:], dice))
-        for what in (".events.jsonl", ".nc"):
-            sidecar(toy, what).unlink()
+        companions(toy).journal.write_bytes(made[:100] + damaged(made[100:], dice))
+        for file in (companions(toy).events, companions(toy).archive):
+            file.unlink()
         toy("run", "toy.toml", **SIDE_BY_SIDE)
         assert toy.bytes() == wholes[READ]
         again += bool(chunks(toy))

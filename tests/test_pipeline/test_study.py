@@ -97,7 +97,7 @@ WRONG = {
         'claims = ["E22"]': "Unknown name `E22`, did you mean `E2`? (s.toml, want.claims).",
     },
     "seconds = 5": {
-        "seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."
+        "seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0 (s.toml, limits.seconds)."
     },
     'memory = "1.5 GiB"': {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB and at most 1024 TiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
@@ -172,11 +172,6 @@ WRONG_OPTIONS = [
         "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, options.key).",
     ),
     (
-        "cascade",
-        "families = [1]",
-        "The slopes of a `cascade` are a window: give at least two; got 0.01 (s.toml, axes.slope).",
-    ),
-    (
         "curve",
         'kinds = ["folds"]',
         "Unknown name `folds`, did you mean `fold`? (s.toml, options.kinds).",
@@ -232,12 +227,34 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
     assert str(error.value) == said
 
 
+def test_adaptive_slopes_are_those_of_branches(write):
+    adaptive = "slope = { from = 0.01, to = 0.1, adaptive = 1e-3 }"
+    text = f'name = "s"\nkind = "orbit"\nwalker = "E"\n[axes]\n{adaptive}\n'
+    parse.read(write(text.replace("orbit", "branch")))
+    with pytest.raises(StudyError) as error:
+        parse.read(write(text))
+    assert str(error.value) == (
+        '`adaptive` is for studies of kind "branch", whose points follow the gaits'
+        " (s.toml, axes.slope.adaptive)."
+    )
+
+
+def test_a_window_has_two_ends(write):
+    text = 'name = "s"\nkind = "cascade"\nwalker = "E"\n[axes]\nslope = [0.01]\n'
+    with pytest.raises(StudyError) as error:
+        parse.read(write(text))
+    assert str(error.value) == (
+        "The slopes of a `cascade` are a window: give at least two; got 0.01"
+        " (s.toml, axes.slope)."
+    )
+
+
 @pytest.mark.parametrize(("kind", "option", "said"), WRONG_OPTIONS)
 def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, said):
     with pytest.raises(StudyError) as error:
         parse.read(
             write(
-                f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'
+                f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n[options]\n{option}\n'
             )
         )
     assert str(error.value) == said

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid import grid
 from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.record import Points
-from processes import sidecar_path
+from processes import companions
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
 #: Axes, and seconds of a point by its line's number and slope.
@@ -148,7 +148,7 @@ def test_the_time_to_go_of_a_real_run(toy, tell):
     began = time.time()
     toy("run", "toy.toml", TOY_SECONDS="0.004", TOY_COSTLY="0.14 0.16 0.08")
     took, wrong = time.time() - began, []
-    for line in Path(sidecar_path(toy, ".events.jsonl")).read_text().splitlines():
+    for line in Path(companions(toy).events).read_text().splitlines():
         event = json.loads(line)
         if (
             event["event"] == "state"

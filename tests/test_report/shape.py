@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from gaitsweep.pipeline.companions import Companions
+
 POINT = {
     "l_t": 0.5,
     "w_t": 0.0,
@@ -119,8 +121,15 @@ def write(
             path, mode="a", group=group, engine="netcdf4", encoding=as_characters(table)
         )
     if run is not None:
-        path.with_name(f"{path.stem}.run.json").write_text(json.dumps(run))
+        write_record(path, run)
     return path
+
+
+def write_record(path: Path, run: dict[str, Any]) -> None:
+    """Write the record of the run of an archive."""
+    companions = Companions(path)
+    companions.make_folder()
+    companions.record.write_text(json.dumps(run))
 
 
 def as_characters(dataset: xr.Dataset) -> dict[str, dict[str, str]]:

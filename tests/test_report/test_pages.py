@@ -26,7 +26,7 @@ from gaitsweep.pipeline.statuses import STATUS_NAMES
 from processes import on_a_terminal
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
-from test_report.shape import GAITS, KNEED, POINT, write
+from test_report.shape import GAITS, KNEED, POINT, write, write_record
 
 ROOT = Path(__file__).parents[2]
 INDEX_BYTES, PAGE_BYTES = 300_000, 500_000
@@ -665,8 +665,8 @@ def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_i
     tmp_path,
 ):
     archive = write(tmp_path / "a.v2", 'name = "a"', {}, {}, {})
-    for name, jobs in (("a", 1), ("a.v2", 2)):
-        (tmp_path / f"{name}.run.json").write_text(json.dumps({"jobs": jobs}))
+    for name, jobs in (("a.nc", 1), ("a.v2", 2)):
+        write_record(tmp_path / name, {"jobs": jobs})
     assert read(archive).run == {"jobs": 2}
 
 

@@ -1,0 +1,134 @@
+"""The axes of a study: lists of values, ranges, and slopes that follow the gaits."""
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study.fields import RANGE, axis_names, value_of
+from gaitsweep.pipeline.study.files import other
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.model import Axis, Definition
+
+_MAX_DIGITS = 15  # decimals of a linear axis
+
+
+def without_toward(
+    axes: object, path: Path, location: Location
+) -> tuple[object, Definition | None]:
+    """Axes without the walker toward which `detuning` leads, and that walker, if one is
+    named.
+    """
+    way = axes.get("detuning") if isinstance(axes, dict) else None
+    if not isinstance(axes, dict) or not isinstance(way, dict) or "toward" not in way:
+        return axes, None
+    rest = {key: value for key, value in way.items() if key != "toward"}
+    return {**axes, "detuning": rest}, other(way["toward"], path.parent, location)
+
+
+def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
+    """Axes of a study, and the tolerance of adaptive slopes, 0 for none.
+
+    Raises
+    ------
+    StudyError
+        If one is unknown or invalid, or the slope is missing.
+    """
+    if not isinstance(value, dict) or not value:
+        raise location.error("A study needs axes, at least `slope`")
+    location.check_names(value, axis_names(), "key")
+    if "slope" not in value:
+        raise location.error("A study needs the axis `slope`")
+
+    slope, tolerance = value["slope"], 0.0
+    if isinstance(slope, dict) and "adaptive" in slope:
+        tolerance, slope = _adaptive(slope, location.at("slope"))
+
+    given = {**value, "slope": slope}
+    axes = []
+    for name, values in given.items():
+        place = location.at(name)
+        axis = Axis(name, _values(values, place))
+        if name == "slope":
+            _check_slopes(axis.values, place)
+        axes.append(axis)
+    return tuple(axes), tolerance
+
+
+def _check_slopes(values: np.ndarray, location: Location) -> None:
+    wrong = values[~slopes.is_slope(values)]
+    for slope in wrong.tolist():
+        slopes.check(slope, location)
+
+
+def _adaptive(
+    slope: dict[str, Any], location: Location
+) -> tuple[float, dict[str, Any]]:
+    """Tolerance of an adaptive slope axis, and its window as an axis of two values."""
+    location.check_names(slope, ("from", "to", "adaptive"), "key")
+    tolerance = value_of(RANGE, "adaptive", slope, location)
+    window = {key: value for key, value in slope.items() if key != "adaptive"}
+    return tolerance, {**window, "n": 2}
+
+
+def _values(value: object, location: Location) -> np.ndarray:
+    """Values of an axis, shape (n,)."""
+    if isinstance(value, list):
+        return _listed(value, location)
+    if isinstance(value, dict):
+        return _spaced(value, location)
+    raise location.wrong("must be a list, or a table of from, to, n and spacing", value)
+
+
+def _listed(value: list[Any], location: Location) -> np.ndarray:
+    if not value:
+        raise location.wrong("must hold at least one value", value)
+    values = np.array([location.number(v) for v in value])
+    step = np.diff(values)
+    if not (np.all(step > 0) or np.all(step < 0)):
+        raise location.wrong("must rise or fall throughout", value)
+    return values
+
+
+def _spaced(value: dict[str, Any], location: Location) -> np.ndarray:
+    location.check_names(value, ("from", "to", "n", "spacing"), "key")
+    for key in ("from", "to", "n"):
+        if key not in value:
+            raise location.error(f"`{key}` is missing")
+    start = value_of(RANGE, "from", value, location)
+    stop = value_of(RANGE, "to", value, location)
+    n = value_of(RANGE, "n", value, location)
+    spacing = value_of(RANGE, "spacing", value, location)
+
+    if start >= stop:
+        raise location.at("from").wrong(f"must be less than `to` = {stop!r}", start)
+    if spacing == "log" and start <= 0:
+        raise location.at("from").wrong("must be > 0 for log spacing", start)
+
+    values = _linear(start, stop, n)
+    if spacing == "log":
+        values = np.geomspace(start, stop, n)
+    if n > 1 and not np.all(np.diff(values) > 0):
+        raise location.at("n").wrong(
+            "is too large: neighbouring values would be equal", n
+        )
+    return values
+
+
+def _linear(start: float, stop: float, n: int) -> np.ndarray:
+    """Equal steps, shape (n,), written as decimals where they are short ones: 0.3 and
+    not 3 times 0.1.
+    """
+    values = np.linspace(start, stop, n)
+    first, last = (Fraction(repr(x)) for x in (start, stop))
+    step = (last - first) / max(n - 1, 1)
+    for digits in range(_MAX_DIGITS + 1):
+        unit = 10**digits
+        if (first * unit).denominator == (step * unit).denominator == 1:
+            largest = max(abs(start), abs(stop)) * unit
+            # Whole numbers over a power of ten that are both exact: the quotient is the
+            # double nearest the decimal.
+            return np.rint(values * unit) / unit if largest < 2**53 else values
+    return values
