@@ -162,7 +162,7 @@ def parse(
             f"The grid has {count:.3g} points, more than {MAX_POINTS:.0e}"
         )
     way = way if toward is not None else top.at("walker", "toward")
-    study = replace(study, checks=check_walkers(study, top, way))
+    study = _with_checks(study, table, top, way)
     if kind in registry.WINDOWED and study.slope.min() == study.slope.max():
         sentence = f"The slopes of a `{kind}` are a window: give at least two; got {study.slope[0]:g}"
         raise top.at("axes", "slope").error(sentence)
@@ -264,6 +264,11 @@ def _axes(
     """Axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
+    for key in ("units", "trailing_knee"):
+        if key in value:
+            raise location.error(
+                f"`{key}` holds a text and is no axis: it stands in the table of a walker"
+            )
     location.check_names(value, axis_keys(), "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
@@ -421,6 +426,24 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)
     return wanted
+
+
+def _with_checks(
+    study: Study, table: Mapping[str, Any], top: Location, way: Location
+) -> Study:
+    """A study whose walkers are checked, without the variables that only walkers have
+    that lock the trailing knee, if none of its does; those that it names itself stay.
+    """
+    study = replace(study, checks=check_walkers(study, top, way))
+    if any(check["locks_trailing_knee"] for check in study.checks):
+        return study
+    named = table.get("want", {}).get("variables") or ()
+    kept = [
+        name
+        for name in study.variables
+        if name in named or not VARIABLES[name].is_of_locked_knee
+    ]
+    return replace(study, variables=tuple(kept))
 
 
 def _want(

@@ -40,7 +40,8 @@ class Variable:
     `first`, which begins with the largest stance angle, their `sum` or `mean`, the
     `greatest`, the `least`, or the flags of `any`; others follow from them. `is_smooth`
     is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are
-    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none.
+    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none,
+    `is_of_locked_knee` whether only walkers have it that lock the trailing knee.
 
     A variable of another package has a `measure`, called with the steps
     (`tasks.measures.gaits.Steps`) and what is measured of them already, arrays by name;
@@ -58,6 +59,7 @@ class Variable:
     over_steps: str = "first"
     is_smooth: bool = False
     is_of_knees: bool = False
+    is_of_locked_knee: bool = False
     measure: Callable[[Any, dict[str, Any]], Any] | None = None
     version: int = 1
 
