@@ -505,13 +505,13 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     walker = resolve(given, overrides)
     varied: dict[str, tuple[str, ...]] = {}
     for owner in overrides:
-        for key in _moved_by(owner, given):
+        for key in moved_by(owner, given):
             varied[key] = (*varied.get(key, ()), owner)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
     movers = tuple(
         owner
         for owner in overrides
-        if any(key in CONDITIONED for key in _moved_by(owner, given))
+        if any(key in CONDITIONED for key in moved_by(owner, given))
     )
     varied |= dict.fromkeys(tuned, movers) if movers else {}
     return {
@@ -549,7 +549,7 @@ def _way(table: Mapping[str, Any]) -> dict[str, Any]:
     return {"start": label(own), "end": label(table["toward"]), "tables": tables}
 
 
-def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
+def moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys of a walker that a key of a line moves, those tuned apart."""
     if owner in _DERIVED:
         return owned(owner, walker)
