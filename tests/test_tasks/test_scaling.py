@@ -8,6 +8,7 @@ import pytest
 import gaitsweep
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.study.parse import parse
+from gaitsweep.tasks.contract.accuracy import significant_bits
 from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.mechanics.kernel import FLOWS
 from gaitsweep.tasks.studies import solve_points
@@ -231,6 +232,9 @@ def test_a_study_has_the_same_bytes_as_python():
     by_itself = solve_points.points({**request, "line": lines[1]}, [atlas])
     found = gaitsweep.gaits("B", slopes, R=0.21, g=3.0, variables=WANT)
     own = beside[1][1]
+    table = {"walker": {"base": "B", "R": 0.21, "g": 3.0}, "set": {}}
+    ((_, in_table),) = solve_points.lines({**request, "lines": [table]}, [])
+    assert (own["reasons"] == in_table["reasons"]).all()
     assert (own["reasons"] == alone[1]["reasons"]).all()
     assert (own["reasons"] == by_itself["reasons"]).all()
     for name, values in own.items():
@@ -307,3 +311,7 @@ def test_gaits_to_an_accuracy_are_not_converted_but_right():
     exact = gaitsweep.gaits("A", 0.02, g=g)
     apart = np.abs(found.period / exact.period - 1).values
     assert np.nanmax(apart) < 1e-6
+    # Rounded to the bits that the accuracy leaves, which a conversion would undo.
+    mantissa, _ = np.frexp(found.period.values[:, 0])
+    scaled = mantissa * 2.0 ** (significant_bits(1e-6) + 1)
+    assert (scaled == np.round(scaled)).all()
