@@ -17,6 +17,7 @@ import mpmath as mp
 
 mp.mp.dps = 80
 DIGITS = 25
+TEXTS = ("knees", "units", "base", "name", "trailing_knee")
 NAMES = (
     "a_t",
     "b_t",
@@ -50,7 +51,7 @@ def constants(walker: Mapping, slope):
     from the knee.
     """
     w = {"m_h": 0, "g": 1, **walker}
-    p = {k: _mpf(w[k]) for k in w if k not in ("knees", "units", "base", "name")}
+    p = {k: _mpf(w[k]) for k in w if k not in TEXTS}
     d = p["l_s"] - p["R"]
     e_t, e_s = p["eps_T"], mp.asin(p["l_t"] * mp.sin(p["eps_T"]) / d)
 
@@ -167,6 +168,7 @@ class Walker:
     def __init__(self, walker, slope, kind="real128"):
         self.simplest, self.kind = walker == "D", kind
         self.knees = not self.simplest and bool(walker.get("knees", False))
+        self.locks = not self.simplest and walker.get("trailing_knee") == "locked"
         self.c = None if self.simplest else constants(walker, slope)
         self.pars = [_mpf(slope)] if self.simplest else [self.c[n] for n in NAMES]
 
@@ -256,7 +258,7 @@ class Walker:
             stance = mp.cos(2 * s[0]) * s[2]
             thigh = stance * mp.cos(2 * s[0])
             return [stance, thigh, thigh], (s[2] * mp.sin(2 * s[0])) ** 2 / 2
-        locked = (1,) if self.knees else (0, 1)
+        locked = (1,) if self.knees and not self.locks else (0, 1)
         rates, loss = self._impact(
             [s[0], s[0], s[1], s[1]], [s[2], s[2], s[3], s[3]], 0, 1, locked
         )

@@ -158,7 +158,7 @@ class Stepper:
 
         knee = (None, None, None, None, 0.0)
         if self.knees:
-            if flexion(state[3:]) < 0:  # hyperextends first: wait until it flexes
+            if self._hyperextends(state, slope):  # wait until it flexes
                 advance(flexion, 1, False)
             advance(flexion, -1, False)
             before = state
@@ -197,6 +197,15 @@ class Stepper:
             loss,
             *self._sample(pieces, slope, samples),
         )
+
+    def _hyperextends(self, state, slope):
+        """Whether the released knee first moves against its stop; of a knee at rest its
+        acceleration says so.
+        """
+        moves = state[3:]
+        if moves[1] == moves[2]:
+            moves = self.accelerations(state, slope, False)
+        return moves[1] < moves[2]
 
     def _sample(self, pieces, slope, samples):
         if not samples:
@@ -254,9 +263,9 @@ class Oracle(Stepper):
     """
 
     def __init__(self, walker: Mapping):
-        k = {"m_h": 0.0, "g": 1.0, "knees": False, **walker}
-        self.knees, self.g, self.radius = bool(k["knees"]), k["g"], k["R"]
-        d = k["l_s"] - k["R"]
+        self.keys = k = {"m_h": 0.0, "g": 1.0, "knees": False, **walker}
+        self.knees, self.g, self.radius = k["knees"], k["g"], k["R"]
+        d = k["l_s"] - self.radius
         eps_t, eps_s = k["eps_T"], np.arcsin(k["l_t"] * np.sin(k["eps_T"]) / d)
         # Body frames have angle zero when the extended leg's hip-foot-centre line is
         # upright.
@@ -413,10 +422,13 @@ class Oracle(Stepper):
 
     def heelstrike(self, state):
         """Stop the swing foot, release the other; the new swing knee is free with
-        knees.
+        knees, or locked until just after it.
         """
-        v, impulse, loss = self._impact(state, 1, (1,) if self.knees else (0, 1))
+        is_free = self.knees and self.keys.get("trailing_knee") != "locked"
+        v, impulse, loss = self._impact(state, 1, (1,) if is_free else (0, 1))
         rates = v[[THIGH[1] + 2, THIGH[0] + 2, SHANK[0] + 2]]
+        if not is_free:  # equal but for rounding
+            rates[2] = rates[1]
         return np.array([state[1], state[0], state[0], *rates]), impulse, loss
 
 

@@ -23,11 +23,16 @@ from gaitsweep.pipeline.grid.grid import Chunk
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.pipeline.store.record import Points, has_multipliers, joined
+from gaitsweep.pipeline.store.record import (
+    Points,
+    has_multipliers,
+    joined,
+    sentence_number,
+)
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
 from gaitsweep.pipeline.study.model import Axis, Definition, Study
-from gaitsweep.tasks.contract.accuracy import always
+from gaitsweep.tasks.contract.accuracy import always, is_converted
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 #: Atlases, charts and points of short lines kept for later calls [byte]: other points
@@ -44,6 +49,8 @@ _Found = tuple[np.ndarray, Points]
 class _Line:
     """A line of the grid: the numbers of its points, their distinct slopes, and the
     slope of each among these.
+
+    Where walkers of its points differ in their units it is the line of one of them.
     """
 
     def __init__(
@@ -57,6 +64,16 @@ class _Line:
         self.line, self.at, self.check = line, at, check
         self.slopes, self.row = np.unique(slope[at], return_inverse=True)
         self._base = base
+
+    def over(
+        self,
+        line: dict[str, Any],
+        check: dict[str, Any],
+        at: np.ndarray,
+        slope: np.ndarray,
+    ) -> "_Line":
+        """Another line of the same study."""
+        return _Line(self._base, line, at, slope, check)
 
     @property
     def study(self) -> Study:
@@ -118,7 +135,7 @@ def gaits(
     base = _base(walker, wanted, steps, accuracy, limits or {})
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
-    lines, unsolvable = _checked(base, walker, flat, _varying_keys(arrays))
+    lines, unsolvable = _checked(base, flat, arrays)
 
     # An argument that is nowhere right is a mistake, not a result.
     slope = flat["slope"]
@@ -140,7 +157,7 @@ def gaits(
     multipliers = max((check["multipliers"] for check in answers), default=3)
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
-    found = _solve(base, lines)
+    found = _solve_in_units(base, lines, flat)
     points = _in_order(found, unsolvable, base.variables, multipliers)
     study = replace(base, checks=tuple(answers[:1]))
     return _dataset(points, grid[0], coordinates, moved, constants, study)
@@ -174,13 +191,8 @@ def _base(
     )
 
 
-def _varying_keys(arrays: Mapping[str, xr.DataArray]) -> list[str]:
-    """Names of the keys that vary."""
-    return [name for name, a in arrays.items() if name != "slope" and a.ndim]
-
-
 def _checked(
-    base: Study, walker: Definition, flat: Arrays, varying: list[str]
+    base: Study, flat: Arrays, arrays: Mapping[str, xr.DataArray]
 ) -> tuple[list[_Line], list[tuple[np.ndarray, StudyError]]]:
     """Lines of the grid at their slopes, and the points of those whose walker cannot
     be, with why.
@@ -189,7 +201,7 @@ def _checked(
     is_slope = slopes.is_slope(slope)
     lines: list[_Line] = []
     unsolvable: list[tuple[np.ndarray, StudyError]] = []
-    for line, every in _lines(walker, flat, varying):
+    for line, every in _lines(base, flat, arrays):
         at = every[is_slope[every]]
         try:
             check = dispatch.ask("check_walker", line)
@@ -232,10 +244,17 @@ def _in_order(
 
 
 def _lines(
-    walker: Definition, flat: Arrays, varying: list[str]
+    base: Study, flat: Arrays, arrays: Mapping[str, xr.DataArray]
 ) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
-    """Every line of the grid, in the order of its first point, with its points."""
+    """Every line of the grid, in the order of its first point, with its points.
+
+    Those that differ only in a `g` that can be are one where gaits are converted.
+    """
     n = len(flat["slope"])
+    (walker,) = base.walkers
+    varying = [name for name, a in arrays.items() if name != "slope" and a.ndim]
+    if "g" in varying and is_converted(base.variables, base.accuracy):
+        flat = {**flat, "g": _one_for_all(flat["g"])}
     fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
     number = np.zeros(n, int)
     if varying:
@@ -255,6 +274,13 @@ def _lines(
             },
             at,
         )
+
+
+def _one_for_all(g: np.ndarray) -> np.ndarray:
+    """Values of `g`, of which those that can be are the first of them."""
+    low, high = dispatch.resolve("gaitsweep.tasks.walkers.walker:BOUNDS")["g"]
+    can_be = (g >= low) & (g <= high)
+    return np.where(can_be, g[can_be.argmax()], g) if can_be.any() else g
 
 
 def _constants(
@@ -308,6 +334,117 @@ def _moved(
             values.reshape(arrays[0].shape), dims=arrays[0].dims, attrs=about
         )
     return moved
+
+
+class _Units:
+    """By how much the units of length, mass and time of the walker of each point are
+    larger than those of the line of which its gaits are, and the line's number.
+    """
+
+    def __init__(self, n: int):
+        self.ratios = np.ones((3, n))
+        self.time = np.ones(n)
+        self.line = np.zeros(n, int)
+
+    def set(self, line: _Line, found: Mapping[str, Any], flat: Arrays) -> None:
+        """Set those of the points of a line, which differs in units from another."""
+        length, mass, time = found["units"]
+        if "g" in found["keys"]:
+            time = np.sqrt(length / flat["g"][line.at])
+        self.time[line.at] = time
+        pairs = zip((length, mass, time), found["plain_units"], strict=True)
+        for row, (own, other) in zip(self.ratios, pairs, strict=True):
+            row[line.at] = own / other
+
+    def convert(self, at: np.ndarray, points: Points, lines: list[_Line]) -> Points:
+        """Points, at their places in the grid, in the units of their walkers."""
+        ratios = self.ratios[:, at]
+        if (ratios == 1).all():
+            return points
+        values = dict(points.values)
+        for name, array in points.values.items():
+            if array.dtype == float:
+                unit = np.broadcast_to(VARIABLES[name].unit(*ratios), len(at))
+                values[name] = array * unit.reshape(-1, *[1] * (array.ndim - 1))
+
+        sentences = dict(points.sentences)
+        values["reason"] = values["reason"].copy()
+        for number in np.unique(self.line[at]).tolist():
+            some = np.flatnonzero(self.line[at] == number)
+            reason = values["reason"][some]
+            times = self.time[at[some]]
+            values["reason"][some] = _told_in_time(
+                lines[number].line, times, reason, sentences
+            )
+        return Points(values, sentences)
+
+
+def _told_in_time(
+    line: Mapping[str, Any],
+    times: np.ndarray,
+    reason: np.ndarray,
+    sentences: dict[int, str],
+) -> np.ndarray:
+    """Numbers of the sentences of points in their walkers' units of time (n,), from
+    those, (n, gaits), of their line; new sentences are added.
+    """
+    used, place = np.unique(reason, return_inverse=True)
+    units, which = np.unique(times, return_inverse=True)
+    words, *in_unit = dispatch.ask(
+        "search_words", {"line": line, "time_units": units.tolist()}
+    )
+    numbers = np.repeat(used[None], len(units), axis=0)
+    for k, number in enumerate(used.tolist()):
+        if words not in sentences[number]:
+            continue
+        for row, own in enumerate(in_unit):
+            sentence = sentences[number].replace(words, own)
+            numbers[row, k] = sentence_number(sentence)
+            sentences[int(numbers[row, k])] = sentence
+    return numbers[which[:, None], place.reshape(reason.shape)]
+
+
+def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_Found]:
+    """Solve the points of lines, those that differ only in units once, and convert
+    them.
+    """
+    if not is_converted(base.variables, base.accuracy):
+        yield from _solve(base, lines)
+        return
+
+    units = _Units(len(flat["slope"]))
+    alike: dict[str, list[_Line]] = {}
+    plain: dict[str, dict[str, Any]] = {}
+    for one in lines:
+        found = dispatch.ask("scaled", one.line)
+        if not found["possible"]:
+            # Nor are those of the others, which set the same keys.
+            yield from _solve(base, lines)
+            return
+        name = repr(found["plain"])
+        alike.setdefault(name, []).append(one)
+        if found["keys"]:
+            plain[name] = found["plain"]
+            units.set(one, found, flat)
+
+    merged = []
+    for number, (name, own) in enumerate(alike.items()):
+        at = np.concatenate([one.at for one in own])
+        units.line[at] = number
+        merged.append(_without_keys(own[0], plain.get(name), at, flat["slope"]))
+    for at, points in _solve(base, [*merged]):
+        yield at, units.convert(at, points, merged)
+
+
+def _without_keys(
+    one: _Line, plain: dict[str, Any] | None, at: np.ndarray, slope: np.ndarray
+) -> _Line:
+    """A line with the points of several, without the keys that change only units, if it
+    has any.
+    """
+    if plain is None:
+        return one.over(one.line, one.check, at, slope)
+    return one.over(plain, dispatch.ask("check_walker", plain), at, slope)
 
 
 def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:

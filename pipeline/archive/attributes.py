@@ -12,7 +12,12 @@ from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.fields import EXTRA_AXES
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.pipeline.study.ways import ends
-from gaitsweep.tasks.contract.registry import PROVED, VIOLATIONS, Variable
+from gaitsweep.tasks.contract.registry import (
+    PROVED,
+    VARIABLES,
+    VIOLATIONS,
+    Variable,
+)
 
 #: Attributes of coordinates, and of the sentences.
 GAIT = {"long_name": "gait by its character", "units": "1"}
@@ -102,10 +107,11 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
             "flag_meanings": " ".join(flags),
         }
     elif variable.name == "violations":
-        masks = np.array([1 << i for i in range(len(VIOLATIONS))], np.int32)
-        attrs |= {"flag_masks": masks, "flag_meanings": " ".join(VIOLATIONS)}
-        values = np.array(list(violation_limits(study).values()))
-        units_of = "; ".join(f"{v.name}: {v.unit}" for v in VIOLATIONS.values())
+        limits = violation_limits(study)
+        masks = np.array([1 << i for i in range(len(limits))], np.int32)
+        attrs |= {"flag_masks": masks, "flag_meanings": " ".join(limits)}
+        values = np.array(list(limits.values()))
+        units_of = "; ".join(f"{name}: {VIOLATIONS[name].unit}" for name in limits)
         attrs |= {"flag_limits": values, "flag_limit_units": units_of}
     if variable.name not in ("status", "reason"):
         attrs["ancillary_variables"] = "status reason"
@@ -113,7 +119,13 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
 
 
 def violation_limits(study: Study) -> dict[str, float]:
-    """Limit of every violation, by name in the order of their bits."""
-    return {v.name: v.limit for v in VIOLATIONS.values()} | study.options.get(
-        "violation_limits", {}
-    )
+    """Limit of every violation that the study's walkers may have, by name in the order
+    of their bits.
+    """
+    locks = any(check["locks_trailing_knee"] for check in study.checks)
+    limits = {
+        v.name: v.limit
+        for v in VIOLATIONS.values()
+        if locks or not all(VARIABLES[name].is_of_locked_knee for name in v.amounts)
+    }
+    return limits | study.options.get("violation_limits", {})

@@ -81,13 +81,13 @@ def tolerance(text: str) -> tuple[str, float]:
 
 
 def setting(text: str) -> tuple[str, float | bool | str]:
-    """A walker key and its value, or `toward` and another walker."""
+    """A walker key and its value; that of `toward` and `trailing_knee` is a text."""
     key, _, value = text.partition("=")
     if not key or not value:
         raise ArgumentTypeError(f"must be KEY=VALUE; got {text}")
     if key == "knees" and value not in ("true", "false"):
         raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
-    if key == "toward":
+    if key in ("toward", "trailing_knee"):
         return key, value
     return key, {"true": True, "false": False}[value] if value in (
         "true",

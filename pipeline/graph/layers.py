@@ -107,7 +107,7 @@ def line_params(
     """
     if name == "atlas":
         return {
-            "line": line,
+            "line": _without_g(line),
             "coarse": method.is_coarse,
             **({"steps": study.steps} if study.steps > 1 else {}),
         }
@@ -116,24 +116,7 @@ def line_params(
     if name == "corners":
         return {"line": line}
     if name == "charts":
-        assert study.plane
-        fixed = {
-            key: value
-            for key, value in line["set"].items()
-            if key not in study.plane.region["keys"]
-        }
-        window = {**_window(study), "slopes": about(len(study.slope))}
-        wanted = (
-            {"want": variables(study), "accuracy": study.accuracy}
-            if study.accuracy
-            else {"want": ()}
-        )
-        return {
-            "line": {**line, "set": fixed},
-            "plane": box or study.plane.region,
-            **window,
-            **wanted,
-        }
+        return _charts_params(study, line, box)
     if name == "cascade" != study.kind:  # for the fit `crises`
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
@@ -147,6 +130,33 @@ def line_params(
     if name == "design" and study.plane:
         params["plane"] = study.plane.region
     return params
+
+
+def _charts_params(
+    study: Study, line: Mapping[str, Any], box: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Parameters of charts over the plane of a line, or a box."""
+    assert study.plane
+    fixed = {
+        key: value
+        for key, value in line["set"].items()
+        if key not in study.plane.region["keys"]
+    }
+    window = {**_window(study), "slopes": about(len(study.slope))}
+    of_plane = {**line, "set": fixed}
+    if not study.accuracy:
+        region = box or study.plane.region
+        return {"line": _without_g(of_plane), "plane": region, **window, "want": ()}
+    wanted = {"want": variables(study), "accuracy": study.accuracy}
+    return {"line": of_plane, "plane": box or study.plane.region, **window, **wanted}
+
+
+def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:
+    """A line without `g`, which changes nothing but units: branches and charts are in
+    the walker's own.
+    """
+    others = {key: value for key, value in line["set"].items() if key != "g"}
+    return {**line, "set": others}
 
 
 def _window(study: Study) -> dict[str, float]:

@@ -38,6 +38,11 @@ def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
     """
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
+    for key in ("units", "trailing_knee"):
+        if key in value:
+            raise location.error(
+                f"`{key}` holds a text and is no axis: it stands in the table of a walker"
+            )
     location.check_names(value, axis_names(), "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")

@@ -62,11 +62,12 @@ def _plain(value: Any) -> Any:
     )
 
 
-def _check_keys(names: Iterable[str]) -> None:
-    if "toward" in names:
-        raise StudyError(
-            "`toward` stands in the table of the walker, beside its `base` or its keys."
-        )
+def _check_keys(names: Iterable[str], texts: Iterable[str] = ("toward",)) -> None:
+    for key in texts:
+        if key in names:
+            raise StudyError(
+                f"`{key}` stands in the table of the walker, beside its `base` or its keys."
+            )
 
 
 def number(name: str, value: object) -> float:
@@ -85,8 +86,9 @@ def number(name: str, value: object) -> float:
     return Location("", name).number(value)
 
 
-def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
-    """Check values of keys to change: finite numbers, of `knees` true or false.
+def changes(keys: Mapping[str, object]) -> dict[str, float | bool | str]:
+    """Check values of keys to change: finite numbers, of `knees` true or false, of
+    `trailing_knee` a text.
 
     Raises
     ------
@@ -96,10 +98,16 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     if not isinstance(keys.get("knees", True), bool | np.bool_):
         raise Location("", "knees").wrong("must be true or false", keys["knees"])
     _check_keys(keys)
-    return {
-        key: bool(value) if key == "knees" else number(key, value)
-        for key, value in keys.items()
-    }
+    return {key: _change(key, value) for key, value in keys.items()}
+
+
+def _change(key: str, value: object) -> float | bool | str:
+    """The value of one key to change, checked."""
+    if key == "knees":
+        return bool(value)
+    if key == "trailing_knee":
+        return str(value)
+    return number(key, value)
 
 
 def broadcast(
@@ -159,7 +167,7 @@ def broadcast(
 
 
 def _numbers(name: str, value: object) -> np.ndarray:
-    _check_keys([name])
+    _check_keys([name], ("toward", "trailing_knee"))
     try:
         array = (
             np.ma.filled(value.astype(float), np.nan)

@@ -27,7 +27,7 @@ from gaitsweep.pipeline.study.fields import (
 from gaitsweep.pipeline.study.files import changed, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition, Limits, Study
-from gaitsweep.tasks.contract.registry import GAITS
+from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 
 def read(path: str | Path, asked: float | None = None) -> Study:
@@ -104,7 +104,7 @@ def parse(
     rules.check(study, top)
 
     way = way if toward is not None else top.at("walker", "toward")
-    study = replace(study, checks=check_walkers(study, top, way))
+    study = _with_checks(study, named, top, way)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
 
@@ -170,6 +170,24 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[Definition,
     if not isinstance(value, str | dict):
         raise location.wrong(f"must be {words}", value)
     return (walker(value, path.parent, location),)
+
+
+def _with_checks(
+    study: Study, wanted: Mapping[str, Any], top: Location, way: Location
+) -> Study:
+    """A study whose walkers are checked, without the variables that only walkers have
+    that lock the trailing knee, if none of its does; those that it names itself stay.
+    """
+    study = replace(study, checks=check_walkers(study, top, way))
+    if any(check["locks_trailing_knee"] for check in study.checks):
+        return study
+    named = wanted.get("variables") or ()
+    kept = [
+        name
+        for name in study.variables
+        if name in named or not VARIABLES[name].is_of_locked_knee
+    ]
+    return replace(study, variables=tuple(kept))
 
 
 def _limits(table: Mapping[str, Any], top: Location) -> Limits:

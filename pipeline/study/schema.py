@@ -178,7 +178,7 @@ def _walker(leads: bool = True) -> Schema:
     keys: dict[str, Schema] = {
         name: _key(name)
         for name in (*texts, "foot_mass_ratio", "detuning")
-        if name not in ("knees", "units")
+        if name not in ("knees", "units", "trailing_knee")
     }
     keys |= {
         "knees": {"description": texts["knees"], "type": "boolean", "default": False},
@@ -186,6 +186,11 @@ def _walker(leads: bool = True) -> Schema:
             "description": texts["units"],
             **one_of(["SI", "1"]),
             "default": "1",
+        },
+        "trailing_knee": {
+            "description": texts["trailing_knee"],
+            **one_of([*_of_walkers("TRAILING_KNEES")]),
+            "default": "free",
         },
         "base": {"description": "walker of which this one differs in the keys given"}
         | _name(),

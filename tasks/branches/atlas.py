@@ -331,13 +331,25 @@ def searched(walker: Walker) -> str:
     """Describe how many initial guesses a survey of the walker's line takes from its
     lattice, and how far they reach.
     """
-    times = periods(walker) * walker.time_unit
-    kind = (walker.knees, len(times))
+    return searched_in(walker, [walker.time_unit])[0]
+
+
+def searched_in(walker: Walker, time_units: Sequence[float]) -> list[str]:
+    """Describe a survey as `searched` does, for walkers that differ from one by their
+    units of time.
+    """
+    over_unit = periods(walker)
+    kind = (walker.knees, len(over_unit))
     if kind not in _GUESSES:
         _GUESSES[kind] = lattice_size(walker, ANCHORS, _SHARES)
     slopes = f"{len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
-    reach = f"periods from {times[0]:.3g} to {times[-1]:.3g}{' s' * walker.si}"
-    return f"{_GUESSES[kind]} initial guesses at {slopes}, with {reach}"
+    guesses = f"{_GUESSES[kind]} initial guesses at {slopes}"
+    words = []
+    for unit in time_units:
+        first, last = (over_unit * unit)[[0, -1]]
+        reach = f"periods from {first:.3g} to {last:.3g}{' s' * walker.si}"
+        words.append(f"{guesses}, with {reach}")
+    return words
 
 
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:

@@ -20,6 +20,7 @@ from gaitsweep.tasks.branches.tracking import MOST_RATE, fall_margin, rate_of_st
 from gaitsweep.tasks.contract.kinds import KINDS, Kind
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.mechanics.arrays import Coordinates, PerLane
+from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.step.problem import Problem
 
 #: Scalars of evaluated steps, shape (n,), and their derivatives by Z, shape (c, n).
@@ -217,9 +218,29 @@ def _foot_at_kneestrike(at: Evaluation) -> ndarray:
 
 
 def _knee_rate(at: Evaluation) -> ndarray:
-    """Rate at which the released knee begins to bend, over the stance angle."""
-    thigh_rate, shank_rate = at.stride.one.start[4], at.stride.one.start[5]
-    return _nearest_zero(thigh_rate - shank_rate, at) / at.stride.y[0]
+    """Rate at which the released knee begins to bend, over the stance angle; its
+    acceleration where it was locked during heelstrike and begins without a rate.
+    """
+    if at.problem.structure.locks_trailing_knee:
+        bending = _knee_acceleration(at)
+    else:
+        thigh_rate, shank_rate = at.stride.one.start[4], at.stride.one.start[5]
+        bending = thigh_rate - shank_rate
+    return _nearest_zero(bending, at) / at.stride.y[0]
+
+
+def _knee_acceleration(at: Evaluation) -> ndarray:
+    """Acceleration with which the released knee begins to bend, as angles are scaled."""
+    s = at.stride.steps
+    start = at.stride.singles.start
+    scale = np.exp(at.Z[0]) / at.stride.y[0]
+    scale, slope = np.tile(np.stack([scale, np.exp(at.q)]), s)
+    links = [0, 0, 1, 2]
+    q, rate = start[:3][links] * scale, start[3:][links] * scale
+
+    chain = Chain(at.problem.every_walker)
+    *_, thigh, shank = chain.accelerations(q, rate, slope, True)
+    return np.asarray((thigh - shank) / scale)
 
 
 def _stationary(at: Evaluation, by_Z: Coordinates) -> ndarray:

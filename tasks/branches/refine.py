@@ -31,7 +31,11 @@ from gaitsweep.tasks.mechanics.arrays import Gait, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.step_map import SAMPLES
-from gaitsweep.tasks.step.verify_step import StepCheck, verify
+from gaitsweep.tasks.step.verify_step import (
+    StepCheck,
+    hyperextends_at_release,
+    verify,
+)
 
 #: Largest change Newton may still make at a segment's middle before the segment is
 #: split: in a fine atlas points take one step each, and what their bounds need is
@@ -225,7 +229,9 @@ def _beside_the_least(
 
 
 def _where_the_knee_turns(stride: AnyStride, fine: ndarray, k: int) -> tuple[int, int]:
-    against = stride.one.start[4] < stride.one.start[5]
+    each = stride.singles
+    free = each.motion[0]
+    against = hyperextends_at_release(free, each.times[0] / (len(free) - 1))
     in_any_step = against.reshape(stride.steps, -1).any(axis=0)
     turn = int(np.diff(in_any_step).argmax())
     return turn, turn + 1

@@ -50,6 +50,15 @@ def significant_bits(accuracy: float) -> int:
     return min(MANTISSA, 3 + math.ceil(-math.log2(accuracy))) if accuracy else MANTISSA
 
 
+def is_converted(want: Iterable[str], accuracy: float) -> bool:
+    """Whether the gaits of a walker that differs only in its units give the wanted ones:
+    none is proved, or measured by another package, or rounded to an accuracy.
+    """
+    return not accuracy and not any(
+        VARIABLES[name].group == "proofs" or VARIABLES[name].measure for name in want
+    )
+
+
 def is_interpolated(want: Iterable[str], accuracy: float) -> bool:
     """Whether polynomials may give the points: all variables are smooth, and the
     accuracy is within their reach.

@@ -63,7 +63,7 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            25,
+            26,
             needs=("atlas",),
         ),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 10),
@@ -219,6 +219,8 @@ CALLS = {
     "tune": "gaitsweep.tasks.walkers.tuning:tune",
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
     "check_walker": "gaitsweep.tasks.walkers.resolve:check",
+    "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
+    "search_words": "gaitsweep.tasks.studies.solve_points:search_words",
 }
 
 #: Function that says how long a process has integrated, once its module is loaded.

@@ -4,6 +4,7 @@ know of each.
 Like the registry, this module imports no solver.
 """
 
+import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -29,6 +30,23 @@ STATUSES = {
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS: dict[str, str] = _TABLES["units"]
+#: Powers of length, mass and time in SI units, which those of kinds consist of.
+_POWERS = {
+    **{"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "rad": (0, 0, 0)},
+    **{"N": (1, 1, -2), "J": (2, 1, -2), "W": (2, 1, -3)},
+}
+
+
+def _dimensions(units: str) -> tuple[int, ...]:
+    """Powers of length, mass and time in units that are written as "kg m2 s-2"."""
+    total = [0, 0, 0]
+    for symbol, exponent in re.findall(r"([A-Za-z]+)(-?\d*)", units):
+        for k, power in enumerate(_POWERS[symbol]):
+            total[k] += power * int(exponent or 1)
+    return tuple(total)
+
+
+_DIMENSIONS = {kind: _dimensions(units) for kind, units in SI_UNITS.items()}
 
 
 @dataclass(frozen=True)
@@ -40,7 +58,8 @@ class Variable:
     `first`, which begins with the largest stance angle, their `sum` or `mean`, the
     `greatest`, the `least`, or the flags of `any`; others follow from them. `is_smooth`
     is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are
-    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none.
+    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none,
+    `is_of_locked_knee` whether only walkers have it that lock the trailing knee.
 
     A variable of another package has a `measure`, called with the steps
     (`tasks.measures.gaits.Steps`) and what is measured of them already, arrays by name;
@@ -58,8 +77,20 @@ class Variable:
     over_steps: str = "first"
     is_smooth: bool = False
     is_of_knees: bool = False
+    is_of_locked_knee: bool = False
     measure: Callable[[Any, dict[str, Any]], Any] | None = None
     version: int = 1
+
+    def unit(self, length: Any, mass: Any, time: Any) -> Any:
+        """Return its unit, by those of length, mass and time: numbers, or arrays."""
+        # Powers of numbers and of arrays are rounded in two ways, products in one.
+        unit = 1.0
+        for power, base in zip(
+            _DIMENSIONS[self.kind], (length, mass, time), strict=True
+        ):
+            for _ in range(abs(power)):
+                unit = unit * base if power > 0 else unit / base
+        return unit
 
     def units(self, si: bool) -> str:
         """CF units of this variable for a walker in SI (`si`) or in consistent units."""

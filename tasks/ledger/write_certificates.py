@@ -15,7 +15,13 @@ from gaitsweep.tasks.proofs import covers, crossings, tubes
 from gaitsweep.tasks.proofs.body import body
 from gaitsweep.tasks.proofs.enclosed_step import dimensions
 from gaitsweep.tasks.proofs.gait import named
-from gaitsweep.tasks.proofs.keys import decimal, exact, in_doubles, written_table
+from gaitsweep.tasks.proofs.keys import (
+    decimal,
+    exact,
+    in_doubles,
+    trailing_knee,
+    written_table,
+)
 from gaitsweep.tasks.proofs.records import STATE, guess, quoted
 from gaitsweep.tasks.proofs.stability import multipliers
 from gaitsweep.tasks.studies.prove_gaits import prove_one
@@ -97,7 +103,17 @@ def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
 
 def _dimension(walker: str | Mapping[str, Any]) -> int:
     with ctx.workprec(106):
-        return dimensions(body(*exact(walker)))[0]
+        return dimensions(body(*exact(walker), trailing_knee(walker)))[0]
+
+
+def _family(walker: str | Mapping[str, Any], parameter: int) -> tubes.Family:
+    """Gaits of a walker, followed along a coordinate."""
+    return tubes.Family(*exact(walker), parameter, trailing_knee(walker))
+
+
+def _written(family: tubes.Family) -> dict[str, str]:
+    """The table of a family's walker as a certificate quotes it."""
+    return written_table(family.keys, family.kneed, family.trailing_knee)
 
 
 def _start(walker: str | Mapping[str, Any], label: str, slope: float) -> list[arb]:
@@ -134,12 +150,10 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     NotProvedError
         If it is not proved.
     """
-    keys, kneed = exact(params["walker"])
     parameter, function = crossings.KINDS[params["kind"]]
+    family = _family(params["walker"], parameter)
     start = _start(params["walker"], params["gait"], float(params["slope"]))
-    interval = crossings.bracketed(
-        tubes.Family(keys, kneed, parameter), start, params["half"], function
-    )
+    interval = crossings.bracketed(family, start, params["half"], function)
     what = (
         "a multiplier of the gait passes -1"
         if params["kind"] == "flip"
@@ -157,7 +171,7 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "kind": params["kind"],
         "statement": statement,
-        "walker": written_table(keys, kneed),
+        "walker": _written(family),
         "gait": order.label,
         "slope": list(quoted(interval.slope)),
         "box": {name: list(quoted(x)) for name, x in box.items()},
@@ -185,8 +199,7 @@ def _tube(about: Mapping[str, Any]) -> dict[str, Any]:
     walker, label, low, high = (
         about[name] for name in ("walker", "gait", "slope", "to")
     )
-    keys, kneed = exact(walker)
-    family = tubes.Family(keys, kneed, tubes.BY_SLOPE)
+    family = _family(walker, tubes.BY_SLOPE)
     cover = covers.stable_over(
         family, _start(walker, label, float(low)), (decimal(low), decimal(high))
     )
@@ -197,7 +210,7 @@ def _tube(about: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "kind": "tube",
         "statement": statement,
-        "walker": written_table(keys, kneed),
+        "walker": _written(family),
         "gait": label,
         "slope": [low, high],
         "events": cover[0].events().names,

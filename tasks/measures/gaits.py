@@ -414,7 +414,8 @@ _OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
-    """NaN for those of some variables that only knees have, if the walker has none.
+    """NaN for those of some variables that only knees have, or only knees locked at
+    heelstrike, if the walker has none.
 
     Parameters
     ----------
@@ -426,11 +427,13 @@ def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
     -------
     dict of ndarray, shape (n,)
     """
-    return {
-        name: np.full(n, np.nan)
+    lacking = [
+        name
         for name in names
-        if VARIABLES[name].is_of_knees and not walker.knees
-    }
+        if (VARIABLES[name].is_of_knees and not walker.knees)
+        or (VARIABLES[name].is_of_locked_knee and not walker.locks_trailing_knee)
+    ]
+    return {name: np.full(n, np.nan) for name in lacking}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
+from gaitsweep.tasks.walkers.walker import Walker
 
 #: Variables that say how well a gait is known, not what it is.
 _OF_THE_SOLVE = (
@@ -25,14 +26,8 @@ _OF_THE_SOLVE = (
 _RADIUS = "spectral_radius"
 
 
-def measures(knees: bool) -> list[str]:
-    """Return the names of the measures whose value may be asked for.
-
-    Parameters
-    ----------
-    knees : bool
-        Whether the walker has them.
-    """
+def measures(walker: Walker) -> list[str]:
+    """Return the names of the measures of a walker whose value may be asked for."""
     return [
         name
         for name, about in VARIABLES.items()
@@ -40,7 +35,8 @@ def measures(knees: bool) -> list[str]:
         and about.dtype == "f8"
         and about.group != "proofs"
         and name not in _OF_THE_SOLVE
-        and (knees or not about.is_of_knees)
+        and (walker.knees or not about.is_of_knees)
+        and (walker.locks_trailing_knee or not about.is_of_locked_knee)
     ]
 
 

@@ -60,7 +60,7 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     walker : Walker
     angle : ndarray, shape (n,) [rad]
         Stance angle just after heelstrike; the other leg stands at the opposite angle,
-        its knee free if it has one.
+        its knee free if it has one that is not locked meanwhile.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
     I_leg = I_t + I_s + m_t * m_s / m_leg * np.abs(knee + shank - thigh) ** 2
 
     new, old = np.exp(1j * angle), np.exp(-1j * angle)
-    if walker.knees:
+    if walker.frees_trailing_knee:
         at_knee = of_free_link(m_s, shank * old, I_s)
         at_hip = of_hinged_link(at_knee, -knee * old, m_t, (thigh - knee) * old, I_t)
     else:

@@ -14,7 +14,7 @@ from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
 from gaitsweep.tasks.contract.tables import Arrays
-from gaitsweep.tasks.mechanics.contact import THIGH, Chain
+from gaitsweep.tasks.mechanics.contact import SWING_SHANK, THIGH, Chain
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -210,10 +210,11 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     under = np.logical_and.accumulate(depth >= 0, axis=0)
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
     impulse = np.zeros_like(velocity)
+    # It would act while the knee is still as it is during heelstrike.
     if not chain.massless:
         impulse = np.where(
             ~is_still & (velocity < 0),
-            -velocity / chain.compliance(q, [rise], first.free_knee)[0][0],
+            -velocity / chain.compliance(q, [rise], chain.frees_trailing_knee)[0][0],
             0.0,
         )
     amounts = {"penetration_depth": sinks, "trailing_impulse": impulse}
@@ -226,9 +227,9 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
 
 def _heelstrike(
     chain: Chain, first: _Phase, impact: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Ground impulse (complex) and angular impulse of the new stance knee's lock on its
-    thigh at heelstrike.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ground impulse (complex) and angular impulses of the new stance knee's lock on its
+    thigh, and of the trailing knee's on its shank, at heelstrike.
 
     Notes
     -----
@@ -243,12 +244,19 @@ def _heelstrike(
     ) + 1j * chain.l * np.sin(q[0]) * (impact[0] + impact[1])
     ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
-    lever = 1j * chain.S[THIGH] * np.exp(1j * q[THIGH])
-    lock = (
-        total(M[THIGH][j] * (after[j] - before[j]) for j in range(4))
-        - (lever.conj() * translation).real
-    )
-    return ground, lock
+
+    jump = after - before
+
+    def on_link(row: int) -> np.ndarray:
+        lever = 1j * chain.S[row] * np.exp(1j * q[row])
+        by_translation = (lever.conj() * translation).real
+
+        gained = total(mass * jump[j] for j, mass in enumerate(M[row]))
+        return np.asarray(gained - by_translation)
+
+    on_thigh = on_link(THIGH)
+    on_shank = on_link(SWING_SHANK)
+    return ground, on_thigh, on_shank
 
 
 def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
@@ -325,7 +333,7 @@ def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
 
 def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> Arrays:
     """Items 2 and 3 at the impacts."""
-    ground, lock = _heelstrike(chain, phases[0], impact)
+    ground, lock, trailing_lock = _heelstrike(chain, phases[0], impact)
     amounts = {
         "friction_demand_heelstrike": _ratio(ground),
         "least_normal_impulse": ground.imag,
@@ -343,6 +351,8 @@ def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> Arrays:
                 M[THIGH][j] * jump[j] for j in range(4)
             ),
         }
+    if chain.locks_trailing_knee:
+        amounts["unlocking_impulse_trailing"] = trailing_lock
     return amounts
 
 
@@ -402,12 +412,13 @@ def measure(
     -------
     dict
         The variables of the registry's group `violations`, shape (n,), but for those of
-        knees that the walker has not.
+        knees, or of a knee locked at heelstrike, that the walker has not.
 
     Notes
     -----
     Paper, appendix A. Amounts are positive where the assumption is violated. Torque and impulses of the stance knee
-    keep their sign: its stop can provide negative ones. Contact tension may arise from
+    keep their sign: its stop can provide negative ones. So does the impulse with which the trailing knee is locked at
+    heelstrike: where it is positive the shank would fly back, and only a latch holds it. Contact tension may arise from
     the force during the motion or from an impulse; the friction demand is then
     infinite. The trailing impulse is that of the linear complementarity problem in
     which the released foot may be pushed but not pulled, without friction, while the

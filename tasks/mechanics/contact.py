@@ -20,8 +20,8 @@ import numpy as np
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Row of the stance thigh among the links.
-THIGH = 1
+#: Rows of the stance thigh and of the swing shank among the links.
+THIGH, SWING_SHANK = 1, 3
 
 
 class Chain:
@@ -36,6 +36,8 @@ class Chain:
     def __init__(self, walker: Walker):
         leg, mass = walker.leg, walker.total_mass
         self.kneed, self.massless = walker.knees, walker.massless_leg
+        self.locks_trailing_knee = walker.locks_trailing_knee
+        self.frees_trailing_knee = walker.frees_trailing_knee
         self.R, self.l = walker.R / leg, walker.l / leg
         knee = walker.knee / leg
         thigh = walker.thigh_centre / leg
@@ -69,9 +71,17 @@ class Chain:
             self.K[i, i] += inertia
         self.S_rows = self.S.copy()
         if self.massless:
-            self.K[2:] = arms[4, 2:].conj()[:, None] * arms[4]
-            self.K[3, 3] += (walker.r_s / leg) ** 2
-            self.S_rows[2:] = arms[4, 2:]
+            self._take_shank_of_unit_mass(arms[4], walker.r_s / leg)
+
+    def _take_shank_of_unit_mass(
+        self, arms: np.ndarray, radius: float | np.ndarray
+    ) -> None:
+        """Set the rows of the swing leg to those of a shank of unit mass, by the arms of
+        its centre, (4, ...), and its radius of gyration.
+        """
+        self.K[2:] = arms[2:].conj()[:, None] * arms
+        self.K[3, 3] += radius**2
+        self.S_rows[2:] = arms[2:]
 
     def groups(self, free_knee: bool) -> list[list[int]]:
         """Links that move as one, by their indices."""

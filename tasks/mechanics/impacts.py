@@ -11,7 +11,41 @@ from __future__ import annotations
 import heyoka as hy
 
 from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.mechanics.vector import Vector
+
+
+def release(
+    structure: Structure,
+    p: Symbols,
+    angle: Sym,
+    stance_rate: Sym,
+    swing_rate: Sym,
+    old_angle: Sym | None = None,
+) -> list[Sym]:
+    """Rates of all links just after heelstrike, when the knee of the leg that left the
+    ground is released.
+
+    Parameters
+    ----------
+    structure : Structure
+        Says whether that knee was free during the impact already.
+    p, angle, stance_rate, swing_rate, old_angle
+        As for `heelstrike`.
+
+    Returns
+    -------
+    list of expression
+        Rates of the new stance leg, new swing thigh[, new swing shank].
+
+    Notes
+    -----
+    With a knee that is locked during the impact, the impact is that of the same walker
+    without knees, and shank and thigh begin with one rate.
+    """
+    is_free = structure.kneed and not structure.locks_trailing_knee
+    rates = heelstrike(p, angle, stance_rate, swing_rate, is_free, old_angle)
+    return [*rates, rates[-1]] if structure.locks_trailing_knee else rates
 
 
 def heelstrike(
@@ -33,7 +67,7 @@ def heelstrike(
     stance_rate, swing_rate : expression
         Rates of the old stance and swing leg just before.
     free_knee : bool
-        True where the new swing knee is free.
+        True where the new swing knee is free during the impact.
     old_angle : expression, optional
         Scaled angle of the old stance leg; on even ground both feet touch, so it is
         minus the new one's.

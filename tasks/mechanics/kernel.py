@@ -244,6 +244,7 @@ def flow(
     coarse : bool
         Integrate to the search's tolerance only.
     """
+    structure = structure.between_strikes()
     key = structure, directions, with_slope, coarse
     if key not in FLOWS:
         prepare_compiler()

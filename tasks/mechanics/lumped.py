@@ -12,7 +12,7 @@ walker's mass,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -214,6 +214,8 @@ class Structure:
     point_foot: bool
     constants: tuple[str, ...]
     units: tuple[tuple[str, float], ...]
+    #: Whether the knee of the leg that leaves the ground is locked during heelstrike.
+    locks_trailing_knee: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -232,13 +234,26 @@ class Structure:
         """
         return (True, False) if self.kneed else (False,)
 
+    def between_strikes(self) -> Structure:
+        """Return the structure of the motion, on which what happens at heelstrike has no
+        bearing.
+        """
+        if not self.locks_trailing_knee:
+            return self
+        return replace(self, locks_trailing_knee=False)
 
-def general_structure(kneed: bool) -> Structure:
-    """Return the structure of all walkers with or without knees: every constant is a
-    parameter.
+
+def general_structure(kneed: bool, locks_trailing_knee: bool = False) -> Structure:
+    """Return the structure of all walkers with or without knees, and of one rule at
+    heelstrike: every constant is a parameter.
     """
     constants = (*_CONSTANTS, *_OF_KNEES) if kneed else _CONSTANTS
-    return Structure(kneed, False, constants, ())
+    return Structure(kneed, False, constants, (), locks_trailing_knee)
+
+
+def general_structure_of(walker: Walker) -> Structure:
+    """Return the general structure of a walker, or of an array of them."""
+    return general_structure(walker.knees, walker.locks_trailing_knee)
 
 
 def locked(parameters: ndarray) -> ndarray:
@@ -273,7 +288,7 @@ def structure_of(walker: Walker) -> Structure:
 
 def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     """Return the structures of several walkers, as `structure_of` does."""
-    structures = [general_structure(walker.knees) for walker in walkers]
+    structures = [general_structure_of(walker) for walker in walkers]
     special = [i for i, walker in enumerate(walkers) if _is_special(walker)]
     if not special:
         return structures
@@ -299,7 +314,7 @@ def common_structure(walkers: WalkerArray) -> Structure:
     of them becomes code.
     """
     if not _is_special(walkers):
-        return general_structure(walkers.knees)
+        return general_structure_of(walkers)
     shared = {}
     for name, values in _lump_all(walkers, float).items():
         is_one = (values == values[0]).all()

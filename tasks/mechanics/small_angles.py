@@ -86,7 +86,18 @@ class SmallAngles:
         momentum = np.zeros((len(self.free.M), 2))
         momentum[0] = 1 + 2 * self.eps * S, self.eps * (S + J)
         momentum[1:, 0] = self.free.G[1:] + [C + between for C in inertia]
-        self.heelstrike = np.linalg.solve(self.free.M, momentum)
+        self.heelstrike = self._rates_of(momentum, walker.locks_trailing_knee)
+
+    def _rates_of(self, momentum: np.ndarray, locks_trailing_knee: bool) -> np.ndarray:
+        """Rates just after heelstrike from the momenta of the links, by the old rates."""
+        if not locks_trailing_knee:
+            return np.linalg.solve(self.free.M, momentum)
+
+        stance, thigh, shank = momentum
+        of_leg = thigh + shank
+        rates = np.linalg.solve(self.locked.M, [stance, of_leg])
+        leg = rates[1]
+        return np.stack([rates[0], leg, leg])
 
     def exchange_rates(
         self, angle: np.ndarray, period: np.ndarray, slope: np.ndarray

@@ -39,6 +39,10 @@ class Vector:
         """The product's component along the axis."""
         return self.x * other.y - self.y * other.x
 
+    def times_conjugate(self, other: Vector) -> Vector:
+        """The conjugate complex number times another one."""
+        return Vector(self.dot(other), self.cross(other))
+
     def turned(self, cos: Any, sin: Any) -> Vector:
         """The vector turned counter-clockwise by an angle."""
         return Vector(self.x * cos - self.y * sin, self.x * sin + self.y * cos)
@@ -71,6 +75,8 @@ class Body:
         False in the limit of a vanishing foot mass: the swing leg, scaled by its mass,
         does not act on the stance leg.
     kneed, point_foot : bool
+    locks_trailing_knee : bool
+        Whether the knee of the leg that leaves the ground is locked during heelstrike.
     """
 
     R: arb
@@ -86,6 +92,12 @@ class Body:
     heavy: bool
     kneed: bool
     point_foot: bool
+    locks_trailing_knee: bool = False
+
+    @property
+    def frees_trailing_knee(self) -> bool:
+        """Whether the leg that leaves the ground bends during heelstrike already."""
+        return self.kneed and not self.locks_trailing_knee
 
     @property
     def time_unit(self) -> float:
@@ -98,7 +110,7 @@ class Body:
         return 2 if self.point_foot else 3
 
 
-def body(keys: Mapping[str, Number], kneed: bool) -> Body:
+def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -> Body:
     """Constants of a walker, enclosed at the present precision.
 
     Parameters
@@ -107,6 +119,9 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
         Every numeric walker key.
     kneed : bool
         Whether the knees bend.
+    trailing_knee : str
+        "free", or "locked" where that of the leg that leaves the ground is locked
+        during heelstrike.
 
     Returns
     -------
@@ -128,7 +143,7 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
     about_knee = shank_centre.dot(shank_centre) + k["r_s"] ** 2
     thigh_inertia = m_t * about_hip + m_s * knee.dot(knee)
     shank_inertia = m_s * about_knee
-    coupling = Vector(knee.dot(shank), knee.cross(shank))
+    coupling = knee.times_conjugate(shank)
     leg = thigh + shank
     leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
 
@@ -152,6 +167,7 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
         heavy=heavy,
         kneed=kneed,
         point_foot=_is_point_foot(keys, kneed),
+        locks_trailing_knee=trailing_knee == "locked",
     )
 
 

@@ -28,13 +28,13 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
     Returns
     -------
     arb_mat, arb_mat
-        Shape (2 or 3, 2): rates of new stance leg, thigh (and shank) from those of old
-        stance and swing leg.
+        Shape (2 or 3, 2): rates of new stance leg, thigh (and shank, if its knee is
+        free during the impact) from those of old stance and swing leg.
     """
     with _two_terms():
         old = _sin_cos(arb_series([angle, 1]))
         new = _sin_cos(arb_series([-angle, -1]))
-        swing = [body.thigh, body.shank] if body.kneed else [body.leg]
+        swing = [body.thigh, body.shank] if body.frees_trailing_knee else [body.leg]
         rows = _mass(body, new, [old] * len(swing), swing)
         hip_before, hip_after = _hip(body, old), _hip(body, new)
         leg, inertia = body.leg
@@ -50,7 +50,7 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
             spin = 0 * both
         before = [[both, spin]]
         for first, second in swing:
-            own = second + (body.coupling.x if body.kneed else 0)
+            own = second + (body.coupling.x if body.frees_trailing_knee else 0)
             carried = first.turned(*old).normal().dot(hip_before)
             before.append([carried + own, 0 * both])
         return _solved(rows, before)

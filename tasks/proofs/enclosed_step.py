@@ -70,6 +70,9 @@ class Step:
     phases : list of Flow
     ends : list of states
         At the events, over the whole region.
+    released_at_rest : bool
+        Whether the knee begins to bend without a rate, since it was locked during
+        heelstrike.
     """
 
     defect: list[arb]
@@ -77,6 +80,7 @@ class Step:
     along: list[arb]
     phases: list[Flow]
     ends: list[State]
+    released_at_rest: bool = False
 
 
 def dimensions(body: Body) -> tuple[int, int]:
@@ -116,6 +120,8 @@ def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
     rows = [by_x[0], *[swing_angle] * (links - 1), *by_x[1:]]
     if m - 1 == links:
         return state, arb_mat(rows)
+    if body.locks_trailing_knee:
+        return [*state, rates[-1]], arb_mat([*rows, rows[-1]])
 
     law, by_angle = _release(body, angle, m - 1)
     last = law * _column(rates)
@@ -180,10 +186,9 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     defect: list[arb] = []
     for k in range(events):
         durations = _duration(middle[m:], k), _duration(box[m:], k)
-        both_slopes = middle[-1], box[-1]
         phase = flow(
             body,
-            both_slopes,
+            (middle[-1], box[-1]),
             centre,
             state,
             V,
@@ -213,7 +218,9 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     by_tangent: list[arb] = []
     if region.tangent is not None:
         by_tangent = [row.pop() for row in rows]
-    return Step(defect, arb_mat(rows), by_tangent, phases, ends)
+    return Step(
+        defect, arb_mat(rows), by_tangent, phases, ends, body.locks_trailing_knee
+    )
 
 
 def _at_event(body: Body, phase: Flow, slope: arb, by_duration: list[arb]) -> arb_mat:

@@ -30,11 +30,18 @@ UNDECIDED = "A multiplier is not told from the unit circle."
 
 @dataclass(frozen=True)
 class Setting:
-    """A walker on a slope: numeric keys, whether its knees bend, and the slope [rad]."""
+    """A walker on a slope: numeric keys, whether its knees bend, the slope [rad], and
+    whether the trailing knee is free or locked during heelstrike.
+    """
 
     keys: Mapping[str, Number]
     kneed: bool
     slope: Number
+    trailing_knee: str = "free"
+
+    def body(self) -> Body:
+        """Return the constants of the walker, enclosed at the present precision."""
+        return body(self.keys, self.kneed, self.trailing_knee)
 
 
 @dataclass(frozen=True)
@@ -203,7 +210,7 @@ def solve(
         tolerance = min(size * REMAINDER, accuracy)
         bits = max(bits, 32 - math.floor(math.log2(tolerance)))
         with ctx.workprec(bits):
-            walker = body(setting.keys, setting.kneed)
+            walker = setting.body()
             scales = sizes(walker, middle)
             box = [x + arb(0, size * s) for x, s in zip(middle, scales, strict=True)]
             slope = arb(setting.slope)
@@ -293,7 +300,7 @@ def order(tolerance: float) -> int:
 def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
     """Section state and event times of an approximation, as exact numbers."""
     with ctx.workprec(MIN_BITS):
-        m, n = dimensions(body(setting.keys, setting.kneed))
+        m, n = dimensions(setting.body())
     if len(guess) != 3 + n or not all(math.isfinite(x) for x in guess):
         needed = (
             "stance angle, two rates, kneestrike and period"

@@ -25,7 +25,7 @@ Numbers = dict[str, Number]
 #: decimal number that is quoted.
 MAX_CHARACTERS, MAX_EXPONENT, MAX_DIGITS = 1000, 5, 10000
 #: Keys that are no numbers.
-_TEXTS = ("toward", "base", "name", "units")
+_TEXTS = ("toward", "base", "name", "units", "trailing_knee")
 #: Keys a table may leave out.
 _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
 
@@ -159,6 +159,26 @@ def exact(
     if "foot_mass_ratio" in overrides:
         moved |= _foot_masses(keys, decimal(overrides.pop("foot_mass_ratio")))
     return _changed({**keys, **moved}, kneed, overrides)
+
+
+def trailing_knee(
+    walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+) -> str:
+    """Rule of a walker, as `exact` takes it, for the knee of the leg that leaves the
+    ground.
+
+    Parameters
+    ----------
+    walker : str or mapping
+    overrides : mapping, optional
+
+    Returns
+    -------
+    str
+        "free" or "locked".
+    """
+    table = walker if isinstance(walker, str) else in_doubles(walker)
+    return resolve(table, in_doubles(overrides or {})).trailing_knee
 
 
 def _with_both_links(table: dict[str, Any]) -> dict[str, Any]:
@@ -320,19 +340,24 @@ def written(value: Number) -> str:
             return f"{value.p}/{value.q}"
 
 
-def written_table(keys: Mapping[str, Number], kneed: bool) -> dict[str, str]:
+def written_table(
+    keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free"
+) -> dict[str, str]:
     """A walker's table as a certificate quotes it.
 
     Parameters
     ----------
     keys : mapping of str to fmpq or arb
     kneed : bool
+    trailing_knee : str
+        Quoted where it is not the paper's rule.
 
     Returns
     -------
     dict of str to str
     """
-    return {
-        **{key: written(value) for key, value in keys.items()},
-        "knees": str(kneed).lower(),
-    }
+    table = {key: written(value) for key, value in keys.items()}
+    table["knees"] = str(kneed).lower()
+    if trailing_knee != "free":
+        table["trailing_knee"] = trailing_knee
+    return table

@@ -71,8 +71,9 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     Setting, Proof
     """
     values = params["values"]
-    keys, kneed = doubles(walker_of_line(params).table())
-    setting = Setting(keys, kneed, double(params["slope"]))
+    walker = walker_of_line(params)
+    keys, kneed = doubles(walker.table())
+    setting = Setting(keys, kneed, double(params["slope"]), walker.trailing_knee)
     bound = float(values.get("error_bound", math.nan))
     accuracy = (
         min(params["accuracy"], max(bound / SHARPER, FINEST))
@@ -185,7 +186,7 @@ def record(
         "gait": label if label in GAITS[2:] or not proof.label else proof.label,
         "slope": _plain(setting.slope),
         "exact_slope": written(setting.slope),
-        "walker": written_table(setting.keys, setting.kneed),
+        "walker": written_table(setting.keys, setting.kneed, setting.trailing_knee),
         "proved": proof.proved,
         "unique": proof.unique,
         "first_strike": proof.first_strike,

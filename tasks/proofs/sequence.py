@@ -51,7 +51,7 @@ def events(step: Step, times: Sequence[arb]) -> Events:
     )
     order: list[tuple[str, arb, arb]] = []
     if kneed:
-        order += _knee(phases[:1], times[0])
+        order += _knee(phases[:1], times[0], 2 if step.released_at_rest else 1)
     order += _heel(phases, times[-1])
     order += _legs(phases)
     order.sort(key=lambda event: float(event[1].mid()))
@@ -63,11 +63,11 @@ def events(step: Step, times: Sequence[arb]) -> Events:
     return Events([name for name, _, _ in order], _label(step))
 
 
-def _knee(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
+def _knee(phases: Sequence, time: arb, order: int) -> list[tuple[str, arb, arb]]:
     """The knee flexes, at once or after hyperextension, and its first return is the
-    kneestrike.
+    kneestrike; `order` is that of its zero at the start.
     """
-    sign, crossings = zeros(phases, KNEE, "knee", True)
+    sign, crossings = zeros(phases, KNEE, "knee", order)
     rises = [z.rises for z in crossings]
     if rises != ([False] if sign == "+" else [True, False]):
         raise NotProvedError(
@@ -82,7 +82,7 @@ def _knee(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
 
 def _heel(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
     """The heelstrike is the first fall of the guard to zero behind the stance foot."""
-    _, crossings = zeros(phases, HEEL, "heelstrike", True)
+    _, crossings = zeros(phases, HEEL, "heelstrike", 1)
     if not crossings or crossings[-1].rises or not crossings[-1].stance < 0:
         raise NotProvedError("The step does not end with a heelstrike.")
     for zero in crossings[:-1]:
@@ -94,7 +94,7 @@ def _heel(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
 
 def _legs(phases: Sequence) -> list[tuple[str, arb, arb]]:
     """The swing leg passes the stance leg exactly once."""
-    sign, crossings = zeros(phases, LEGS, "leg passage", False)
+    sign, crossings = zeros(phases, LEGS, "leg passage", 0)
     if sign != "+" or len(crossings) != 1:
         raise NotProvedError(
             f"Not anthropomorphic: the legs pass {len(crossings)} times."

@@ -43,7 +43,10 @@ Guard = tuple[int, ...]
 
 
 def zeros(
-    phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
+    phases: Sequence[tuple[arb, Sequence[Piece]]],
+    guard: Guard,
+    name: str,
+    order: int,
 ) -> tuple[str, list[Stretch]]:
     """Sign just after the start, and in order the stretches that hold the zeros after
     it, one each.
@@ -56,10 +59,11 @@ def zeros(
         Coefficients of the angles (stance, thigh, shank).
     name : str
         What the guard is called in a refusal.
-    strike : bool
-        True for the guard of a strike: it vanishes identically at the start of the
-        step, where its sign is that of guard / t, and again somewhere on the last
-        stretch.
+    order : int
+        Of the zero with which the guard of a strike begins: it vanishes identically at
+        the start of the step, where its sign is that of guard / t^order, and again
+        somewhere on the last stretch. It is 2 where the guard's rate vanishes there
+        too, and 0 for the guard of no strike.
 
     Returns
     -------
@@ -72,7 +76,7 @@ def zeros(
         end.
     """
     stretches: list[Stretch] = []
-    for stretch in _stretches(phases, guard, name, strike):
+    for stretch in _stretches(phases, guard, name, order):
         if stretches and stretches[-1].kind == stretch.kind:
             last = stretches.pop()
             stretch = Stretch(
@@ -98,12 +102,12 @@ def zeros(
                 f"Grazing: the {name} guard and its rate are not told from zero at the same time."
             )
         from_sign = "-" if current.rises else "+"
-        if after is None and not strike and before.kind == from_sign:
+        if after is None and not order and before.kind == from_sign:
             raise NotProvedError(
                 f"Whether the {name} guard vanishes at the end of the step is not decided."
             )
         changes = (
-            after.kind != before.kind if after else strike and before.kind == from_sign
+            after.kind != before.kind if after else order and before.kind == from_sign
         )
         if changes and before.kind != from_sign:
             raise NotProvedError(
@@ -115,28 +119,31 @@ def zeros(
 
 
 def _stretches(
-    phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
+    phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, order: int
 ) -> Iterator[Stretch]:
     for number, (begin, pieces) in enumerate(phases):
         for piece in pieces:
-            own_zero = strike and number == 0 and piece is pieces[0]
-            yield from _classified(piece, begin, guard, name, own_zero)
+            is_first = number == 0 and piece is pieces[0]
+            own_order = order if is_first else 0
+            yield from _classified(piece, begin, guard, name, own_order)
 
 
 def _classified(
-    piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start: bool
+    piece: Piece, begin: arb, guard: Guard, name: str, order: int
 ) -> Iterator[Stretch]:
-    """Stretches of one Taylor step, in order."""
+    """Stretches of one Taylor step, in order; at its start the guard may have a zero of
+    an order.
+    """
     links = len(piece.series) // 2
     value, rate = (_form(guard, piece.series[first:]) for first in (0, links))
-    quotient, clock = value[1:], begin + piece.start
+    quotient, clock = value[order:], begin + piece.start
     waiting: list[tuple[arb, arb, int]] = [(arb(0), piece.h, 0)]
     while waiting:
         low, high, depth = waiting.pop()
         span = low.union(high)
         kind = (
             _sign(evaluate(quotient, span))
-            if zero_at_start and low == 0
+            if order and low == 0
             else _kind(value, rate, low, high, span)
         )
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):

@@ -42,6 +42,7 @@ class Family:
     keys: Mapping[str, Number]
     kneed: bool
     parameter: int
+    trailing_knee: str = "free"
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,8 @@ def point(family: Family, guess: Sequence[arb], size: float) -> Tube:
     NotProvedError
         If none is found and proved there.
     """
-    walker, middle = body(family.keys, family.kneed), [x.mid() for x in guess]
+    walker = body(family.keys, family.kneed, family.trailing_knee)
+    middle = [x.mid() for x in guess]
     width = max(size, 1e-12)
     for _ in range(MAX_CORRECTIONS):
         radii = [width * s for s in sizes(walker, middle)]

@@ -29,7 +29,7 @@ from gaitsweep.tasks.mechanics.arrays import (
     Times,
 )
 from gaitsweep.tasks.mechanics.equations import Sym, Symbols
-from gaitsweep.tasks.mechanics.impacts import heelstrike
+from gaitsweep.tasks.mechanics.impacts import release
 from gaitsweep.tasks.mechanics.kernel import (
     LANES,
     CompiledFunction,
@@ -141,9 +141,8 @@ class Scanner:
         angles of the legs.
         """
         prepare_compiler()
-        kneed = self.structure.kneed
         return self._compile(
-            4, lambda p, x: heelstrike(p, x[1], x[2], x[3], kneed, old_angle=x[0])
+            4, lambda p, x: release(self.structure, p, x[1], x[2], x[3], old_angle=x[0])
         )
 
     @staticmethod

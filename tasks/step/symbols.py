@@ -8,14 +8,14 @@ from collections.abc import Iterable
 import heyoka as hy
 
 from gaitsweep.tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
-from gaitsweep.tasks.mechanics.impacts import heelstrike, kneestrike
+from gaitsweep.tasks.mechanics.impacts import heelstrike, kneestrike, release
 from gaitsweep.tasks.mechanics.lumped import Structure
 
 
 def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:
     """State just after heelstrike at section coordinates y, as symbols."""
     if structure.kneed:
-        return [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
+        return [y[0], -y[0], -y[0], *release(structure, p, y[0], y[1], y[2])]
     if structure.point_foot:
         # The impulse has no moment about the hip of a leg whose mass is at the foot
         # that leaves the ground.

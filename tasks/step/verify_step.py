@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gaitsweep.tasks.mechanics.arrays import Marks, Motion, PerLane, Times
+from gaitsweep.tasks.mechanics.sums import total
 
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than
 #: rounding. At time 0, where the knee is straight, its guard has a root that is no
@@ -380,6 +381,42 @@ def strikes_fall_in_order(
     return np.asarray(falls.all(axis=0) & (times[0] > 0))
 
 
+#: Weights of the second derivative of a polynomial, half of it, at a point where it and
+#: its rate vanish, by its values and rates at the next two.
+_VALUES, _RATES = (4.0, 1.75), (-4.0, -0.5)
+
+
+def hyperextends_at_release(three: np.ndarray, interval: PerLane) -> Marks:
+    """Whether a knee, released with the step, first moves against its stop.
+
+    Parameters
+    ----------
+    three : ndarray, shape (samples + 1, 6, n)
+        Angles and rates up to kneestrike.
+    interval : ndarray, shape (n,) [sqrt(leg/g)]
+        Time between the samples.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+
+    Notes
+    -----
+    A knee that was locked during heelstrike begins without a rate: its acceleration
+    decides, taken from the polynomial through the first samples.
+    """
+    flexion, rate = _by_interval(_flexion(three), interval)
+    first = rate[0]
+    at_rest = first == 0
+    if at_rest.any():
+        acceleration = total(
+            value * flexion[k] + by_rate * rate[k]
+            for k, value, by_rate in zip((1, 2), _VALUES, _RATES, strict=True)
+        )
+        first = np.where(at_rest, acceleration, first)
+    return np.asarray(first < 0)
+
+
 # A strike that is tangential to the last digit has no rate.
 @np.errstate(divide="ignore", invalid="ignore")
 def verify(
@@ -429,7 +466,7 @@ def verify(
         is_free, unclear = _verify_free(motion[0], intervals[0], height, margin)
         step &= is_free & (times[0] > _MIN_KNEESTRIKE)
         doubt |= unclear
-        hyperextends = _flexion(motion[0])[1][0] < 0
+        hyperextends = hyperextends_at_release(motion[0], intervals[0])
     doubt &= np.isfinite(closing).all(axis=0)
     return StepCheck(step, leg_passes, doubt, hyperextends)
 
@@ -509,8 +546,10 @@ def _flexes_once(flexion: np.ndarray, rate: np.ndarray) -> Marks:
     """Whether a knee, once bent, is bent up to its strike.
 
     A strike that falls comes from above, if only since the last sample: almost
-    tangential ones do.
+    tangential ones do. Of a knee that is released at rest the guard has a double root at
+    time 0, near which Newton's method may end: it has bent where its samples show it.
     """
     inner = flexion[1:-1]
     bent = np.maximum.accumulate(np.vstack([rate[:1] > 0, inner > 0]), axis=0)
-    return ~_any(bent[:-1] & (inner < -_STRAIGHT))
+    once = ~_any(bent[:-1] & (inner < -_STRAIGHT))
+    return once & ((rate[0] != 0) | _any(inner > _STRAIGHT))

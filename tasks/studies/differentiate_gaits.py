@@ -122,7 +122,7 @@ class _By:
 
 def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
     """The measures wanted, checked."""
-    known = measures(walker.knees)
+    known = measures(walker)
     for name in wanted or ():
         if name not in known:
             bound = f"must be a measure of its gaits: {', '.join(known)}"

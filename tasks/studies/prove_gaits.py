@@ -6,7 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from gaitsweep.tasks.proofs.gait import Setting, prove
-from gaitsweep.tasks.proofs.keys import check_written, decimal, exact, in_doubles
+from gaitsweep.tasks.proofs.keys import (
+    check_written,
+    decimal,
+    exact,
+    in_doubles,
+    trailing_knee,
+)
 from gaitsweep.tasks.proofs.records import guess, record
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 
@@ -43,7 +49,8 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
             "set": in_doubles(overrides),
         }
     )
-    setting = Setting(*exact(walker, overrides), decimal(slope))
+    rule = trailing_knee(walker, overrides)
+    setting = Setting(*exact(walker, overrides), decimal(slope), rule)
     label = params.get("gait")
     proved = []
     for gait in solved["gaits"]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.tasks.contract.accuracy import is_converted
 from gaitsweep.tasks.measures.gaits import Wanted
 
 
@@ -30,6 +31,11 @@ class Request:
     wanted: Wanted
     steps: int = 1
     interpolated: bool = False
+
+    @property
+    def is_converted(self) -> bool:
+        """Whether gaits may be those of a walker that differs in its units."""
+        return is_converted(self.wanted.names, self.wanted.accuracy)
 
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Request:

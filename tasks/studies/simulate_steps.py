@@ -19,7 +19,7 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.kernel import prepare_compiler
-from gaitsweep.tasks.mechanics.lumped import Structure, general_structure
+from gaitsweep.tasks.mechanics.lumped import Structure, general_structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
 from gaitsweep.tasks.step.simulate import (
     BACKWARD,
@@ -168,7 +168,7 @@ def section_problem(walker: Walker) -> Lanes:
     """Step map of a walker with three coordinates on its section, those of point feet
     as of other straight legs.
     """
-    return Lanes([walker], general_structure(walker.knees))
+    return Lanes([walker], general_structure_of(walker))
 
 
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from gaitsweep.tasks.studies.solve_guesses import solve_guesses
 from gaitsweep.tasks.studies.solve_points import atlas, solve_line, spans
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import TRAILING_KNEES, Walker
 
 #: Variables measured for one point: all but proofs.
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
@@ -120,7 +121,7 @@ def _solve_steps(
         guesses = starts(problem.walker, [slope])[0].shape[1]
         log.append(f"{guesses} initial guesses at slope {slope:g}")
         if not found:
-            log += [*_said(point, status.NO_LONG, status.NO_SHORT), nearest]
+            log += _nothing_found(problem.walker, point, slope, nearest)
     else:
         log += _left_out(point)
 
@@ -175,6 +176,28 @@ def _said(point: Mapping[str, Any], *places: int) -> list[str]:
     return [str(point["reasons"][place]) for place in places]
 
 
+def _nothing_found(
+    walker: Walker, point: Mapping[str, Any], slope: float, nearest: str
+) -> list[str]:
+    """What is said of a slope at which no gait was found."""
+    said = _said(point, status.NO_LONG, status.NO_SHORT)
+    return [*said, nearest, *_by_the_other_rule(walker, slope)]
+
+
+def _by_the_other_rule(walker: Walker, slope: float) -> list[str]:
+    """What is said where a walker with knees has gaits at a slope only if its trailing
+    knee follows the other rule.
+    """
+    if not walker.knees:
+        return []
+    rule = next(each for each in TRAILING_KNEES if each != walker.trailing_knee)
+    other = Problem(replace(walker, trailing_knee=rule))
+    *_, check = search(other, slope)
+    if check is None or not check.anthropomorphic.any():
+        return []
+    return [f'The walker has gaits at this slope with `trailing_knee` = "{rule}"']
+
+
 def _left_out(point: Mapping[str, Any]) -> list[str]:
     """What is said where branches have more gaits than there are labels."""
     has_more = (point["reason"] == status.UNLABELLED).any()
@@ -202,7 +225,7 @@ def answer(
     units = {name: VARIABLES[name].units(walker.si) for name in WANT}
     return {
         "gaits": records,
-        "columns": list(_COLUMNS),
+        "columns": _columns(walker),
         "units": {"slope": "rad", **units},
         "search": log,
         "absent": absent,
@@ -358,7 +381,20 @@ def record(label: str, slope: float, gait: _Gait, walker: Walker) -> dict[str, A
         "status": "less_accurate" if is_coarse else "converged",
         "contact_mass_matrix": mass.tolist(),
     }
-    return {name: record.get(name) for name in _COLUMNS}
+    return {name: record.get(name) for name in _columns(walker)}
+
+
+def _columns(walker: Walker) -> list[str]:
+    """Columns of a walker's gaits, without the impulse that locks a trailing knee where
+    it is free.
+    """
+    return [
+        name
+        for name in _COLUMNS
+        if walker.locks_trailing_knee
+        or name not in VARIABLES
+        or not VARIABLES[name].is_of_locked_knee
+    ]
 
 
 def _flags(bits: Any) -> list[str] | None:

@@ -125,8 +125,9 @@ def _target(
 ) -> _Target:
     """What is asked for, checked."""
     measure, value = str(params["measure"]), float(params["value"])
-    if measure not in measures(walker.knees):
-        known = ", ".join(measures(walker.knees))
+    names = measures(walker)
+    if measure not in names:
+        known = ", ".join(names)
         raise WalkerError("at", measure, f"must be a measure of its gaits: {known}")
     if not np.isfinite(value):
         raise WalkerError("at", value, "must be finite")

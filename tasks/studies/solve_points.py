@@ -37,6 +37,7 @@ from gaitsweep.tasks.studies.interpolate import Interpolation
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_guesses import blocks, solve_guesses
 from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.walkers.scaling import plain_line, scales, units
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Variables that a gait's proof is compared with, and the largest relative radius of
@@ -129,7 +130,13 @@ def solve_line(
     dict
         As `points` has it.
     """
-    problem = Problem(walker_of_line(line), request.steps)
+    walker = walker_of_line(line)
+    keys = scales(walker, line) if request.is_converted else ()
+    if keys:
+        plain = solve_line(plain_line(line, keys), branches, request)
+        return _converted(plain, walker, plain_line(line, keys))
+
+    problem = Problem(walker, request.steps)
     polynomials = None
     if request.interpolated:
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
@@ -176,6 +183,10 @@ def solve_lines(
         For each line its branches, and what `points` returns.
     """
     walkers = [walker_of_line(line) for line in lines]
+    if request.is_converted:
+        keys = [scales(*each) for each in zip(walkers, lines, strict=True)]
+        if any(keys):
+            return _solve_scaled(walkers, lines, keys, request)
     results: list[tuple[list[Branch], Arrays]] = [([], {})] * len(walkers)
     for structure, numbers in alike(walkers).items():
         some = [walkers[i] for i in numbers]
@@ -186,6 +197,65 @@ def solve_lines(
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = branches, one
     return results
+
+
+def _solve_scaled(
+    walkers: Sequence[Walker],
+    lines: Sequence[Mapping[str, Any]],
+    keys: Sequence[tuple[str, ...]],
+    request: Request,
+) -> list[tuple[list[Branch], Arrays]]:
+    """Solve lines of which some set keys that change only units: those without these
+    keys, each once, whose gaits are converted.
+    """
+    plain: dict[str, Mapping[str, Any]] = {}
+    names = []
+    for line, own in zip(lines, keys, strict=True):
+        without = plain_line(line, own) if own else line
+        names.append(repr(without))
+        plain.setdefault(names[-1], without)
+
+    found = solve_lines(list(plain.values()), request)
+    by_name = dict(zip(plain, found, strict=True))
+    solved = []
+    for walker, name, own in zip(walkers, names, keys, strict=True):
+        branches, points = by_name[name]
+        if own:
+            points = _converted(points, walker, plain[name])
+        solved.append((branches, points))
+    return solved
+
+
+def _converted(points: Arrays, walker: Walker, line: Mapping[str, Any]) -> Arrays:
+    """Points of a line in the units of a walker that differs from its own in these."""
+    own = walker_of_line(line)
+    ratios = [a / b for a, b in zip(units(walker), units(own), strict=True)]
+    converted = {
+        name: values * VARIABLES[name].unit(*ratios)
+        for name, values in points.items()
+        if name in VARIABLES and values.dtype == float
+    }
+    words, in_own_time = atlases.searched_in(own, [own.time_unit, walker.time_unit])
+    sentences = [str(each).replace(words, in_own_time) for each in points["reasons"]]
+    return {**points, **converted, "reasons": np.array(sentences)}
+
+
+def search_words(params: Mapping[str, Any]) -> list[str]:
+    """Say what a status says of the survey of a line, for walkers that differ from the
+    line's by their units of time.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, and `time_units`, those of the walkers.
+
+    Returns
+    -------
+    list of str
+        For the line's own walker, then for each of the others.
+    """
+    walker = walker_of_line(params["line"])
+    return atlases.searched_in(walker, [walker.time_unit, *params["time_units"]])
 
 
 def _survey(

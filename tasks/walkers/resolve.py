@@ -26,6 +26,8 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 _DERIVED = ("detuning", "foot_mass_ratio")
 #: What a walker's table may hold beside its own keys.
 _MORE = (*_DERIVED, "tuned", "toward")
+#: Keys that a line may set, beside those of a leg of one link.
+_SETTABLE = (*NUMBERS, "knees", "trailing_knee", *_DERIVED, "slope")
 #: Feet weigh at least the first, and less than the second, share of a walker's mass.
 FOOT_MASS_RATIOS = 0.0, 0.5
 
@@ -180,7 +182,8 @@ def _check_names(
 
 
 def resolve(
-    walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None
+    walker: str | Mapping[str, Any],
+    overrides: Mapping[str, float | bool | str] | None = None,
 ) -> Walker:
     """Make a walker of its name or table and a line's axis values.
 
@@ -192,8 +195,8 @@ def resolve(
         gives; and `tuned`, keys that are changed, as little as possible, so that the
         walker meets the static conditions.
     overrides : mapping, optional
-        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the
-        walker's units; for a leg of one link its own keys, with the meaning that they
+        Values of walker keys, `knees`, `trailing_knee`, `foot_mass_ratio` and
+        `detuning`, in the walker's units; for a leg of one link its own keys, with the meaning that they
         have in its table; `R` keeps the length to the bottom of the foot.
 
     Raises
@@ -219,18 +222,25 @@ def resolve(
     if "toward" in table and "detuning" not in derived:
         _detuning_ends(table)  # is checked though nothing is detuned
     moved: dict[str, Any] = _moved_values(table, start, derived, changes, links)
-    numbers = {
-        k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))
-    }
+    numbers = _numbers_among(changes)
     for key in (k for k in numbers if k in ONE_LINK):
         raise WalkerError(
             key,
             numbers[key],
             "is a key of a leg of one link, whose table has `l`, `m` and `c`",
         )
-    _check_names(numbers, NUMBERS, [*NUMBERS, "knees", *_DERIVED, "slope"])
+    _check_names(numbers, NUMBERS, _SETTABLE)
     result = replace(start, **moved, **changes)
     return _retuned(result, tuned) if tuned else result
+
+
+def _numbers_among(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes without the keys that hold a flag or a rule, which walkers check."""
+    return {
+        key: value
+        for key, value in changes.items()
+        if key != "trailing_knee" and not (key == "knees" and isinstance(value, bool))
+    }
 
 
 def walker_of_line(line: Mapping[str, Any]) -> Walker:
@@ -498,7 +508,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker
+        `si`, `kneed` and `locks_trailing_knee` (bool), `multipliers` (their number), `table` (the walker
         before `set`), `parameters` (the walker with `set`), `varied` (for each key of
         the walker that `set` moves, the keys of `set` that do), `tuned` (keys that are
         changed so that the walker is tuned), `smooth` (keys of `set` with which gaits
@@ -515,18 +525,19 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     walker = resolve(given, overrides)
     varied: dict[str, tuple[str, ...]] = {}
     for owner in overrides:
-        for key in _moved_by(owner, given):
+        for key in moved_by(owner, given):
             varied[key] = (*varied.get(key, ()), owner)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
     movers = tuple(
         owner
         for owner in overrides
-        if any(key in CONDITIONED for key in _moved_by(owner, given))
+        if any(key in CONDITIONED for key in moved_by(owner, given))
     )
     varied |= dict.fromkeys(tuned, movers) if movers else {}
     return {
         "si": walker.si,
         "kneed": walker.knees,
+        "locks_trailing_knee": walker.locks_trailing_knee,
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(given).table(),
         "parameters": walker.table(),
@@ -558,7 +569,7 @@ def _way(table: Mapping[str, Any]) -> dict[str, Any]:
     return {"start": label(own), "end": label(table["toward"]), "tables": tables}
 
 
-def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
+def moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys of a walker that a key of a line moves, those tuned apart."""
     if owner in _DERIVED:
         return owned(owner, walker)
@@ -615,12 +626,14 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
         raise WalkerError(
             "toward", label(other), f"must have {_LEGS[start.knees]}, as the walker has"
         )
-    if start.si != end.si:
-        raise WalkerError(
-            "toward",
-            label(other),
-            f'must have `units` = "{start.units}", as the walker has',
-        )
+    for key in ("units", "trailing_knee"):
+        own = getattr(start, key)
+        if getattr(end, key) != own:
+            raise WalkerError(
+                "toward",
+                label(other),
+                f'must have `{key}` = "{own}", as the walker has',
+            )
     if all(getattr(start, key) == getattr(end, key) for key in NUMBERS):
         raise WalkerError(
             "toward", label(other), "must differ from the walker in a key"

@@ -31,6 +31,9 @@ BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))
     for k in (*NUMBERS, *ONE_LINK)
 }
+#: What the knee of the leg that leaves the ground may do during heelstrike; the first
+#: is the paper's rule.
+TRAILING_KNEES = "free", "locked"
 _MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
@@ -95,6 +98,9 @@ class Walker:
         Whether the swing leg's knee is free.
     units : str
         "SI", or "1" for any consistent units.
+    trailing_knee : str
+        "free", or "locked" where the knee of the leg that leaves the ground is locked
+        during heelstrike and released after it.
 
     Raises
     ------
@@ -118,6 +124,7 @@ class Walker:
     g: float = 1.0
     knees: bool = False
     units: str = "1"
+    trailing_knee: str = TRAILING_KNEES[0]
     #: Functions of numbers.
     _math: ClassVar[Any] = math
 
@@ -128,6 +135,7 @@ class Walker:
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
             raise WalkerError("knees", repr(self.knees), "must be true or false")
+        self._check_trailing_knee()
         self._refuse(
             "must be > 0",
             {k: getattr(self, k) <= 0 for k in NUMBERS if BOUNDS[k][0] > 0},
@@ -148,6 +156,17 @@ class Walker:
             object.__setattr__(self, "m_s", 0.0)
         self._check_geometry()
         self._check_inertia()
+
+    def _check_trailing_knee(self) -> None:
+        rule = self.trailing_knee
+        if rule not in TRAILING_KNEES:
+            raise WalkerError("trailing_knee", repr(rule), 'must be "free" or "locked"')
+        if rule == "locked" and not self.knees:
+            raise WalkerError(
+                "trailing_knee",
+                repr(rule),
+                "is of walkers with knees (`knees` = true): straight legs have no knee to lock",
+            )
 
     def _refuse(self, bound: str, broken: dict[str, bool]) -> None:
         """Raise WalkerError at the first key that breaks a bound."""
@@ -317,9 +336,26 @@ class Walker:
         """Whether the parameters are in SI units."""
         return self.units == "SI"
 
+    @property
+    def locks_trailing_knee(self) -> bool:
+        """Whether the knee of the leg that leaves the ground is locked during
+        heelstrike.
+        """
+        return self.trailing_knee == "locked"
+
+    @property
+    def frees_trailing_knee(self) -> bool:
+        """Whether the leg that leaves the ground bends during heelstrike already."""
+        return self.knees and not self.locks_trailing_knee
+
     def table(self) -> dict[str, Any]:
-        """All keys and values, as written in TOML."""
-        return {key: getattr(self, key) for key in KEYS}
+        """All keys and values, as written in TOML; of the knee's rule only the one that
+        is not the paper's.
+        """
+        table = {key: getattr(self, key) for key in KEYS}
+        if not self.locks_trailing_knee:
+            del table["trailing_knee"]
+        return table
 
 
 def _any(x: Any) -> bool:

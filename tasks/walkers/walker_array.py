@@ -31,14 +31,20 @@ class WalkerArray(Walker):
         Parameters
         ----------
         walkers : sequence of Walker
-            All with or all without knees.
+            All with or all without knees, which all follow one rule at heelstrike.
         """
         numbers: dict[str, Any] = {
             key: np.array([getattr(walker, key) for walker in walkers], float)
             for key in NUMBERS
         }
         units: Any = np.array([walker.units for walker in walkers])
-        return cls(**numbers, knees=walkers[0].knees, units=units)
+        first = walkers[0]
+        return cls(
+            **numbers,
+            knees=first.knees,
+            units=units,
+            trailing_knee=first.trailing_knee,
+        )
 
     @functools.cached_property
     def _size(self) -> int:

@@ -18,6 +18,10 @@ MECHANICS = "\n".join(
     (_SCRIPTS / name).read_text(encoding="utf-8") for name in ("flight.js", "gaits.js")
 )
 
+LOCKED_C, LOCKED_PHYSICAL = (
+    {"base": name, "trailing_knee": "locked"} for name in ("C", "physical")
+)
+
 #: Lines of each structure: a walker's name, keys that are set, slopes.
 LINES = {
     "point feet": [("D", {}, np.geomspace(1e-6, 0.1, 24))]
@@ -39,6 +43,14 @@ LINES = {
     + [
         ("C", {}, np.geomspace(1e-6, 1e-3, 12)),
         ("physical", {}, np.linspace(0.02, 0.11, 24)),
+    ],
+    "knees locked at heelstrike": [
+        (LOCKED_C, {"detuning": amount}, np.geomspace(1e-3, 0.08, 36))
+        for amount in (0.0, 0.1)
+    ]
+    + [
+        (LOCKED_C, {}, np.geomspace(1e-6, 1e-3, 12)),
+        (LOCKED_PHYSICAL, {}, np.linspace(0.02, 0.11, 60)),
     ],
 }
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -162,6 +174,7 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
         ("C", 1e-4, "release_hyperextends", 1e-6, 1e-3),
         ("physical-straight", 0.3, "release_penetrates", 0.01, 0.2),
         ("physical-straight", 0.3, "trailing_foot_pulls", 1e-4, 1e-3),
+        (LOCKED_C, 0.07, "trailing_knee_unlocks", 1e-4, 0.1),
     ],
 )
 def test_a_violation_is_flagged_above_its_limit(

@@ -314,7 +314,7 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
         (
             ["solve", "--walker", "E", "--slope", "0.01", "--set", "slope=3"],
             "`slope` is not a walker key (keys: l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s, r_s, c_s, R, eps_T, m_h, g,"
-            " knees, detuning, foot_mass_ratio); got 3.0.",
+            " knees, trailing_knee, detuning, foot_mass_ratio); got 3.0.",
         ),
         *(
             (

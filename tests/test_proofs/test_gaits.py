@@ -307,11 +307,11 @@ def cubic(*roots, h=4.0):
 
 
 def test_zeros_are_counted_with_their_directions():
-    sign, found = zeros(cubic(1, 2, 3), (1, 0), "test", False)
+    sign, found = zeros(cubic(1, 2, 3), (1, 0), "test", 0)
     assert sign == "-"
     assert [z.rises for z in found] == [True, False, True]
     assert all(z.low <= k <= z.high for k, z in enumerate(found, 1))
-    assert zeros(cubic(1, 5, 7), (1, 0), "test", False)[1][0].rises
+    assert zeros(cubic(1, 5, 7), (1, 0), "test", 0)[1][0].rises
 
 
 def test_a_zero_at_the_very_end_is_not_overlooked():
@@ -322,23 +322,23 @@ def test_a_zero_at_the_very_end_is_not_overlooked():
         with pytest.raises(
             NotProvedError, match="at the end of the step is not decided"
         ):
-            zeros(cubic(1, 4, 9, h=h), (1, 0), "test", False)
+            zeros(cubic(1, 4, 9, h=h), (1, 0), "test", 0)
 
 
 @pytest.mark.parametrize("roots", [(1, 1, 5), (2, 3, 3)])
 def test_a_double_zero_grazes(roots):
     with pytest.raises(NotProvedError, match="Grazing"):
-        zeros(cubic(*roots), (1, 0), "test", False)
+        zeros(cubic(*roots), (1, 0), "test", 0)
 
 
 def test_a_zero_at_the_start_is_divided_out():
     phases = cubic(0, 1, 3, h=2.0)
     phases[0][1][0].series[0][0] = arb(0, 1e-20)
-    sign, found = zeros(phases, (1, 0), "test", True)
+    sign, found = zeros(phases, (1, 0), "test", 1)
     assert sign == "+"
     assert [z.rises for z in found] == [False]
     with pytest.raises(NotProvedError, match="Grazing"):
-        zeros(phases, (1, 0), "test", False)
+        zeros(phases, (1, 0), "test", 0)
 
 
 def test_legs_that_pass_three_times_are_no_gait():

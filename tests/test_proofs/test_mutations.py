@@ -66,7 +66,7 @@ PHYSICS = {
     ),
     "stance knee of the impact free": (
         "collisions",
-        "second + (body.coupling.x if body.kneed else 0)",
+        "second + (body.coupling.x if body.frees_trailing_knee else 0)",
         "second",
         "C",
     ),

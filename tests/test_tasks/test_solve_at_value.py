@@ -7,6 +7,7 @@ from gaitsweep.tasks.measures.levels import measures
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.studies.solve_at_value import solve_at_value
 from gaitsweep.tasks.studies.solve_points import points
+from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas
 
@@ -117,7 +118,8 @@ def test_what_cannot_be_asked_is_refused_in_a_line(asked, message):
 
 
 def test_measures_of_knees_are_for_knees():
-    assert "kneestrike_time" in measures(True) and "kneestrike_time" not in measures(
-        False
-    )
-    assert not {"branch", "status", "proved", "violations"} & set(measures(True))
+    kneed, straight = measures(resolve("C")), measures(resolve("A"))
+    assert "kneestrike_time" in kneed and "kneestrike_time" not in straight
+    assert not {"branch", "status", "proved", "violations"} & set(kneed)
+    locked = measures(resolve("C", {"trailing_knee": "locked"}))
+    assert {*locked} - {*kneed} == {"unlocking_impulse_trailing"}

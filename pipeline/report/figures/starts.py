@@ -69,7 +69,10 @@ def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     limits = [
         float(limit) for _, limit in source.provenance.get("violation_limits", [])
     ]  # in the order of their bits
-    return {**kept, "units": str(table.get("units", "1")), "violation_limits": limits}
+    words = {"units": str(table.get("units", "1"))}
+    if "trailing_knee" in table:
+        words["trailing_knee"] = str(table["trailing_knee"])
+    return {**kept, **words, "violation_limits": limits}
 
 
 def _address(at: Mapping[str, Any], gait: Any) -> str:

@@ -8,7 +8,7 @@
 const { abs, cos, exp, hypot, sin } = Math;
 const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
-const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
+const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls", "trailing knee unlocks"];
 
 const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
@@ -62,7 +62,9 @@ function makeWalker(keys) {
       sr: flat([s], 0), si: flat([s], 1), rr: flat([r], 0), ri: flat([r], 1) };
   };
   const chains = Object.fromEntries(Object.entries(GROUPS).map(([name, groups]) => [name, gathered(groups)]));
-  return { keys, kneed: Boolean(keys.knees), pointFoot, massless, ...chains, R: keys.R / leg, l: l / leg, foot, knee, leg, mass,
+  // The links of the walker during heelstrike, in which the trailing knee may be locked.
+  const locks = keys.trailing_knee === "locked", striking = keys.knees && !locks ? chains.free : chains.locked;
+  return { keys, kneed: Boolean(keys.knees), pointFoot, massless, ...chains, locks, striking, R: keys.R / leg, l: l / leg, foot, knee, leg, mass,
     time: Math.sqrt(leg / keys.g), speed: Math.sqrt(leg * keys.g), energy: mass * keys.g * leg };
 }
 
@@ -222,14 +224,16 @@ const lever = (chain, q, j) => {
 
 /** State just after heelstrike at a stance angle, from the rates of the old stance and swing leg before it. */
 function strikeHeel(walker, angle, rates) {
-  const chain = walker.kneed ? walker.free : walker.locked, { n } = chain;
+  const chain = walker.striking, { n } = chain;
   const q = [angle, -angle, -angle].slice(0, n), before = [rates[1], rates[0], rates[0]].slice(0, n);
   const momentum = product(chain, q, before), velocity = landing(walker, angle, rates);
   for (let i = 0; i < n; i++) {
     const [x, y] = lever(chain, q, i);
     momentum[i] += x * velocity[0] + y * velocity[1];
   }
-  return Float64Array.from([...q, ...solveLast(massMatrix(chain, q), momentum)]);
+  const after = solveLast(massMatrix(chain, q), momentum);
+  // A trailing knee that was locked meanwhile is released with the rate of the whole leg.
+  return Float64Array.from(walker.locks ? [...q, -angle, ...after, after[1]] : [...q, ...after]);
 }
 
 /**

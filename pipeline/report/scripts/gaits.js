@@ -124,7 +124,7 @@ function compliance(chain, q, rows) {
 
 /** Energies lost in a step, in weight times leg, on the eigenvectors of the contact mass matrix and at kneestrike. */
 function lossesOf(walker, step) {
-  const angle = step.end[0], v = landing(walker, angle, step.before), chain = walker.kneed ? walker.free : walker.locked;
+  const angle = step.end[0], v = landing(walker, angle, step.before), chain = walker.striking;
   const found = { normal: 0, tangential: 0, kneestrike: 0 };
   if (walker.massless) {
     const toHip = [-walker.l * sin(angle), walker.R + walker.l * cos(angle)];
@@ -198,8 +198,12 @@ function violationsOf(walker, start, step, slope) {
     const q = ofLinks(at), change = ofLinks(after).map((r, j) => r - ofLinks(before)[j]);
     contact(minus(momentumOf(open, q, change), velocity));
     if (!walker.kneed) return;
-    const M = massMatrix(open, q), [x, y] = turned([-open.si[1], open.sr[1]], q[1]);
-    note(1, (atKnee ? 0 : x * velocity[0] + y * velocity[1]) - sum(change.map((c, j) => M[4 + j] * c)));
+    const M = massMatrix(open, q), lock = link => {
+      const [x, y] = turned([-open.si[link], open.sr[link]], q[link]);
+      return sum(change.map((c, j) => M[4 * link + j] * c)) - (atKnee ? 0 : x * velocity[0] + y * velocity[1]);
+    };
+    note(1, -lock(1));
+    if (walker.locks && !atKnee) note(7, lock(3));
   };
   const before = [step.before[1], step.before[0], step.before[0]].slice(0, n);
   impulse(step.end.subarray(0, n), step.end.subarray(n), before, landing(walker, step.end[0], step.before), false);
@@ -218,8 +222,9 @@ function violationsOf(walker, start, step, slope) {
     note(5, Math.max(0, ...heights.slice(0, rises < 0 ? undefined : rises).map(height => -height)));
   }
   if (!still && velocity < 0 && !walker.massless) {
-    const [s1, s2, thigh, shank] = arms.map(arm => arm[0]), row = n === 3 ? [s1 + s2, thigh, shank] : [s1 + s2, thigh + shank];
-    note(6, -velocity / compliance(chain, start.subarray(0, n), [row])[0][0]);
+    const [s1, s2, thigh, shank] = arms.map(arm => arm[0]), { striking } = walker;
+    const row = striking.n === 3 ? [s1 + s2, thigh, shank] : [s1 + s2, thigh + shank];
+    note(6, -velocity / compliance(striking, start.subarray(0, striking.n), [row])[0][0]);
   }
   return VIOLATIONS.filter((_, number) => worst[number] > (walker.keys.violation_limits?.[number] ?? 0));
 }

@@ -1,0 +1,317 @@
+"""Walkers that differ only in their units are solved once."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import gaitsweep
+from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.study.parse import parse
+from gaitsweep.tasks.contract.accuracy import significant_bits
+from gaitsweep.tasks.contract.registry import VARIABLES
+from gaitsweep.tasks.mechanics.kernel import FLOWS
+from gaitsweep.tasks.studies import solve_points
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.walkers.scaling import scales
+
+ONE_LINK = {"knees": False, "l": 1.0, "m": 2.0, "c": 0.4, "r": 0.1}
+HIPPED = {**ONE_LINK, "m_h": 1.0}
+WANT = ["stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "speed"]
+WANT += ["energy", "multipliers", "violations", "step_length", "power"]
+
+
+@pytest.mark.parametrize(
+    ("walker", "changes", "keys"),
+    [
+        (
+            "C",
+            {"g": 3.0},
+            ["g"],
+        ),
+        (
+            "C",
+            {"g": 3.0, "R": 0.2},
+            ["g"],
+        ),
+        (
+            "C",
+            {"m_h": 2.0},
+            [],
+        ),
+        (
+            "E",
+            {"m_t": 0.8, "m_s": 0.2},
+            ["m_t", "m_s"],
+        ),
+        (
+            "E",
+            {"m_t": 0.8, "m_s": 0.2, "g": 2.0},
+            ["m_t", "m_s", "g"],
+        ),
+        (
+            "E",
+            {"m_t": 0.8, "m_s": 0.21, "g": 2.0},
+            ["g"],
+        ),
+        (
+            "E",
+            {"foot_mass_ratio": 0.1, "g": 2.0},
+            ["g"],
+        ),
+        (
+            "E",
+            {"l_t": 1.5, "l_s": 1.5, "c_s": 1.5},
+            ["l_t", "l_s", "c_s"],
+        ),
+        (
+            "E",
+            {"l_t": 1.5, "l_s": 1.5, "c_s": 1.4},
+            [],
+        ),
+        (
+            "D",
+            {"m_t": 3.0},
+            ["m_t"],
+        ),
+        (
+            ONE_LINK,
+            {"m": 3.0},
+            ["m"],
+        ),
+        (
+            ONE_LINK,
+            {"l": 3.0, "c": 1.2, "r": 0.3},
+            ["l", "c", "r"],
+        ),
+        (
+            ONE_LINK,
+            {"l": 3.0, "c": 1.2},
+            [],
+        ),
+        (
+            HIPPED,
+            {"m": 3.0},
+            [],
+        ),
+        (
+            HIPPED,
+            {"m": 3.0, "m_h": 1.5},
+            ["m", "m_h"],
+        ),
+    ],
+)
+def test_keys_that_change_only_units_are_known(walker, changes, keys):
+    line = {"walker": walker, "set": changes}
+    assert [*scales(walker_of_line(line), line)] == keys
+
+
+def test_a_unit_is_that_of_its_kind():
+    length, mass, time = 2.0, 3.0, 5.0
+    expected = {
+        "stance_angle": 1.0,
+        "period": time,
+        "stance_rate": 1 / time,
+        "speed": length / time,
+        "loss_normal": mass * length**2 / time**2,
+        "power": mass * length**2 / time**3,
+        "least_normal_impulse": mass * length / time,
+        "unlocking_torque": mass * length**2 / time**2,
+        "unlocking_impulse_heelstrike": mass * length**2 / time,
+        "scuff_depth": length,
+        "froude_speed": 1.0,
+    }
+    for name, unit in expected.items():
+        assert VARIABLES[name].unit(length, mass, time) == pytest.approx(
+            unit, rel=1e-15
+        )
+
+
+#: Walkers with keys that only scale them, and the same in tables of their own.
+SCALED = [
+    (
+        "C",
+        {"g": 1.62},
+    ),
+    (
+        "physical",
+        {"g": 24.79},
+    ),
+    (
+        "E",
+        {"m_t": 0.8 * 0.7, "m_s": 0.2 * 0.7, "g": 3.0},
+    ),
+    (
+        "E",
+        {"l_t": 1.7, "l_s": 1.7, "c_s": 1.7, "m_t": 1.2, "m_s": 0.3},
+    ),
+    (
+        {"base": "C", "trailing_knee": "locked"},
+        {"g": 1.62},
+    ),
+]
+
+
+def sentences(found):
+    """What is said of each gait of a grid."""
+    return found.reason_text.values[found.reason.values]
+
+
+def assert_alike(name, one, other, bound):
+    """Check that values of a variable agree to their bounds, or where these are of
+    other variables to nine digits.
+    """
+    if one.dtype.kind != "f":
+        assert (one == other).all(), name
+        return
+    there = np.isfinite(other)
+    assert (np.isfinite(one) == there).all(), name
+    if name in ("stance_angle", "period"):
+        assert (np.abs(one - other) <= bound * np.abs(other))[there].all(), name
+        return
+    size = np.abs(other[there]).max(initial=0.0)
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize(("walker", "keys"), SCALED)
+def test_converted_gaits_are_those_that_are_solved(walker, keys):
+    slopes = [0.02, 0.036, 0.2]
+    base = walker
+    if isinstance(walker, str):
+        base = {"base": walker}
+
+    converted = gaitsweep.gaits(walker, slopes, variables=WANT, **keys)
+
+    solved = gaitsweep.gaits({**base, **keys}, slopes, variables=WANT)
+    bound = (converted.error_bound + solved.error_bound).values
+    assert np.isfinite(bound).any()
+    assert (sentences(converted) == sentences(solved)).all()
+    rounding = ("reason", "residual", "energy_imbalance")
+    for name in solved.data_vars:
+        if name in VARIABLES and name not in rounding:
+            assert_alike(name, converted[name].values, solved[name].values, bound)
+
+
+def equal(one, other):
+    """Whether two grids have the same bytes and say the same."""
+    if not (sentences(one) == sentences(other)).all():
+        return False
+
+    for name in one.data_vars:
+        if name in ("reason", "reason_text"):
+            continue
+        a = one[name].values
+        b = other[name].values
+        if not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+            return False
+    return True
+
+
+def test_a_gait_has_the_same_bytes_alone_and_beside_others():
+    slopes = np.geomspace(1e-3, 0.3, 12)
+    g = np.linspace(1.6, 25, 12)
+
+    pairs = gaitsweep.gaits("C", slopes, g=g, variables=WANT)
+    grid = gaitsweep.gaits("C", slopes[:, None], g=g[None], variables=WANT)
+
+    for i in (0, 5, 11):
+        alone = gaitsweep.gaits("C", slopes[i], g=float(g[i]), variables=WANT)
+        assert equal(alone, pairs.isel(slope=i))
+        assert equal(alone, grid.isel(dim_0=i, dim_1=i))
+
+
+def test_a_study_has_the_same_bytes_as_python():
+    slopes = np.array([0.01, 0.05, 0.3])
+    lines = [{"walker": "B", "set": {"R": 0.21, "g": g}} for g in (2.0, 3.0, 4.0)]
+    request = {"slope": slopes, "want": WANT}
+
+    beside = solve_points.lines({**request, "lines": lines}, [])
+    (alone,) = solve_points.lines({**request, "lines": lines[1:2]}, [])
+
+    atlas = solve_points.atlas({"line": lines[1], "coarse": True}, [])
+    by_itself = solve_points.points({**request, "line": lines[1]}, [atlas])
+    found = gaitsweep.gaits("B", slopes, R=0.21, g=3.0, variables=WANT)
+    own = beside[1][1]
+    table = {"walker": {"base": "B", "R": 0.21, "g": 3.0}, "set": {}}
+    ((_, in_table),) = solve_points.lines({**request, "lines": [table]}, [])
+    assert (own["reasons"] == in_table["reasons"]).all()
+    assert (own["reasons"] == alone[1]["reasons"]).all()
+    assert (own["reasons"] == by_itself["reasons"]).all()
+    for name, values in own.items():
+        if name in ("reasons", "reason"):
+            continue
+        nan = values.dtype.kind == "f"
+        others = [alone[1][name], by_itself[name]]
+        if name in found:
+            others.append(found[name].values)
+        for other in others:
+            assert np.array_equal(values, other, equal_nan=nan)
+
+
+def work(call):
+    """Steps that a call integrates."""
+    before = sum(flow.evaluations for flow in FLOWS.values())
+    call()
+    return sum(flow.evaluations for flow in FLOWS.values()) - before
+
+
+@pytest.mark.parametrize("walker", ["B", "C"])
+def test_an_axis_of_g_costs_no_step(walker):
+    slopes = np.geomspace(1e-3, 0.07, 40)
+    g = np.linspace(1.6, 25, 40)
+    radii = iter(0.2 + 1e-6 * np.arange(1, 9))  # whose branches are not known yet
+
+    def solved(slopes, **keys):
+        return work(lambda: gaitsweep.gaits(walker, slopes, R=next(radii), **keys))
+
+    of_slopes = solved(slopes)
+    of_one = solved(0.02)
+
+    assert of_slopes > of_one > 0
+    assert solved(slopes, g=g) < 1.01 * of_slopes
+    assert solved(slopes[:, None], g=g[None]) < 1.01 * of_slopes
+    assert solved(0.02, g=g) < 1.01 * of_one
+
+
+def test_two_axes_that_only_scale_cost_no_step():
+    masses = np.linspace(1.0, 3.0, 12)[:, None]
+    g = np.linspace(2.0, 9.0, 12)[None]
+    walkers = iter({**ONE_LINK, "c": 0.41 + 1e-6 * k} for k in range(2))
+
+    one = work(lambda: gaitsweep.gaits(next(walkers), 0.01))
+    many = work(lambda: gaitsweep.gaits(next(walkers), 0.01, m=masses, g=g))
+
+    assert 0 < many < 1.05 * one
+
+
+def test_a_g_that_cannot_be_costs_its_points_alone():
+    g = np.array([9.81, -1.0, np.nan, 2.0, 0.0, np.inf])
+    found = gaitsweep.gaits("B", 0.02, g=g)
+    is_there = np.isfinite(found.stance_angle[:, 0].values)
+    assert is_there.tolist() == [True, False, False, True, False, False]
+    said = [str(found.reason_text[k].values) for k in found.reason[:, 0].values]
+    assert said[1].startswith("`g` must be > 0")
+    assert said[2].startswith("`g` must be finite")
+
+
+def test_lines_that_differ_in_g_read_one_atlas(tmp_path):
+    text = 'name = "s"\nwalker = "C"\naxes.g = [2.0, 3.0]\naxes.R = [0.2, 0.21]\n'
+    text += "axes.slope = { from = 0.01, to = 0.05, n = 300 }\n"
+
+    graph = Graph(parse(tomllib.loads(text), text, tmp_path / "s.toml"))
+    keys = [graph.line_keys(k)["atlas"] for k in range(4)]
+    assert keys[0] == keys[2] != keys[1] == keys[3]
+    points = {graph.line_keys(k)["points"] for k in range(4)}
+    assert len(points) == 4
+
+
+def test_gaits_to_an_accuracy_are_not_converted_but_right():
+    g = np.array([1.62, 9.81])
+    found = gaitsweep.gaits("A", 0.02, g=g, accuracy=1e-6)
+    exact = gaitsweep.gaits("A", 0.02, g=g)
+    apart = np.abs(found.period / exact.period - 1).values
+    assert np.nanmax(apart) < 1e-6
+    # Rounded to the bits that the accuracy leaves, which a conversion would undo.
+    mantissa, _ = np.frexp(found.period.values[:, 0])
+    scaled = mantissa * 2.0 ** (significant_bits(1e-6) + 1)
+    assert (scaled == np.round(scaled)).all()
