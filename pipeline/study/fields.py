@@ -17,6 +17,7 @@ from gaitsweep.pipeline.study.model import Limits
 from gaitsweep.pipeline.study.values import (
     Composite,
     Either,
+    Levels,
     Memory,
     Names,
     Number,
@@ -123,7 +124,8 @@ _VALUES: dict[str, Value] = {
     "gait": OneOf(lambda: GAITS),
     "key": OneOf(_keys_of_walkers, "a key of a walker"),
     "keys": Names(_keys_of_walkers, "keys of a walker"),
-    "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED), least=1),
+    "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED)),
+    "levels": Levels(),
     "limits": VIOLATION_LIMITS,
     "walker": Composite("name, file, table, or list of names"),
     "axes": Composite("table of axes"),

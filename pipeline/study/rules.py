@@ -70,6 +70,16 @@ def _curves_have_a_range(study: Study, top: Location) -> Iterator[StudyError]:
             yield top.at("options", "from").wrong(bound, options["from"])
 
 
+def _curves_are_of_something(study: Study, top: Location) -> Iterator[StudyError]:
+    """Curves are of special points or of levels."""
+    if study.kind == "curve":
+        options = registry.options("curve", study.options)
+        if not options["kinds"] and not options["levels"]:
+            yield top.at("options", "kinds").wrong(
+                "must name special points, where there are no `levels`", []
+            )
+
+
 def _ground_needs_a_slope(study: Study, top: Location) -> Iterator[StudyError]:
     """Steps of the ground are survived at a slope."""
     if study.kind == "design":
@@ -135,6 +145,7 @@ RULES: tuple[Rule, ...] = (
     _what_is_wanted_has_its_kind,
     _adaptive_slopes_follow_branches,
     _curves_have_a_range,
+    _curves_are_of_something,
     _ground_needs_a_slope,
     _the_transition_is_of_short_gaits,
     _a_grid_has_a_size,

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.location import LARGEST, Location
-from gaitsweep.tasks.contract.registry import SLOPES, VIOLATIONS
+from gaitsweep.tasks.contract.registry import SLOPES, VARIABLES, VIOLATIONS
 
 #: JSON Schema, draft 2020-12.
 Schema: TypeAlias = dict[str, Any]
@@ -346,6 +346,28 @@ class ViolationLimits(Value):
             for v in VIOLATIONS.values()
         }
         return table(limits)
+
+
+class Levels(Value):
+    """Values of variables of a gait that hold one number."""
+
+    words = "table of values by the names of variables"
+    _value = Number()
+
+    def read(self, value: Any, place: Location) -> dict[str, float]:
+        """Check values."""
+        if not isinstance(value, Mapping):
+            raise place.wrong(f"must be a {self.words}", value)
+        place.check_names(value, VARIABLES, "variable")
+        return {
+            name: self._value.read(number, place.at(name))
+            for name, number in value.items()
+        }
+
+    @property
+    def schema(self) -> Schema:
+        """A table of numbers."""
+        return table(dict.fromkeys(VARIABLES, self._value.schema))
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,9 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
     if has_travel:
         needed += ["step_length", "period"]
-    y, scale = at.stride.y, problem.section(at.w)[1]
+    # Where rounding is measured, steps are evaluated in other units.
+    y = at.stride.y
+    scale = np.exp(at.w[0]) / y[0]
     steps = steps_of(problem, walkers, at.stride, y, scale, at.times, slope)
     measured = of_all_steps(steps.measure(needed), problem.steps)
     if has_travel:

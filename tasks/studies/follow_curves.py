@@ -1,5 +1,5 @@
-"""The task `curve`: folds, flips and ends of branches, continued in slope and one key
-of the walker.
+"""The task `curve`: folds, flips and ends of branches, and gaits at which a measure has
+a value, continued in slope and one key of the walker.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
 from gaitsweep.tasks.branches.curves import (
     across_last,
     at_value,
@@ -29,12 +29,13 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
-from gaitsweep.tasks.branches.special_points import RATES, special_points
+from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.measures.levels import level, measures
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.walkers.resolve import resolve, value_of_key
+from gaitsweep.tasks.walkers.resolve import resolve, value_of_key, walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Why a line has no curve.
@@ -61,7 +62,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         it has such points, else at an end of the range, the nearer first; `slope`,
         ndarray [rad], whose ends are the window; and the study's options: `key` (a
         walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
-        walker's units, and `kinds` of points.
+        walker's units, `kinds` of points, and `levels`, measures with their values.
     inputs : list
         The line's atlas.
 
@@ -77,13 +78,14 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Raises
     ------
     WalkerError
-        If the walker has no such key, or the range is empty.
+        If the walker has no such key or measure, or the range is empty.
     """
     line, options = params["line"], registry.options("curve", params)
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
     slope = np.asarray(params["slope"], float)
     window = _Window((slope.min(), slope.max()), keys)
+    conditions = _conditions(options, walker_of_line(line))
     tables = _Tables([], [])
     value = value_of_key(line, key)
     for begin in _beginnings(value, keys):
@@ -92,8 +94,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             branches = atlases.from_arrays(inputs[0])
         else:
             branches = atlases.survey(problem)
-        seeds = _seeds(problem, branches, options["kinds"], window)
-        if _follow_all(seeds, begin, window, tables):
+        seeds = _seeds(problem, branches, conditions, window)
+        if _follow_all(seeds, conditions, begin, window, tables):
             break
 
     found = table("curves", tables.curves, _CURVES)
@@ -147,15 +149,33 @@ class _Tables(NamedTuple):
     turnings: list[tuple[Any, ...]]
 
 
+def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
+    """What curves fulfil, by what tables call them: kinds of special points, and
+    measures at their values.
+    """
+    conditions = {kind: CONDITIONS[kind] for kind in options["kinds"]}
+    for measure, value in options["levels"].items():
+        known = measures(walker)
+        if measure not in known:
+            bound = f"must be measures of its gaits: {', '.join(known)}"
+            raise WalkerError("levels", measure, bound)
+        conditions[f"{measure} = {value:g}"] = level(measure, value)
+    return conditions
+
+
 def _follow_all(
-    seeds: list[tuple[str, ndarray]], begin: float, window: _Window, tables: _Tables
+    seeds: list[tuple[str, ndarray]],
+    conditions: Mapping[str, Condition],
+    begin: float,
+    window: _Window,
+    tables: _Tables,
 ) -> bool:
-    """Follow the curves through special points at one value of the key, each once; and
-    whether there is any.
+    """Follow the curves through points at one value of the key, each once; and whether
+    there is any.
     """
     seen: list[tuple[str, ndarray]] = []
     for kind, Z in seeds:
-        equations = Equations(window.keys, [CONDITIONS[kind]])
+        equations = Equations(window.keys, [conditions[kind]])
         guess = np.append(Z, begin / window.keys.scale)[:, None]
         first = correct_on_curve(equations, guess, across_last(len(guess)))
         on_curve = [X for other, X in seen if other == kind]
@@ -272,14 +292,22 @@ def _error(equations: Equations, X: ndarray, window: _Window) -> float:
 
 
 def _seeds(
-    problem: Problem, branches: list[Branch], kinds: Any, window: _Window
+    problem: Problem,
+    branches: list[Branch],
+    conditions: Mapping[str, Condition],
+    window: _Window,
 ) -> list[tuple[str, ndarray]]:
-    """Special points of a line's branches at which curves begin: kind, and Z (c,)."""
+    """Points of a line's branches at which curves begin: what tables call them, and Z
+    (c,).
+    """
     seeds = []
     for branch in branches:
         for point in special_points(problem, branch):
             kind = str(point["kind"])
-            Z = np.array(point["Z"])
-            if kind in kinds and window.holds(Z[-1]):
-                seeds.append((kind, Z))
-    return seeds
+            if kind in conditions:
+                seeds.append((kind, np.array(point["Z"])))
+        for name, condition in conditions.items():
+            if condition.name == "level":
+                passed = passings(problem, branch, condition)
+                seeds += [(name, point.Z[:, 0]) for _, point in passed]
+    return [(kind, Z) for kind, Z in seeds if window.holds(Z[-1])]

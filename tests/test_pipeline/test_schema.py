@@ -209,7 +209,13 @@ MORE = [
         **_E,
         "kind": "curve",
         "axes": _WINDOW,
-        "options": {"key": "R", "from": 0.0, "to": 0.2, "kinds": ["fold"]},
+        "options": {
+            "key": "R",
+            "from": 0.0,
+            "to": 0.2,
+            "kinds": ["fold"],
+            "levels": {"speed": 0.4},
+        },
         "want": {"figures": ["curves"]},
     },
     {

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import gaitsweep
 from gaitsweep.tasks.branches import curves
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import (
@@ -605,3 +606,49 @@ def test_a_turning_point_is_that_end_of_its_bracket_whose_tangent_changes_sign_b
     assert ends[0][1][1] > 0 > ends[1][1][1]
     Z, error = turning(curve, *(ends if side == 0 else ends[::-1]), 1)
     assert pytest.approx([0.0, 1.0, 0.0], abs=1e-12) == Z and error < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("measure", "value"), [("froude_speed", 0.15), ("foot_clearance", -0.005)]
+)
+def test_gaits_on_a_curve_of_a_level_have_that_value(measure, value):
+    """Each is solved again as a gait at its slope and value of the key; where a foot
+    begins to scuff deeper than a height is such a curve.
+    """
+    params = {"line": LINE, "slope": np.array([1e-3, 0.1]), "key": "R"}
+    params |= {"from": 0.1, "to": 0.3, "kinds": [], "levels": {measure: value}}
+
+    found = curve(params, [_atlas("C", ())])
+
+    rows = np.flatnonzero(found["curves/walks"])[::8]
+    assert len(rows) >= 3
+    assert {*found["curves/kind"]} == {f"{measure} = {value:g}"}
+    for row in rows.tolist():
+        slope, radius = found["curves/slope"][row], found["curves/value"][row]
+        solved = gaitsweep.gaits("C", slope, R=radius, variables=[measure])
+        off = np.nanmin(np.abs(solved[measure].values - value))
+        assert off < 1e-11 * abs(value)
+    # At either end the curve meets the window's border.
+    assert found["curves/error_bound"][rows].max() < 1e-11
+
+
+def test_the_bound_on_the_slope_of_a_level_holds_against_a_gait_at_that_value():
+    params = {"line": LINE, "slope": np.array([1e-3, 0.1]), "key": "R"}
+    params |= {"from": 0.1, "to": 0.3, "kinds": [], "levels": {"speed": 0.4}}
+    found = curve(params, [_atlas("C", ())])
+    row = len(found["curves/slope"]) // 2
+
+    radius = found["curves/value"][row]
+    solved = gaitsweep.solve("C", at={"speed": 0.4}, R=radius)
+
+    off = np.abs(solved["slope"] / found["curves/slope"][row] - 1).min()
+    assert off <= found["curves/error_bound"][row]
+
+
+def test_levels_of_what_is_no_measure_of_the_walker_are_refused():
+    params = {"line": {"walker": "B", "set": {}}, "slope": np.array([1e-3, 0.1])}
+    params |= {"key": "R", "from": 0.1, "to": 0.3, "kinds": []}
+    params |= {"levels": {"kneestrike_time": 1.0}}
+
+    with pytest.raises(WalkerError, match="`levels` must be measures of its gaits"):
+        curve(params, [_atlas("B", ())])

@@ -185,9 +185,10 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         print_units(table.attrs.get("units", {}).get("value", "")),
     )
     touches = _mark_touches(source, axes, key)
+    several = {kind: _several(kind) for kind in kinds}
     for kind, ink in kinds.items():
-        sketch.key(f"{spaced(kind)}s", ink, lw=1.5)
-    named = " and ".join(f"{spaced(kind)}s" for kind in kinds).capitalize()
+        sketch.key(several[kind], ink, lw=1.5)
+    named = " and ".join(several.values()).capitalize()
     words = {
         "Kinds": named,
         "kinds": ", ".join(kinds),
@@ -195,6 +196,11 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         "value": with_unit(symbol(key), unit),
     }
     return sketch.finish(table, count=len(touches), touches="; ".join(touches), **words)
+
+
+def _several(kind: str) -> str:
+    """Points of a curve in words: folds, or gaits of a level."""
+    return spaced(kind) if "=" in kind else f"{spaced(kind)}s"
 
 
 def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
