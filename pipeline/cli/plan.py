@@ -131,7 +131,12 @@ def _omitted(planned: Plan) -> list[str]:
     groups = {v.group for v in VARIABLES.values()} - {
         VARIABLES[v].group for v in graph.variables
     }
-    left = [v for v in VARIABLES.values() if v.name not in graph.variables]
+    locks = any(check["locks_trailing_knee"] for check in planned.study.checks)
+    left = [
+        v
+        for v in VARIABLES.values()
+        if v.name not in graph.variables and (locks or not v.is_of_locked_knee)
+    ]
     return (
         list(dict.fromkeys(v.group if v.group in groups else v.name for v in left))
         + names
