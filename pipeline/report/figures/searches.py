@@ -165,37 +165,51 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
     for line in source.lines_of(table):
         for number, curve in line.rows.groupby("curve", sort=False):
-            kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
-            axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
-            label = ", ".join(
-                filter(None, (line.label, f"{spaced(kind)}, curve {number}"))
-            )
-            base = source.command(
-                {name: value for name, value in line.at.items() if name != key}
-            )
-            places = curve[["slope", "value"]].to_numpy(float).tolist()
-            rows = curve.assign(
-                command=[f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places]
-            )
-            sketch.mark(
-                axes, rows, label, tips={"slope": "γ (rad)", "value": key}, y="value"
-            )
-    key, unit = (
-        str(table["key"].iloc[0]),
-        print_units(table.attrs.get("units", {}).get("value", "")),
-    )
+            _draw_curve(sketch, source, line, number, curve, kinds)
+
+    key = str(table["key"].iloc[0])
+    unit = print_units(table.attrs.get("units", {}).get("value", ""))
     touches = _mark_touches(source, axes, key)
     several = {kind: _several(kind) for kind in kinds}
     for kind, ink in kinds.items():
         sketch.key(several[kind], ink, lw=1.5)
-    named = " and ".join(several.values()).capitalize()
-    words = {
-        "Kinds": named,
-        "kinds": ", ".join(kinds),
-        "key": key,
-        "value": with_unit(symbol(key), unit),
-    }
-    return sketch.finish(table, count=len(touches), touches="; ".join(touches), **words)
+    return sketch.finish(
+        table,
+        count=len(touches),
+        touches="; ".join(touches),
+        Kinds=" and ".join(several.values()).capitalize(),
+        kinds=", ".join(kinds),
+        key=key,
+        value=with_unit(symbol(key), unit),
+    )
+
+
+def _draw_curve(
+    sketch: Sketch,
+    source: Source,
+    line: Line,
+    number: Any,
+    curve: pd.DataFrame,
+    kinds: dict[str, str],
+) -> None:
+    """Draw one curve in the colour of its kind; each point tells its values and the
+    command that solves it.
+    """
+    (axes,) = sketch.panels
+    kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
+    axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
+
+    words = line.label, f"{spaced(kind)}, curve {number}"
+    others = {name: value for name, value in line.at.items() if name != key}
+    base = source.command(others)
+    commands = [
+        f"{base} --set {key}={value!r} --slope {slope!r}"
+        for slope, value in curve[["slope", "value"]].to_numpy(float).tolist()
+    ]
+    rows = curve.assign(command=commands)
+    tips = {"slope": "γ (rad)", "value": key}
+    label = ", ".join(filter(None, words))
+    sketch.mark(axes, rows, label, tips=tips, y="value")
 
 
 def _several(kind: str) -> str:
