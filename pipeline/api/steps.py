@@ -309,7 +309,8 @@ def _numbers(name: str, value: Any, *counts: int) -> list[float]:
     except TypeError:  # not a sequence
         values = []
     if len(values) not in counts:
-        wanted = " or ".join(map(str, counts))
+        *most, last = map(str, counts)
+        wanted = " or ".join(filter(None, (", ".join(most), last)))
         raise Location("", name).wrong(f"must be {wanted} numbers", value)
     return [number(name, v) for v in values]
 

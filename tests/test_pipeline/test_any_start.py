@@ -215,7 +215,7 @@ def test_a_state_of_another_slope_is_told_to_which_it_belongs():
         ),
         (
             {"state": [0.2, -0.2]},
-            "must be 3 or 4 or 6 numbers",
+            "must be 3, 4 or 6 numbers",
         ),
         (
             {"state": [-0.2, 0.1, 0.1, -1, 0, 0]},
