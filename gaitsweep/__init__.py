@@ -1,8 +1,8 @@
 """Gaits of passive dynamic walkers, swept over grids and kept as CF netCDF.
 
-`gaits`, `solve`, `sensitivities`, `step_map` and `simulate` answer in Python; `run` runs a study, `load`
-opens its archive, `report` and `figure` show it; `schema` describes studies to editors.
-The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
+`gaits`, `solve`, `sensitivities`, `step_map`, `simulate` and `check` answer in Python;
+`run` runs a study, `load` opens its archive, `report` and `figure` show it; `schema`
+describes studies to editors. The code is in the folders `pipeline`, which runs, keeps and shows, and `tasks`, which
 computes.
 """
 
@@ -10,6 +10,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gaitsweep.pipeline.api.check import check
     from gaitsweep.pipeline.api.reports import figure, report
     from gaitsweep.pipeline.api.sensitivities import sensitivities
     from gaitsweep.pipeline.api.steps import simulate, step_map
@@ -41,6 +42,7 @@ _ERRORS = (
 #: Module of each name; it is imported on use, so that a command loads only what it
 #: needs.
 _HOMES = {
+    "check": "gaitsweep.pipeline.api.check",
     **dict.fromkeys(("figure", "report"), "gaitsweep.pipeline.api.reports"),
     **dict.fromkeys(("simulate", "step_map"), "gaitsweep.pipeline.api.steps"),
     **dict.fromkeys(
@@ -64,6 +66,7 @@ __all__ = [
     "Variable",
     "WorkerError",
     "__version__",
+    "check",
     "figure",
     "gaits",
     "load",

@@ -18,9 +18,17 @@ from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import changes, definition, number
 from gaitsweep.pipeline.study.location import Location
 
-_MAX_STEPS = 100_000
+_MAX_STEPS, _MAX_SAMPLES = 100_000, 1_000_000
+#: What archives have not, of a series of the motion.
+_OF_SERIES = {
+    "step_number": ("number", "number of the step, from 0"),
+    "time": ("time", "time since the start"),
+    "rate_st": ("rate", "angular rate of the stance leg"),
+    "rate_th": ("rate", "angular rate of the swing leg's thigh"),
+    "rate_sh": ("rate", "angular rate of the swing leg's shank"),
+}
 #: What archives have under no name.
-_THIGH_ANGLE = "swing leg's angle just after heelstrike"
+_OF_STEPS = {"thigh_angle": ("angle", "swing leg's angle just after heelstrike")}
 
 
 class Times(NamedTuple):
@@ -87,10 +95,12 @@ def step_map(
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
         Slope of the ground, in [1e-18, 0.5).
-    state : sequence of float, shape (3,)
+    state : sequence of float, shape (3,), (4,) or (6,)
         (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the
         walker's rates]. The swing leg stands at minus the stance angle; the rate of a
-        free shank is the one that a heelstrike gives it.
+        free shank is the one that a heelstrike gives it. A state within a step, from
+        which the walker goes on to the heelstrike first, is (stance angle, thigh angle,
+        stance rate, thigh rate), with a free knee (three angles, three rates).
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
@@ -129,6 +139,9 @@ def simulate(
     motion: bool = False,
     pushes: Mapping[int, Sequence[float]] | None = None,
     ground: Mapping[int, float] | None = None,
+    dt: float | None = None,
+    samples: int | None = None,
+    limits: bool = False,
     **keys: float,
 ) -> xr.Dataset:
     """Simulate steps from a state until they are done or the walker falls.
@@ -139,13 +152,18 @@ def simulate(
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
         Slope of the ground, in [1e-18, 0.5).
-    state : sequence of float, shape (3,)
-        (stance_angle, stance_rate, thigh_rate) just after heelstrike, as for
-        `step_map`.
+    state : sequence of float, shape (3,), (4,) or (6,)
+        (stance_angle, stance_rate, thigh_rate) just after heelstrike, or a state within
+        a step, as for `step_map`; its swing foot must not be below the ground.
     steps : int
         Number of steps.
     motion : bool
         Sample the motion of every step.
+    dt, samples : float and int, optional
+        Sample it instead as one series over all steps, at this constant step in the
+        walker's unit of time, or at so many times from the start to the last heelstrike.
+    limits : bool
+        With `dt` or `samples`: also both limits at each strike.
     pushes : mapping, optional
         By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its
         start; the state recorded of the step is that before the push.
@@ -165,7 +183,10 @@ def simulate(
         after a fall. `outcome` says in words how the simulation ended, and `reason` in
         a sentence; `steps_taken` counts the heelstrikes. With `motion` also `time`
         after the start of the step, `theta_st`, `theta_th`, `theta_sh` and `foot_x`,
-        along `phase` (the knee free, locked) and `sample`.
+        along `phase` (the knee free, locked) and `sample`; in a series along `sample`
+        alone, with `time` from the start, `step_number`, and the rates `rate_st`,
+        `rate_th` and `rate_sh`. The attribute `start` tells of a state whose swing foot
+        is above the ground behind the stance foot on which slope both feet would stand.
 
     Raises
     ------
@@ -182,45 +203,90 @@ def simulate(
     }
     params = _params(walker, slope, state, keys)
     checks = [dispatch.ask("check_walker", params)]
-    answer = dispatch.ask(
-        "simulate",
-        {
-            **params,
-            "steps": steps,
-            "motion": bool(motion),
-            "pushes": pushed,
-            "ground": heights,
-        },
-    )
+    asked = {**params, "steps": steps, "motion": bool(motion)}
+    asked |= {"pushes": pushed, "ground": heights}
+    answer = dispatch.ask("simulate", asked)
+    if dt is not None or samples is not None:
+        step = _time_step(dt, samples, answer["period"])
+        asked |= {"dt": step, "limits": bool(limits), "motion": False}
+        answer = dispatch.ask("simulate", asked)
+    elif limits:
+        raise StudyError("`limits` needs `dt` or `samples`.")
+    return _dataset(answer, steps, checks)
+
+
+def _dataset(
+    answer: dict[str, Any], steps: int, checks: list[dict[str, Any]]
+) -> xr.Dataset:
+    """What was simulated, with words and units."""
     taken, cause = answer.pop("steps_taken"), answer.pop("cause")
+    series, above = answer.pop("series", {}), answer.pop("above_ground_of")
     variables: dict[str, Any] = {}
     for name, values in answer.items():
-        kind, meaning = (
-            ("angle", _THIGH_ANGLE) if name == "thigh_angle" else meaning_of(name)
-        )
-        missing = np.full(
-            (steps + 1 - len(values), *values.shape[1:]), np.nan
-        )  # of steps that are not taken
-        dims, about = (
-            ("step", "phase", "sample")[: values.ndim],
-            units.described(meaning, kind, checks),
-        )
+        kind, meaning = _OF_STEPS.get(name) or meaning_of(name)
+        # Of steps that are not taken.
+        missing = np.full((steps + 1 - len(values), *values.shape[1:]), np.nan)
+        dims = ("step", "phase", "sample")[: values.ndim]
+        about = units.described(meaning, kind, checks)
         variables[name] = (dims, np.concatenate([values, missing]), about)
-    reason = (
-        f"All {steps} steps end in a heelstrike."
-        if taken == steps
-        else f"Step {taken}: {cause}."
+    for name, values in series.items():
+        kind, meaning = _OF_SERIES.get(name) or meaning_of(name)
+        variables[name] = ("sample", values, units.described(meaning, kind, checks))
+
+    variables |= _outcome(cause, taken, steps)
+    named = {"long_name": "number of the step", "units": "1"}
+    coordinates = {"step": ("step", np.arange(steps + 1, dtype=np.int32), named)}
+    return xr.Dataset(variables, coordinates, _of_start(above))
+
+
+def _of_start(ground: float | None) -> dict[str, str]:
+    """What is said of a start on ground of another slope."""
+    if ground is None:
+        return {}
+    degrees = np.degrees(ground)
+    sentence = (
+        "The swing foot begins above the ground, behind; both feet would stand on a"
+        f" slope of {ground:.6g} rad ({degrees:.2f}°), to which the state belongs."
     )
+    return {"start": sentence}
+
+
+def _outcome(cause: str, taken: int, steps: int) -> dict[str, Any]:
+    """How a simulation ended."""
+    reason = f"Step {taken}: {cause}."
+    if taken == steps:
+        reason = f"All {steps} steps end in a heelstrike."
+    variables = {}
     for name, value, text in (
         ("outcome", cause, "how the simulation ended"),
         ("reason", reason, "the outcome in a sentence"),
         ("steps_taken", np.int32(taken), "number of steps that end in a heelstrike"),
     ):
         variables[name] = ((), value, {"long_name": text, "units": "1"})
-    named = {"long_name": "number of the step", "units": "1"}
-    return xr.Dataset(
-        variables, {"step": ("step", np.arange(steps + 1, dtype=np.int32), named)}
-    )
+    return variables
+
+
+def _time_step(dt: object, samples: object, period: np.ndarray) -> float:
+    """The constant step of a series over steps of some periods."""
+    taken = period[np.isfinite(period)]
+    if not len(taken):
+        raise StudyError("No step is taken, of which a series could be sampled.")
+    if dt is not None and samples is not None:
+        raise StudyError("`dt` and `samples` cannot both be given.")
+    whole = float(taken.sum())
+    if samples is not None:
+        return whole / (Location("", "samples").count(samples, _MAX_SAMPLES, 2) - 1)
+
+    step, least = number("dt", dt), whole / _MAX_SAMPLES
+    if not 0 < step <= taken.min():
+        raise Location("", "dt").wrong(
+            f"must be above 0 and at most the shortest step, {taken.min():.4g}", step
+        )
+    if step < least:
+        raise Location("", "dt").wrong(
+            f"must be at least {least:.2g}, for {_MAX_SAMPLES:,} samples", step
+        )
+    return step
 
 
 def _params(
@@ -233,17 +299,19 @@ def _params(
         "walker": definition(walker),
         "slope": value,
         "set": changes(keys),
-        "state": _numbers("state", state, 3),
+        "state": _numbers("state", state, 3, 4, 6),
     }
 
 
-def _numbers(name: str, value: Any, count: int) -> list[float]:
+def _numbers(name: str, value: Any, *counts: int) -> list[float]:
     try:
         values = [] if isinstance(value, str | bytes | Mapping | Set) else list(value)
     except TypeError:  # not a sequence
         values = []
-    if len(values) != count:
-        raise Location("", name).wrong(f"must be {count} numbers", value)
+    if len(values) not in counts:
+        *most, last = map(str, counts)
+        wanted = " or ".join(filter(None, (", ".join(most), last)))
+        raise Location("", name).wrong(f"must be {wanted} numbers", value)
     return [number(name, v) for v in values]
 
 

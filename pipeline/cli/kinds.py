@@ -95,6 +95,14 @@ def setting(text: str) -> tuple[str, float | bool | str]:
     ) else number(value, key)
 
 
+def column(text: str) -> tuple[str, str]:
+    """A column of a table and the name that it stands for."""
+    name, _, meaning = text.rpartition("=")
+    if not name or not meaning:
+        raise ArgumentTypeError(f"must be COLUMN=NAME; got {text}")
+    return name, meaning
+
+
 def limit(text: str) -> tuple[str, float]:
     """A violation and its limit."""
     name, _, value = text.partition("=")

@@ -7,12 +7,26 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.dispatch import ask
-from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.errors import StudyError, unwritten
+from gaitsweep.pipeline.report.folder import csv_text
 from gaitsweep.pipeline.study.single_point import led, state_of
 
+#: Columns of the motion.
+_SERIES = (
+    "time",
+    "step_number",
+    "theta_st",
+    "theta_th",
+    "theta_sh",
+    "rate_st",
+    "rate_th",
+    "rate_sh",
+    "foot_x",
+)
 _STATE = ("stance_angle", "stance_rate", "thigh_rate")
 
 
@@ -35,12 +49,54 @@ def run(options: argparse.Namespace) -> int:
         walker, options.slope, keys, options.gait or "long"
     )
     found = simulate(walker, options.slope, state, options.steps, pushes=pushes, **keys)
+    if options.csv:
+        _write_series(options, walker, state, pushes, keys, float(found["period"][0]))
+    elif options.dt or options.samples or options.limits or options.degrees:
+        raise StudyError(
+            "`--dt`, `--samples`, `--limits` and `--degrees` need `--csv`."
+        )
     kinds.show(
         options,
         {name: _plain(values) for name, values in found.variables.items()},
         _lines(found),
     )
     return 0
+
+
+def _write_series(
+    options: argparse.Namespace,
+    walker: Any,
+    state: Any,
+    pushes: dict[Any, list[float]],
+    keys: dict[str, Any],
+    period: float,
+) -> None:
+    """Write the motion at a constant step as CSV."""
+    dt = options.dt
+    if dt is None and options.samples is None:
+        dt = period / 100
+    found = simulate(
+        walker,
+        options.slope,
+        state,
+        options.steps,
+        pushes=pushes,
+        dt=dt,
+        samples=options.samples,
+        limits=options.limits,
+        **keys,
+    )
+    frame = found[list(_SERIES)].drop_vars("step", errors="ignore").to_dataframe()
+    units = {name: str(found[name].units) for name in _SERIES}
+    if options.degrees:
+        for name in frame.columns:
+            if name.startswith(("theta", "rate")):
+                frame[name] = np.degrees(frame[name])
+                units[name] = units[name].replace("rad", "deg")
+    try:
+        paths.publish(options.csv, csv_text(frame, units).encode())
+    except OSError as error:
+        raise unwritten(options.csv, error) from error
 
 
 def _plain(values: xr.Variable) -> Any:

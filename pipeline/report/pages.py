@@ -365,6 +365,11 @@ def _software(source: Source) -> dict[str, Any]:
     }
 
 
+def render_template(name: str, **content: Any) -> str:
+    """Return a page of its own from a template, without a study."""
+    return _environment().get_template(name).render(entries=[], **content)
+
+
 @cache
 def _environment() -> jinja2.Environment:
     """Templates that escape everything; a page runs no script but the report's own.

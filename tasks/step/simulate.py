@@ -207,7 +207,7 @@ class Scanner:
         lanes, begin = np.arange(n), np.zeros(n)
         for strike, free in zip(times, phases, strict=True):
             rise = None if free or height is None else height[lanes]
-            x, time, outcome[lanes] = self._integrate_to_event(
+            x, time, outcome[lanes] = self.integrate_to_event(
                 free, x, begin, parameters[:, lanes], rise
             )
             struck = outcome[lanes] == STRUCK
@@ -218,7 +218,7 @@ class Scanner:
                 x = self.lock(x, parameters[:, lanes])
         return lanes, x, times, outcome
 
-    def _integrate_to_event(
+    def integrate_to_event(
         self,
         free: bool,
         x: States,

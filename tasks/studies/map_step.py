@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
-from gaitsweep.tasks.studies.simulate_steps import begin, take_step
+from gaitsweep.tasks.studies.simulate_steps import Start, Step, begin, take_step
 from gaitsweep.tasks.walkers.walker import WalkerError
 
 
@@ -22,7 +22,8 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     params : mapping
         `walker` (name or table), `set` (keys to change), `slope` [rad], and `state`,
         three numbers: stance angle [rad], stance rate and thigh rate just after
-        heelstrike, in the walker's units.
+        heelstrike, in the walker's units; or one within a step, as `simulate_steps`
+        takes it, from which the walker first goes on to the heelstrike.
 
     Returns
     -------
@@ -44,18 +45,15 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     feet are mapped in all three coordinates, although after a heelstrike the thigh's
     rate follows from the others.
     """
-    problem, parameters, y, start = begin(params)
+    start = _on_section(begin(params), params)
+    problem, parameters, y = start.problem, start.parameters, start.y
+    assert y is not None
     walker, scale = problem.walker, parameters[1]
     time_unit = walker.time_unit
     units = np.array(
         [1.0, time_unit, time_unit]
     )  # by which the walker's are multiplied
-    located = take_step(problem, start, parameters[:, 0])
-    if located.outcome != STRUCK:
-        state, cause = np.array(params["state"], float), CAUSES[located.outcome]
-        raise WalkerError(
-            "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
-        )
+    located = _to_heelstrike(start, params)
     step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
     times = step.times
     before, after = (
@@ -86,6 +84,30 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         if walker.knees
         else None,
     }
+
+
+def _to_heelstrike(start: Start, params: Mapping[str, Any]) -> Step:
+    """The step from a start, which must end in a heelstrike."""
+    lane = start.parameters[:, 0]
+    step = take_step(start.problem, start.x, lane, locked=start.locked)
+    if step.outcome != STRUCK:
+        state, cause = np.array(params["state"], float), CAUSES[step.outcome]
+        raise WalkerError(
+            "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
+        )
+    return step
+
+
+def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
+    """A start just after heelstrike: of a state within a step, the one that ends it."""
+    if start.y is not None:
+        return start
+    step = _to_heelstrike(start, params)
+    walker, parameters = start.problem.walker, start.parameters
+    links = len(step.state) // 2
+    state = step.state[[0, links, links + 1]] * parameters[1]
+    state[1:] /= walker.time_unit
+    return begin({**params, "state": state})
 
 
 def _start(

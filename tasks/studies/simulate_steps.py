@@ -10,7 +10,7 @@ positive); the legs then stand at two different angles.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +33,7 @@ from gaitsweep.tasks.step.simulate import (
     STRUCK,
     scanner,
 )
+from gaitsweep.tasks.step.stance import ON_GROUND, foot_height, tilt
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
@@ -53,10 +54,12 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     params : mapping
         `walker` (name or table), `set` (keys to change), `slope` [rad], `state` (stance
-        angle [rad], stance and thigh rate), `steps` (their number n), `pushes` ({step:
+        angle [rad], stance and thigh rate; within a step the angles of stance leg and
+        thigh, and of a free shank, then their rates), `steps` (their number n), `pushes` ({step:
         (change of the stance rate, of the thigh rate)}), `ground` ({step: height by
         which the ground rises at the end of the step}), `motion` (whether to sample
-        it); in the walker's units.
+        it), `dt` (sample it at this step over all steps) and `limits` (with both limits
+        at each strike); in the walker's units.
 
     Returns
     -------
@@ -66,75 +69,156 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         heelstrike before each step and after the last, before the step's push; `period`
         and `kneestrike_time`, shape (n,); `cause`, of CAUSES, and `steps_taken`. With
         `motion` also `time` (from the start of the step), `theta_st`, `theta_th`,
-        `theta_sh` and `foot_x`, shape (n, phases, SAMPLES + 1).
+        `theta_sh` and `foot_x`, shape (n, phases, SAMPLES + 1); with `dt`, in `series`,
+        the same along one axis, times from the start, with `rate_st`, `rate_th`,
+        `rate_sh` and `step_number`. `above_ground_of` is the slope on which both feet
+        would stand where the swing foot begins above the ground behind, else None.
 
     Raises
     ------
     WalkerError
         If the walker or the state is invalid.
     """
-    problem, parameters, _, x = begin(params)
+    start = begin(params)
+    problem, parameters, x = start.problem, start.parameters, start.x
     walker, scale = problem.walker, parameters[1, 0]
     n, phases, time_unit = int(params["steps"]), problem.phases, walker.time_unit
     states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
-    motion = np.full((n, 4, phases, SAMPLES + 1), np.nan)
-    outcome, taken = STRUCK, 0
+    when = _sampling(params, time_unit)
+    motion = []
+    outcome, taken, locked = STRUCK, 0, start.locked
     for k in range(n + 1):
         states[k] = _all_angles(x) * scale
         if k == n:
             break
-        x = _push(
-            x, np.array(params.get("pushes", {}).get(k, (0.0, 0.0))) * time_unit / scale
-        )
+        push = np.array(params.get("pushes", {}).get(k, (0.0, 0.0)))
+        x = _push(x, push * time_unit / scale)
         height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
-        step = take_step(
-            problem, x, parameters[:, 0], height, bool(params.get("motion"))
-        )
-        times[k, : len(step.times)] = step.times
-        motion[k, :, : len(step.motion)] = np.moveaxis(step.motion, 1, 0)
-        outcome = step.outcome
+        step = take_step(problem, x, parameters[:, 0], height, when, locked)
+        first = phases - 1 if locked else 0
+        times[k, first : first + len(step.times)] = step.times
+        motion.append(step.motion)
+        outcome, locked = step.outcome, False
         if outcome != STRUCK:
             break
         taken, x = k + 1, step.state
+        if isinstance(when, _Series):
+            when.began += step.times[-1]
+
+    result = _of_steps(states, times, time_unit) | {
+        "cause": CAUSES[outcome],
+        "steps_taken": taken,
+        "above_ground_of": start.ground,
+    }
+    if isinstance(when, _Series):
+        result["series"] = _series(walker, motion, times, scale)
+    elif when:
+        result |= _of_phases(walker, motion, n, phases, scale)
+    return result
+
+
+def _of_steps(
+    states: np.ndarray, times: np.ndarray, time_unit: float
+) -> dict[str, Any]:
+    """States with which steps begin, and times of their strikes, in the walker's units."""
     rates = states[:, 3:] / time_unit
-    result = {
+    phases = times.shape[1]
+    knee = times[:, 0] if phases == 2 else np.full(len(times), np.nan)
+    return {
         "stance_angle": states[:, 0],
         "thigh_angle": states[:, 1],
         "stance_rate": rates[:, 0],
         "thigh_rate": rates[:, 1],
         "shank_rate": rates[:, 2],
         "period": times[:, -1] * time_unit,
-        "kneestrike_time": (times[:, 0] if phases == 2 else np.full(n, np.nan))
-        * time_unit,
-        "cause": CAUSES[outcome],
-        "steps_taken": taken,
+        "kneestrike_time": knee * time_unit,
     }
-    if params.get("motion"):
-        angles = motion[:, 1:] * scale
-        result |= {"time": motion[:, 0] * time_unit, "foot_x": -walker.R * angles[:, 0]}
-        result |= {
-            f"theta_{link}": angles[:, i] for i, link in enumerate(("st", "th", "sh"))
-        }
+
+
+def _sampling(params: Mapping[str, Any], time_unit: float) -> Sampling | None:
+    """When to sample the motion, if that is asked for."""
+    if params.get("dt"):
+        return _Series(float(params["dt"]) / time_unit, bool(params.get("limits")))
+    return _evenly if params.get("motion") else None
+
+
+def _of_phases(
+    walker: Walker, motion: list[list[np.ndarray]], n: int, phases: int, scale: float
+) -> dict[str, Any]:
+    """Samples of each phase of n steps, in the walker's units."""
+    samples = np.full((n, 4, phases, SAMPLES + 1), np.nan)
+    for k, of_step in enumerate(motion):
+        first = phases - len(of_step) if k == 0 and len(of_step) < phases else 0
+        for place, phase in enumerate(of_step):
+            samples[k, :, first + place] = phase[:4]
+    angles = samples[:, 1:] * scale
+    result = {
+        "time": samples[:, 0] * walker.time_unit,
+        "foot_x": -walker.R * angles[:, 0],
+    }
+    for i, link in enumerate(("st", "th", "sh")):
+        result[f"theta_{link}"] = angles[:, i]
     return result
 
 
-def begin(
-    params: Mapping[str, Any],
-) -> tuple[Lanes, np.ndarray, np.ndarray, np.ndarray]:
+def _series(
+    walker: Walker, motion: list[list[np.ndarray]], times: np.ndarray, scale: float
+) -> dict[str, Any]:
+    """Samples of all steps in a row, in the walker's units; times since the start."""
+    ends = np.cumsum(times[:, -1])
+    begins = np.concatenate([[0.0], ends])
+    numbers, parts = [], []
+    for k, of_step in enumerate(motion):
+        for phase in of_step:
+            numbers.append(np.full(phase.shape[1], k, np.int32))
+            parts.append(phase + np.array([begins[k], *[0.0] * 6])[:, None])
+    rows = np.hstack(parts) if parts else np.empty((7, 0))
+    result = {
+        "step_number": np.concatenate(numbers) if numbers else np.empty(0, np.int32),
+        "time": rows[0] * walker.time_unit,
+        "foot_x": -walker.R * rows[1] * scale,
+    }
+    for i, link in enumerate(("st", "th", "sh")):
+        result[f"theta_{link}"] = rows[1 + i] * scale
+        result[f"rate_{link}"] = rows[4 + i] * scale / walker.time_unit
+    return result
+
+
+@dataclass
+class Start:
     """What steps from a state begin with.
+
+    Attributes
+    ----------
+    problem : Lanes
+    parameters : ndarray, shape (n_parameters, 1)
+        Slope, scale and constants.
+    y : ndarray, shape (3, 1), or None
+        The state in section coordinates, scaled; None of one within a step.
+    x : ndarray, shape (4,) or (6,)
+        The same as angles and rates of the links, scaled.
+    locked : bool
+        Whether a knee is locked already.
+    ground : float or None
+        The slope of the ground on which both feet would stand, if the swing foot is above
+        the ground behind the stance foot [rad].
+    """
+
+    problem: Lanes
+    parameters: np.ndarray
+    y: np.ndarray | None
+    x: np.ndarray
+    locked: bool = False
+    ground: float | None = None
+
+
+def begin(params: Mapping[str, Any]) -> Start:
+    """Return what steps from a state begin with.
 
     Parameters
     ----------
     params : mapping
         `walker`, `set`, `slope` and `state`, as `simulate_steps` takes them.
-
-    Returns
-    -------
-    problem : Lanes
-    parameters : ndarray, shape (n_parameters, 1)
-        Slope, scale and constants.
-    y, x : ndarray, shape (3, 1) and (4,) or (6,)
-        The state in section coordinates, and as angles and rates of the links; scaled.
 
     Raises
     ------
@@ -144,6 +228,12 @@ def begin(
     problem = section_problem(walker_of_line(params))
     slope = np.array([float(params["slope"])])
     state, time_unit = np.array(params["state"], float), problem.walker.time_unit
+    if len(state) != 3:
+        half = len(state) // 2
+        state[half:] *= time_unit
+        if len(state) == 6 or abs(state[:2].sum()) > ON_GROUND:
+            return _begin_within(problem, slope, state)
+        state = state[[0, 2, 3]] / [1.0, time_unit, time_unit]
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError(
             "state",
@@ -152,16 +242,45 @@ def begin(
         )
     scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)
-    y = (
-        problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope)
-        / scale
-    )
-    return (
-        problem,
-        parameters,
-        y,
-        problem.map.start(y, parameters)[: problem.map.start_size, 0],
-    )
+    on_section = (state * [1.0, time_unit, time_unit])[:, None]
+    y = problem.section_of(on_section, slope) / scale
+    x = problem.map.start(y, parameters)[: problem.map.start_size, 0]
+    return Start(problem, parameters, y, x)
+
+
+def _begin_within(problem: Lanes, slope: np.ndarray, state: np.ndarray) -> Start:
+    """What a step goes on with from a state within it: angles, then rates over
+    sqrt(g/leg), of two links or three.
+    """
+    walker, links = problem.walker, len(state) // 2
+    if links == 3 and not walker.knees:
+        raise WalkerError("state", f"{len(state)} numbers", "must have no knee")
+    stance, thigh, shank = state[[0, 1, links - 1]]
+    angles = np.abs(state[:links])
+    if not angles.max() < MAX_ANGLE:
+        raise WalkerError(
+            "state", f"{angles.max():g} rad", f"must have angles below {MAX_ANGLE:.4g}"
+        )
+    if shank > thigh:
+        raise WalkerError(
+            "state", f"{shank - thigh:g} rad", "must not overextend the knee"
+        )
+
+    height = foot_height(walker, stance, thigh, shank)
+    ground = float(slope[0] - tilt(stance, thigh))
+    if height < 0:
+        raise WalkerError(
+            "state",
+            f"{height:.3g}",
+            "must have the swing foot above the ground; both feet of this state stand on"
+            f" a slope of {ground:.6g} rad ({np.degrees(ground):.2f}°), to which it belongs",
+        )
+    scale = scale_of(np.maximum(angles.max(keepdims=True), 1e-3))
+    parameters = problem.parameters(slope, scale)
+    locked = links == 2
+    is_behind = stance > thigh
+    x = state / scale
+    return Start(problem, parameters, None, x, locked, ground if is_behind else None)
 
 
 def section_problem(walker: Walker) -> Lanes:
@@ -186,14 +305,46 @@ def _all_angles(x: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Step:
-    """One step: its event times, the scaled state after it, and samples (phases, 4,
-    SAMPLES + 1) of its motion.
+    """One step: its event times, the scaled state after it, and samples (7, k) of each
+    phase of its motion.
     """
 
     outcome: int
     times: list[float]
     state: np.ndarray
-    motion: np.ndarray
+    motion: list[np.ndarray]
+
+
+#: At which times within a phase its motion is sampled, from when it begins within the
+#: step and how long it takes.
+Sampling = Callable[[float, float], np.ndarray]
+
+
+def _evenly(begin: float, duration: float) -> np.ndarray:
+    """The ends of equal intervals of a phase."""
+    return np.linspace(0.0, duration, SAMPLES + 1)
+
+
+@dataclass
+class _Series:
+    """Times at a constant step `dt` over all steps, of which the present one began at
+    `began`; with `limits` also both ends of each phase.
+    """
+
+    dt: float
+    limits: bool
+    began: float = 0.0
+
+    def __call__(self, begin: float, duration: float) -> np.ndarray:
+        """Times within a phase; one at its end belongs to the next."""
+        start = self.began + begin
+        first = int(np.ceil(start / self.dt - 1e-9))
+        last = int(np.ceil((start + duration) / self.dt - 1e-9))
+        at = np.clip(np.arange(first, last) * self.dt - start, 0.0, duration)
+        if not self.limits:
+            return at
+        inside = at[(at > _MIN_TIME) & (at < duration - _MIN_TIME)]
+        return np.concatenate([[0.0], inside, [duration]])
 
 
 def take_step(
@@ -201,7 +352,8 @@ def take_step(
     x: np.ndarray,
     parameters: np.ndarray,
     height: float = 0.0,
-    sampled: bool = False,
+    when: Sampling | None = None,
+    locked: bool = False,
 ) -> Step:
     """Take one step.
 
@@ -213,8 +365,10 @@ def take_step(
     parameters : ndarray, shape (n_parameters,)
     height : float
         By which the ground rises at the end of the step, over l.
-    sampled : bool
-        Whether to sample the motion.
+    when : callable, optional
+        At which times to sample the motion.
+    locked : bool
+        Whether the knee is locked already.
 
     Returns
     -------
@@ -223,9 +377,9 @@ def take_step(
     structure, begin = problem.structure, 0.0
     scan, lane = scanner(structure), parameters[:, None]
     times, motion = [], []
-    for free in (True, False) if structure.kneed else (False,):
+    for free in (True, False) if structure.kneed and not locked else (False,):
         x, end, outcome, samples = _phase(structure, free).integrate(
-            x, begin, parameters, height, sampled
+            x, begin, parameters, height, when
         )
         motion += samples
         if outcome != STRUCK:
@@ -235,7 +389,7 @@ def take_step(
             x, begin = scan.lock(x[:, None], lane)[:, 0], end
     else:
         x = scan.land(x[:, None], lane)[:, 0]
-    return Step(outcome, times, x, np.array(motion).reshape(-1, 4, SAMPLES + 1))
+    return Step(outcome, times, x, motion)
 
 
 class _Phase:
@@ -275,7 +429,7 @@ class _Phase:
         begin: float,
         parameters: np.ndarray,
         height: float,
-        sampled: bool,
+        when: Sampling | None,
     ) -> tuple[np.ndarray, float, int, list[np.ndarray]]:
         """Integrate a scaled state to the strike.
 
@@ -287,7 +441,8 @@ class _Phase:
         parameters : ndarray, shape (n_parameters,)
         height : float
             By which the ground rises, over l.
-        sampled : bool
+        when : callable, optional
+            At which times to sample the motion.
 
         Returns
         -------
@@ -296,9 +451,9 @@ class _Phase:
             Time of the strike since the step began.
         outcome : int
             Index of CAUSES.
-        samples : list of ndarray, shape (4, SAMPLES + 1)
-            Times and angles of the motion, also of one that ends in a fall; empty where
-            not asked for.
+        samples : list of ndarray, shape (7, k)
+            Times, angles and rates of the three links, also of a motion that ends in a
+            fall; empty where not asked for.
         """
         if not np.abs(x).max() < _MAX_RATE:
             return x, begin, LOST, []
@@ -312,7 +467,7 @@ class _Phase:
         self._taylor.state[:], self._taylor.time = x, 0.0
         self._taylor.reset_cooldowns()
         stop, _, _, _, motion, _ = self._taylor.propagate_until(
-            MAX_TIME - begin, c_output=sampled
+            MAX_TIME - begin, c_output=when is not None
         )
         end, state = float(self._taylor.time), np.array(self._taylor.state)
         event = -1 - int(stop)  # heyoka counts the events that stop it down from -1
@@ -326,11 +481,16 @@ class _Phase:
         if not np.isfinite(state).all():
             outcome = LOST
         samples = []
-        if sampled and outcome != LOST:
-            at = np.linspace(0.0, end, SAMPLES + 1)
-            angles = motion(at)[:, : self.links].T
-            samples = [np.vstack([begin + at, angles[0], angles[1], angles[-1]])]
+        if when and outcome != LOST:
+            at = when(begin, end)
+            samples = [self._sampled(motion(at).reshape(len(at), -1).T, begin + at)]
         return state, begin + end, outcome, samples
+
+    def _sampled(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Times, and angles and rates of three links, from states (2 links, k)."""
+        angles, rates = np.split(states, 2)
+        links = [0, 1, self.links - 1]
+        return np.vstack([time, angles[links], rates[links]])
 
 
 def _is_no_kneestrike(taylor: Any, sign: int) -> bool:

@@ -46,6 +46,8 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         If a key is unknown or missing, or the walker is invalid.
     """
     values = {key: value for key, value in table.items() if key != "name"}
+    if values.get("units") == "none":  # as others call consistent units
+        values["units"] = "1"
     base = values.pop("base", None)
     if base is None and values.get("knees") is False:
         values = straight(values)

@@ -415,8 +415,8 @@ def test_units_are_the_walkers(tmp_path):
             {"state": (0.2, 0.1, 0.1)},
             r"`state` leads to no heelstrike \(fell backward\); got \(0.2",
         ),
-        ("step_map", {"state": (0.2, -1.0)}, "`state` must be 3 numbers"),
-        ("step_map", {"state": 0.2}, "`state` must be 3 numbers; got 0.2"),
+        ("step_map", {"state": (0.2, -1.0)}, "`state` must be 3, 4 or 6 numbers"),
+        ("step_map", {"state": 0.2}, "`state` must be 3, 4 or 6 numbers; got 0.2"),
         ("step_map", {"state": (0.2, -1.0, np.nan)}, "`state` must be finite"),
         (
             "step_map",

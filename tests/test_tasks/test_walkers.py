@@ -932,3 +932,9 @@ def test_light_legs_off_their_line_are_not_taken_for_tuned():
     walker = resolve("E", {"foot_mass_ratio": 1e-9, "w_s": 1e-8})
     exact = -2e-9 * 1e-8 / 2  # a foot's share of the whole mass times its offset
     assert lump(walker)["S_a_re"] == pytest.approx(exact, rel=1e-6, abs=0)
+
+
+def test_no_units_are_consistent_ones():
+    named = from_table({"base": "D", "units": "none"})
+
+    assert named == from_table({"base": "D", "units": "1"})

@@ -1,0 +1,97 @@
+"""The page of a check of states: its summary, a picture and the verdicts."""
+
+import numpy as np
+import pandas as pd
+
+from gaitsweep.pipeline.report import html_tables
+from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.style import INK, MUTED, inks, style
+from gaitsweep.pipeline.report.figures.svg import render
+from gaitsweep.pipeline.report.pages import render_template
+
+#: Columns of the table of states.
+_COLUMNS = [
+    "row",
+    "verdict",
+    "gait",
+    "steps",
+    "stable",
+    "distance",
+    "missed",
+    "slope",
+    "belongs_to_slope",
+    "stance_angle",
+    "reason",
+]
+
+
+def page(frame: pd.DataFrame, title: str) -> str:
+    """Return the page of a check.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `gaitsweep.check` returns it.
+    title : str
+    """
+    with style():
+        drawing = render(_sketch(frame), "check", "check", small=False)
+    rows = frame.assign(row=np.arange(1, len(frame) + 1))
+    rows = rows.sort_values("is_gait", kind="stable")[_COLUMNS]
+    counts = frame["verdict"].value_counts().rename_axis("verdict").reset_index()
+    return render_template(
+        "check.html",
+        title=title,
+        summary=frame.attrs["summary"],
+        drawing=drawing,
+        counts=html_tables.named(
+            "check/verdicts", counts, is_open=True, where="answer"
+        ),
+        rows=html_tables.named("check/states", rows, is_open=True, where="answer"),
+    )
+
+
+def _sketch(frame: pd.DataFrame) -> Sketch:
+    """The states on the walker's curves, coloured by verdict."""
+    sketch = Sketch("check", 300)
+    (axes,) = sketch.panels
+    low, high = _range(frame["slope"])
+    for curve in frame.attrs["curves"]:
+        slope, angle = curve["slope"], curve["stance_angle"]
+        inside = (slope >= 0.2 * low) & (slope <= 3.0 * high)
+        axes.plot(slope[inside], angle[inside], color=MUTED, lw=1.2)
+
+    found = frame["verdict"].unique().tolist()
+    others = [name for name in found if name != "gait"]
+    colours = dict(zip(others, inks(others), strict=True))
+    for verdict in found:
+        rows = frame[frame["verdict"] == verdict]
+        _draw_states(sketch, rows, verdict, colours.get(verdict, INK))
+
+    least, most = _range(frame["stance_angle"])
+    axes.set_xlim(0.5 * low, 1.5 * high)
+    axes.set_ylim(min(0.0, 1.2 * least), 1.2 * max(most, 0.01))
+    sketch.draw_legend(set())
+    shown = frame[["slope", "stance_angle", "verdict"]]
+    return sketch.finish(shown, summary=frame.attrs["summary"])
+
+
+def _draw_states(sketch: Sketch, rows: pd.DataFrame, verdict: str, ink: str) -> None:
+    """Draw the states of one verdict."""
+    (axes,) = sketch.panels
+    marker = "o" if verdict == "gait" else "s"
+    axes.plot(
+        rows["slope"],
+        rows["stance_angle"],
+        color=ink,
+        ls="",
+        marker=marker,
+        ms=4,
+    )
+    sketch.dot_key(verdict.replace("_", " "), ink, marker)
+
+
+def _range(values: pd.Series) -> tuple[float, float]:
+    """Least and largest finite value."""
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)

@@ -1,0 +1,262 @@
+"""The gaits of a line that lie nearest to given states: at given slopes, or at any.
+
+Errors are not bounded here, so that ten thousand states take a second or two: gaits are
+as accurate as Newton's method leaves them in doubles, some 1e-13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.gaits.labels import places
+from gaitsweep.tasks.gaits.newton import newton, newton_step, similarity
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.mechanics.arrays import LogSlopes, PerLane, Sections, Unknowns
+from gaitsweep.tasks.mechanics.sums import matvec, total
+from gaitsweep.tasks.step.iterate import Ended, iterate
+from gaitsweep.tasks.step.problem import Problem
+
+#: Newton steps from the polynomial of a branch; nearly all take two.
+_MAX_STEPS = 8
+#: Steps along a branch to the point nearest to a state, and the longest in ln slope.
+_MAX_STEPS_ALONG, _LONGEST = 20, 0.5
+#: Steps along a branch below which the point nearest to a state is reached: the next one
+#: is of the order of its square.
+_REACHED = 1e-8
+#: How far branches curve over a step along them, at most, in units of its square.
+_CURVED = 10.0
+#: Coordinates beyond which the way along a branch is lost.
+_MOST = 60.0
+
+
+@dataclass
+class Gaits:
+    """Gaits in n lanes.
+
+    Attributes
+    ----------
+    state : ndarray, shape (3, n) [rad, rad/sqrt(leg/g)]
+        Stance angle, stance rate and thigh rate just after heelstrike; NaN of none.
+    before : ndarray, shape (2, n) [rad/sqrt(leg/g)]
+        Rates of the old stance leg and the old swing leg just before heelstrike.
+    radius : ndarray, shape (n,)
+        Spectral radius of the derivative of all steps.
+    ratio : ndarray, shape (n,)
+        Gait ratio, which tells long from short ones.
+    passes : ndarray, shape (n,)
+        How often the legs pass; 1 unless said otherwise.
+    place : ndarray of int, shape (n,)
+        Label, as `tasks.gaits.labels.places` has it; -1 of none.
+    """
+
+    state: np.ndarray
+    before: np.ndarray
+    radius: PerLane
+    ratio: PerLane
+    passes: PerLane
+    place: np.ndarray
+
+    @classmethod
+    def none(cls, n: int) -> Gaits:
+        """Return n lanes without a gait."""
+        nan = np.full(n, np.nan)
+        return cls(
+            state=np.full((3, n), np.nan),
+            before=np.full((2, n), np.nan),
+            radius=nan,
+            ratio=nan.copy(),
+            passes=nan.copy(),
+            place=np.full(n, -1),
+        )
+
+    def put(self, lanes: np.ndarray, gaits: Gaits) -> None:
+        """Replace the gaits of some lanes."""
+        for name, values in vars(self).items():
+            values[..., lanes] = getattr(gaits, name)
+
+
+def described(problem: Problem, w: Unknowns, log_slope: LogSlopes) -> Gaits:
+    """Return solved gaits, of one step or of several.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+        In similarity coordinates.
+    log_slope : ndarray, shape (n,)
+        ln of the slope in rad.
+    """
+    if not w.shape[1]:
+        return Gaits.none(0)
+    stride, scale = problem.stride(w, log_slope)
+    state = problem.start(stride.y * scale, np.exp(log_slope))[:3]
+    before = stride.one.impact * scale
+    if stride.steps > 1:  # of the heelstrike that ends the last step
+        before = before[:, -1]
+
+    n = w.shape[1]
+    values = np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))
+    radius = np.abs(values).max(axis=1)
+    ratio = gait_ratio(stride)
+    place = np.where(ratio < LONG_BELOW, 0, 1)
+    return Gaits(state, before, radius, ratio, np.ones(n), place)
+
+
+def gaits_at(
+    problem: Problem, branches: Sequence[Branch], slope: np.ndarray
+) -> list[Gaits]:
+    """Return a line's gaits at given slopes, one set for each piece of a branch.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : sequence of Branch
+        The line's atlas.
+    slope : ndarray, shape (n,) [rad]
+    """
+    found = []
+    q = np.log(slope)
+    for branch in branches:
+        for index, Z, segment in branch.guesses(q):
+            w, converged = newton(
+                problem,
+                Z[:-1].copy(),
+                q[index],
+                max_iterations=_MAX_STEPS,
+            )
+            lanes = index[converged]
+            gaits = Gaits.none(len(slope))
+            gaits.put(lanes, described(problem, w[:, converged], q[lanes]))
+            gaits.passes[lanes] = branch.leg_passes[segment[converged]]
+            found.append(gaits)
+    if not found:
+        return found
+
+    angle = np.array([gaits.state[0] for gaits in found])
+    passes = np.array([gaits.passes for gaits in found])
+    ratio = np.array([gaits.ratio for gaits in found])
+    labels = places(np.where(passes == 1, angle, np.nan), ratio)
+    for gaits, place in zip(found, labels, strict=True):
+        gaits.place = place
+    return found
+
+
+def nearest_on_branches(
+    problem: Problem, branches: Sequence[Branch], y: Sections, within: PerLane
+) -> list[tuple[PerLane, Gaits]]:
+    """Return the gaits of every branch that lie nearest to given sections, and their
+    slopes.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : sequence of Branch
+        The line's atlas.
+    y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+    within : ndarray, shape (n,)
+        Relative distance beyond which a gait is of no interest.
+
+    Returns
+    -------
+    list of (slope, gaits)
+        For each branch; NaN where none is so near.
+    """
+    target = np.vstack([np.log(y[:1]), y[1:] / y[0]])
+    found = []
+    for branch in branches:
+        nodes = branch.Z[:, _nearest_nodes(branch, target)]
+        along = _Along(problem, target, nodes, within)
+        ended = iterate(along, y.shape[1], _MAX_STEPS_ALONG)
+        lanes = np.flatnonzero(ended == Ended.CONVERGED)
+        slope = np.full(y.shape[1], np.nan)
+        gaits = Gaits.none(y.shape[1])
+        w, q = along.Z[:-1, lanes], along.Z[-1, lanes]
+        slope[lanes] = np.exp(q)
+        gaits.put(lanes, described(problem, w, q))
+        found.append((slope, gaits))
+    return found
+
+
+def _nearest_nodes(branch: Branch, target: np.ndarray) -> np.ndarray:
+    """Numbers of the nodes nearest to sections (m, n) in similarity coordinates."""
+    nearest = np.zeros(target.shape[1], int)
+    least = np.full(target.shape[1], np.inf)
+    for node, point in enumerate(branch.Z[: len(target)].T):
+        distance = np.abs(target - point[:, None]).max(axis=0)
+        is_nearer = distance < least
+        nearest[is_nearer], least[is_nearer] = node, distance[is_nearer]
+    return nearest
+
+
+@dataclass
+class _Along:
+    """The way along a branch to the points nearest to sections `target` (m, n): Newton's
+    step onto the branch, then the step along it that brings the point nearest, to first
+    order. `Z` (m + phases + 1, n) are the points.
+    """
+
+    problem: Problem
+    target: np.ndarray
+    Z: np.ndarray
+    within: PerLane
+
+    def step(self, lanes: np.ndarray, taken: int) -> np.ndarray:
+        """Step once more in some lanes."""
+        m = len(self.target)
+        onto, tangent = self._directions(lanes)
+        left = self.target[:, lanes] - self.Z[:m, lanes] - onto[:m]
+        along = _projected(left, tangent[:m])
+        is_far = self._is_far(lanes, left - tangent[:m] * along, onto, along)
+
+        along = np.clip(along, -_LONGEST, _LONGEST)
+        step = np.vstack([onto, np.zeros_like(along)]) + tangent * along
+        size = np.abs(step).max(axis=0)
+        exists = np.isfinite(size)
+        step[:, exists] /= np.maximum(size[exists], 1.0)
+        self.Z[:, lanes[exists]] += step[:, exists]
+
+        is_lost = np.abs(self.Z[:, lanes]).max(axis=0) > _MOST
+        return np.select(
+            [~exists | is_lost, size < _REACHED, is_far],
+            [Ended.SINGULAR, Ended.CONVERGED, Ended.DIVERGED],
+            Ended.RUNNING,
+        )
+
+    def _directions(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's step (m + phases, n) onto the branch, and the tangent of points by ln
+        slope, by the implicit function theorem.
+        """
+        w, q = self.Z[:-1, lanes], self.Z[-1, lanes]
+        problem = self.problem.some(lanes)
+        stride, _ = problem.stride(w, q, slope=True)
+        onto = newton_step(stride, w)
+
+        m = len(self.target)
+        by_slope = stride.derivative[:, -1] * np.exp(q)
+        moves = matvec(stride.inverse, by_slope)
+        of_section = similarity(stride.y, moves[:m])
+        return onto, np.vstack([of_section, moves[m:], np.ones_like(q)[None]])
+
+    def _is_far(
+        self,
+        lanes: np.ndarray,
+        beside: np.ndarray,
+        onto: np.ndarray,
+        along: np.ndarray,
+    ) -> np.ndarray:
+        """Whether the target lies beside the branch by more than is of interest, and than
+        the curvature over the step may explain.
+        """
+        largest = np.abs(self.target[:, lanes]).max(axis=0)
+        square = along**2 + np.abs(onto).max(axis=0) ** 2
+        allowed = self.within[lanes] * largest + _CURVED * square
+        return np.asarray(np.abs(beside).max(axis=0) > allowed)
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _projected(vectors: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """How far vectors (m, n) lead along tangents."""
+    return np.asarray(total(tangent * vectors) / total(tangent**2))

@@ -1,0 +1,475 @@
+"""Whether states that somebody holds for gaits are gaits, and if not, why."""
+
+import json
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import gaitsweep
+from gaitsweep.pipeline.cli import commands
+
+NAMES = ("stance_angle", "stance_rate", "thigh_rate")
+SLOPE = 0.03
+
+
+def gait_of(walker, slope, label="long", **more):
+    """State of a gait, in the walker's units."""
+    found = gaitsweep.gaits(walker, slope, variables=list(NAMES), **more)
+    return np.array([float(found[name].sel(gait=label)) for name in NAMES])
+
+
+@pytest.fixture(scope="module")
+def compass(tmp_path_factory):
+    """Goswami's walker, in SI, whose unit of time is not 1."""
+    table = {"knees": False, "units": "SI", "g": 9.8, "m_h": 10.0}
+    return table | {"m": 5.0, "l": 1.0, "c": 0.5, "w": 0.0, "r": 0.0, "R": 0.0}
+
+
+def judged(table, walker, slope=SLOPE, **more):
+    return gaitsweep.check(table, walker, slope, **more).iloc[0]
+
+
+DEGREE = np.pi / 180
+UNIT = (1.0 / 9.8) ** 0.5
+FAULTS = {
+    "sign_of_angle": lambda a, b, c: (
+        -a,
+        b,
+        c,
+    ),
+    "sign_of_stance_rate": lambda a, b, c: (
+        a,
+        -b,
+        c,
+    ),
+    "sign_of_thigh_rate": lambda a, b, c: (
+        a,
+        b,
+        -c,
+    ),
+    "sign_of_rates": lambda a, b, c: (
+        a,
+        -b,
+        -c,
+    ),
+    "mirrored": lambda a, b, c: (
+        -a,
+        -b,
+        -c,
+    ),
+    "legs_exchanged": lambda a, b, c: (
+        -a,
+        c,
+        b,
+    ),
+    "rates_exchanged": lambda a, b, c: (
+        a,
+        c,
+        b,
+    ),
+    "degrees": lambda a, b, c: (
+        a / DEGREE,
+        b / DEGREE,
+        c / DEGREE,
+    ),
+    "angle_in_degrees": lambda a, b, c: (
+        a / DEGREE,
+        b,
+        c,
+    ),
+    "rates_in_degrees": lambda a, b, c: (
+        a,
+        b / DEGREE,
+        c / DEGREE,
+    ),
+    "radians": lambda a, b, c: (
+        a * DEGREE,
+        b * DEGREE,
+        c * DEGREE,
+    ),
+    "rates_over_root": lambda a, b, c: (
+        a,
+        b * UNIT,
+        c * UNIT,
+    ),
+    "reversed": lambda a, b, c: (
+        c,
+        b,
+        a,
+    ),
+    "columns_exchanged": lambda a, b, c: (
+        b,
+        a,
+        c,
+    ),
+    "angle_between_legs": lambda a, b, c: (
+        2 * a,
+        b,
+        c,
+    ),
+    "rate_between_legs": lambda a, b, c: (
+        a,
+        b,
+        b - c,
+    ),
+    "from_vertical": lambda a, b, c: (
+        a - SLOPE,
+        b,
+        c,
+    ),
+    "clockwise_from_vertical": lambda a, b, c: (
+        SLOPE - a,
+        -b,
+        -c,
+    ),
+    "near": lambda a, b, c: (
+        1.001 * a,
+        b,
+        c,
+    ),
+    "none": lambda a, b, c: (
+        2.5 * a,
+        b,
+        c,
+    ),
+}
+
+
+@pytest.mark.parametrize("label", ["long", "short"])
+def test_a_gait_is_one(compass, label):
+    row = judged([gait_of(compass, SLOPE, label)], compass)
+
+    assert row["verdict"] == "gait" and row["is_gait"]
+    assert row["gait"] == label and row["steps"] == 1
+    assert row["distance"] < 1e-9 and row["missed"] < 1e-9
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_of_a_state_is_named(compass, fault):
+    state = FAULTS[fault](*gait_of(compass, SLOPE))
+
+    row = judged([state], compass)
+
+    assert row["verdict"] == fault, row["reason"]
+    assert not row["is_gait"] and row["gait"] == "long"
+
+
+def test_the_slope_to_which_a_state_belongs_is_told(compass):
+    row = judged([gait_of(compass, 0.0314)], compass)
+
+    assert row["verdict"] == "slope" and "belongs to 0.0314 rad" in row["reason"]
+    assert row["belongs_to_slope"] == pytest.approx(0.0314, rel=1e-9)
+
+
+def test_angles_of_both_legs_tell_the_ground_on_which_they_stand(compass):
+    angle, *rates = gait_of(compass, 0.04)
+    # Turned by the difference of the slopes, as angles from another ground's normal.
+    turned = {"stance_angle": angle - 0.01, "thigh_angle": -angle - 0.01}
+    table = {**turned, "stance_rate": rates[0], "thigh_rate": rates[1]}
+
+    row = judged(table, compass)
+
+    assert row["verdict"] == "slope"
+    assert row["belongs_to_slope"] == pytest.approx(0.04, rel=1e-9)
+
+
+def test_a_gait_of_two_steps_taken_for_one_is_told():
+    state = gait_of("D", 0.0165, steps=2)
+
+    one, two = judged([state], "D", 0.0165), judged([state], "D", 0.0165, steps=2)
+
+    assert (one["verdict"], one["steps"], one["is_gait"]) == ("period", 2, False)
+    assert two["verdict"] == "gait" and two["missed"] < 1e-9
+
+
+def test_a_gait_of_another_walker_is_told():
+    row = judged([gait_of("B", 0.009)], "E", 0.009)
+
+    assert (row["verdict"], row["walker"]) == ("walker", "B")
+
+
+def test_digits_that_were_cut_are_told_apart_from_a_table_of_few(compass):
+    exact = gait_of(compass, SLOPE)
+    cut = np.round(exact, 4)
+
+    both = gaitsweep.check([exact, cut], compass, SLOPE)
+    alone = judged([cut], compass)
+
+    assert both["verdict"].tolist() == ["gait", "digits"]
+    assert alone["verdict"] == "gait"
+
+
+def test_a_state_in_the_middle_of_a_step_is_flown_to_its_end(compass):
+    state = gait_of(compass, SLOPE)
+    motion = gaitsweep.simulate(compass, SLOPE, state, 1, motion=True)
+    stance, thigh, when = (
+        motion[name].values[0, 0] for name in ("theta_st", "theta_th", "time")
+    )
+    k = 36
+    h = when[k + 1] - when[k]
+    rates = [
+        (8 * (x[k + 1] - x[k - 1]) - (x[k + 2] - x[k - 2])) / (12 * h)
+        for x in (stance, thigh)
+    ]
+    names = ("stance_angle", "thigh_angle", "stance_rate", "thigh_rate")
+    table = dict(zip(names, (stance[k], thigh[k], *rates), strict=True))
+
+    row = judged(table, compass, tolerance=1e-4)
+
+    assert row["flown"] and row["verdict"] == "gait", row["reason"]
+
+
+def test_a_state_with_the_swing_foot_under_ground_is_refused(compass):
+    table = {
+        "stance_angle": 0.3,
+        "thigh_angle": -0.1,
+        "stance_rate": -1,
+        "thigh_rate": 0,
+    }
+
+    row = judged(table, compass)
+
+    assert row["verdict"] == "below_ground"
+    assert row["belongs_to_slope"] == pytest.approx(SLOPE - 0.1)
+
+
+def test_gaits_of_knees_are_checked(compass):
+    state = gait_of("physical", 0.036)
+
+    verdicts = [judged([x], "physical", 0.036)["verdict"] for x in (state, state[::-1])]
+
+    assert verdicts == ["gait", "reversed"]
+
+
+def feet(stance, swing):
+    """Hip and swing foot over the stance foot of legs of unit length, from the angles of
+    both legs from the vertical, counter-clockwise; x to the right.
+    """
+    hip = np.array([-np.sin(stance), np.cos(stance)])
+    return hip, hip + np.array([np.sin(swing), -np.cos(swing)])
+
+
+def _garcia(stance, swing, rates):
+    normal = stance + SLOPE
+    between = stance - swing
+    columns = {"theta": normal, "phi": between, "theta_dot": UNIT * rates[0]}
+    return columns | {"phi_dot": UNIT * (rates[0] - rates[1])}
+
+
+def _goswami(stance, swing, rates):
+    columns = {"theta_s": stance, "theta_ns": swing}
+    return columns | {"theta_s_dot": rates[0], "theta_ns_dot": rates[1]}
+
+
+def _drake(stance, swing, rates):
+    columns = {"stance": -stance, "swing": -swing}
+    return columns | {"stancedot": -rates[0], "swingdot": -rates[1]}
+
+
+def _mcgeer(stance, swing, rates):
+    columns = {"theta_C": -(stance + SLOPE), "theta_F": -(swing + SLOPE)}
+    return columns | {"omega_C": -UNIT * rates[0], "omega_F": -UNIT * rates[1]}
+
+
+CONVENTIONS = {
+    "garcia": _garcia,
+    "goswami": _goswami,
+    "drake": _drake,
+    "mcgeer": _mcgeer,
+}
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_conventions_place_feet_and_hip_where_ours_do(compass, convention):
+    """The legs' angles from the vertical are those of the drawn feet and hip."""
+    angle, *rates = gait_of(compass, SLOPE)
+    hip, foot = feet(angle - SLOPE, -angle - SLOPE)
+    stance = np.arctan2(-hip[0], hip[1])
+    swing = np.arctan2(foot[0] - hip[0], hip[1] - foot[1])
+    assert np.arctan2(foot[1], -foot[0]) == pytest.approx(SLOPE)  # both on the slope
+
+    table = CONVENTIONS[convention](stance, swing, rates)
+    row = judged(table, compass, convention=convention)
+
+    assert row["verdict"] == "gait", row["reason"]
+    assert not row["flown"]
+
+
+def test_published_gaits_are_gaits_in_their_own_conventions(compass):
+    """Goswami's compass at 3 degrees, as printed with the walker's public ports."""
+    printed = {"theta_ns": -0.3234, "theta_s": 0.2187}
+    printed |= {"theta_ns_dot": -0.3772, "theta_s_dot": -1.0918}
+
+    row = judged(printed, compass, 3 * DEGREE, convention="goswami", tolerance=2e-3)
+
+    assert row["verdict"] == "gait", row["reason"]
+
+
+def test_ten_thousand_states_take_five_seconds():
+    slope = np.linspace(0.005, 0.015, 10_000)
+    found = gaitsweep.gaits("B", slope, variables=list(NAMES)).sel(gait="long")
+    table = {name: found[name].values for name in NAMES}
+
+    begin = time.process_time()
+    right = gaitsweep.check({**table, "slope": slope}, "B")
+    middle = time.process_time()
+    wrong = gaitsweep.check(table, "B", 0.009)
+    end = time.process_time()
+
+    assert right["is_gait"].all()
+    assert (wrong["verdict"] == "slope").sum() >= 9_999
+    np.testing.assert_allclose(
+        wrong["belongs_to_slope"].fillna(0.009), slope, rtol=1e-8
+    )
+    assert max(middle - begin, end - middle) < 5
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "states.csv"
+    state = gait_of("D", 0.009)
+    frame = pd.DataFrame([[0.009, *state], [0.009, *(state * [1, -1, 1])]])
+    frame.columns = ["gamma", *NAMES]
+    frame.to_csv(path, index=False)
+    return path
+
+
+def test_the_command_tells_verdicts_and_fails_if_one_is_no_gait(file, tmp_path, capsys):
+    words = ["check", str(file), "--walker", "D", "--map", "gamma=slope"]
+
+    assert (
+        commands.main(
+            [
+                *words,
+                "-o",
+                str(tmp_path / "page.html"),
+            ]
+        )
+        == 1
+    )
+    told = capsys.readouterr().out.splitlines()
+    assert told[0] == "1 of 2 states are gaits; the others: 1 sign of stance rate."
+    assert told[1].startswith("row 2: A gait with the sign of the stance rate changed.")
+
+    page = (tmp_path / "page.html").read_text()
+    assert told[0] in page and "<svg" in page and "sign of stance rate" in page
+
+    assert commands.main([*words, "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert [row["is_gait"] for row in answer["rows"]] == [True, False]
+
+
+def test_the_command_succeeds_if_all_are_gaits(tmp_path, capsys):
+    path = tmp_path / "states.csv"
+    state = ",".join(map(str, gait_of("D", 0.009)))
+    path.write_text(f"{','.join(NAMES)}\n{state}\n")
+
+    assert commands.main(["check", str(path), "--walker", "D", "--slope", "0.009"]) == 0
+    assert capsys.readouterr().out.startswith("The one state is a gait")
+
+
+HEAD = ",".join(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "",
+            "states.csv is empty",
+        ),
+        (
+            HEAD,
+            "must have 1 to 1,000,000 rows; got 0",
+        ),
+        (
+            f"{HEAD}\n0.2,x,0.1",
+            "`stance_rate` must be a number; got 'x' in row 1",
+        ),
+        (
+            "stance_angle,stance_rate\n0.2,-0.2",
+            "Column `thigh_rate` is missing",
+        ),
+        (
+            f"{HEAD},stance_angle\n1,2,3,4",
+            "Column `stance_angle` must stand once",
+        ),
+        (
+            f"{HEAD}\n0.2,-0.2",
+            "Row 1 of states.csv must have 3 cells",
+        ),
+    ],
+)
+def test_tables_that_are_none_are_refused_in_a_line(tmp_path, text, message):
+    path = tmp_path / "states.csv"
+    path.write_text(text)
+
+    with pytest.raises(gaitsweep.StudyError, match=".*") as caught:
+        gaitsweep.check(path, "D", 0.009)
+
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"convention": "garca"},
+            "did you mean `garcia`",
+        ),
+        (
+            {"slope": None},
+            "`slope` is needed once",
+        ),
+        (
+            {"slope": 0.7},
+            "`slope` must lie in",
+        ),
+        (
+            {"rates": "rpm"},
+            "Unknown unit of rates `rpm`",
+        ),
+        (
+            {"tolerance": 2},
+            "`tolerance` must lie in",
+        ),
+        (
+            {"steps": 9},
+            "`steps` must be a whole number from 1 to 8",
+        ),
+        (
+            {"table": [[0.2, 0.1, 0.1, 0.3]]},
+            "rows of 3 numbers",
+        ),
+        (
+            {"table": 3.0},
+            "rows of 3 numbers",
+        ),
+        (
+            {"rename": {"a": "stance_angle"}},
+            "Unknown column `a`",
+        ),
+    ],
+)
+def test_wrong_arguments_are_refused_in_a_line(arguments, message):
+    given = {"table": [[0.2, -0.2, -0.18]], "slope": 0.009} | arguments
+
+    with pytest.raises(gaitsweep.StudyError) as caught:
+        gaitsweep.check(given.pop("table"), "D", given.pop("slope"), **given)
+
+    assert message in str(caught.value)
+
+
+def test_a_convention_without_knees_is_refused_for_a_walker_with_them():
+    table = {"theta": 0.2, "theta_dot": -0.2, "phi_dot": 0.0}
+
+    with pytest.raises(gaitsweep.StudyError, match="has no knees"):
+        gaitsweep.check(table, "physical", 0.03, convention="garcia")
+
+
+def test_rows_that_are_no_numbers_are_no_gaits():
+    answer = gaitsweep.check([[0.2, np.nan, -0.1], [np.inf, 1, 1]], "D", 0.009)
+
+    assert answer["verdict"].tolist() == ["not_a_number"] * 2
