@@ -78,7 +78,7 @@ def _write_page(options: argparse.Namespace, frame: pd.DataFrame) -> None:
     """Write the page, and print its path to stderr."""
     from gaitsweep.pipeline.report import check_page
 
-    title = f"{options.states.name}: gaits of {options.walker}?"
+    title = f"Gaits of {options.walker} in {options.states.name}?"
     text = check_page.page(frame, title)
     try:
         paths.publish(options.page, text.encode())

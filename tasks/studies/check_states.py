@@ -62,6 +62,8 @@ _COARSEST = 0.01
 _FLOWN, _CHANGED = 20.0, 2.0
 #: Relative distance up to which a gait is called near.
 _NEAR = 0.1
+#: Points of each piece of a branch in a picture.
+_PICTURED = 200
 #: States that are solved for as gaits although no branch has one near.
 _SOLVED_WITHIN, _MOST_ITERATIONS = 0.3, 8
 
@@ -633,10 +635,7 @@ class _Case:
         nearest = self.nearest.state * units
         columns |= {f"nearest_{x}": v for x, v in zip(names, nearest, strict=True)}
 
-        curves = []
-        for branch in self.branches:
-            slope, angle = np.exp(branch.q), np.exp(branch.Z[0])
-            curves.append({"slope": slope, "stance_angle": angle})
+        curves = [_curve(branch) for branch in self.branches]
         return {**self._said(), **columns, "curves": curves}
 
     def _said(self) -> dict[str, np.ndarray]:
@@ -779,3 +778,13 @@ def _clockwise_from_vertical(
 def _rates(factor: float) -> np.ndarray:
     """Factors (3, 1) of a state that change its rates."""
     return np.array([[1.0], [factor], [factor]])
+
+
+def _curve(branch: Branch) -> dict[str, np.ndarray]:
+    """Points along a branch for a picture, several between its nodes."""
+    parts = []
+    for first, last in branch.pieces():
+        q = np.linspace(branch.q[first], branch.q[last], _PICTURED)
+        parts.append(branch.on_piece(first, last, q)[0])
+    Z = np.hstack(parts)
+    return {"slope": np.exp(Z[-1]), "stance_angle": np.exp(Z[0])}
