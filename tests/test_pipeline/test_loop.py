@@ -269,7 +269,7 @@ def test_the_charts_of_a_plane_are_made_once_for_all_that_read_them(studies):
 
 
 def test_a_half_that_failed_is_not_made_again_and_its_lines_do_without():
-    text = PLANE.format("s") + "g = [1.0, 2.0]\n"
+    text = PLANE.format("s") + "w_t = [0.0, 0.01]\n"
     place = Answering(lambda request: _answer_of_a_plane(request, FAILED))
     work = work_of(text, retry=True)
 
