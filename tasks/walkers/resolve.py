@@ -32,6 +32,10 @@ _SETTABLE = (*NUMBERS, "knees", "trailing_knee", *_DERIVED, "slope")
 FOOT_MASS_RATIOS = 0.0, 0.5
 
 
+#: Keys that a leg of one link has as one of two has them.
+_WITH_ONE_LINK = ("R", "m_h", "g", "knees", "units")
+
+
 def from_table(table: Mapping[str, Any]) -> Walker:
     """Read a `[walker]` table: every key, or `base` and the keys that differ.
 
@@ -116,17 +120,14 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     given = dict(values)
     if "l" in given:
-        mixed = [
-            key
-            for key in given
-            if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")
-        ]
+        mixed = [key for key in given if key in KEYS and key not in _WITH_ONE_LINK]
         if mixed:
             raise WalkerError(
                 mixed[0],
                 given[mixed[0]],
                 "does not go with `l`, the length of a leg of one link",
             )
+        _check_names(given, (*KEYS, *ONE_LINK), (*ONE_LINK, *_WITH_ONE_LINK))
         if absent := [key for key in NEEDED_BY_ONE_LINK if key not in given]:
             raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]

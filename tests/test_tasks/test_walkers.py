@@ -689,6 +689,10 @@ def test_numbers_that_no_walker_can_have_are_told_by_the_key_that_holds_them(
         ({"base": "Z"}, r"`walker` is not a known walker"),
         ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
         (
+            {"knees": False, "l": 1.0, "c": 0.5, "m_inner": 1.0},
+            r"`m_inner` is not a walker key \(keys: l, c, r, m, w, R",
+        ),
+        (
             {"knees": False, "l": 1.0, "m": 0.5},
             r"`c` is missing from the walker; got knees, l, m",
         ),
