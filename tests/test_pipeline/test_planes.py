@@ -74,7 +74,7 @@ def archive(tmp_path_factory):
 
 def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     """Those of each value of a third key, and of each walker, have their own."""
-    axes = AXES + "\ng = [1.0, 2.0]"
+    axes = AXES + "\nw_t = [0.0, 0.01]"
     study = read(
         written(
             tmp_path, STUDY.format(walker="B", axes=axes).replace('"B"', '["B", "E"]')
@@ -101,13 +101,18 @@ def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
         ]
         assert made["line"] == {
             "walker": line["walker"],
-            "set": {"g": line["set"]["g"]},
+            "set": {"w_t": line["set"]["w_t"]},
         }
-        assert {(one["walker"], one["set"]["g"]) for one in params["lines"]} == {
-            (line["walker"], line["set"]["g"])
+        assert {(one["walker"], one["set"]["w_t"]) for one in params["lines"]} == {
+            (line["walker"], line["set"]["w_t"])
         }
-        charts[charted.key] = line["walker"], line["set"]["g"]
-    assert sorted(charts.values()) == [("B", 1.0), ("B", 2.0), ("E", 1.0), ("E", 2.0)]
+        charts[charted.key] = line["walker"], line["set"]["w_t"]
+    assert sorted(charts.values()) == [
+        ("B", 0.0),
+        ("B", 0.01),
+        ("E", 0.0),
+        ("E", 0.01),
+    ]
 
 
 def test_charts_are_made_once_and_kept(tmp_path):
@@ -133,9 +138,9 @@ def test_points_without_charts_are_solved_line_by_line(tmp_path):
     text = STUDY.format(walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }")
     graph = Graph(read(written(tmp_path, text)))
     assert graph.method is Method.PLANE
-    with contextlib.closing(
-        Journal(Companions(tmp_path / "plane.nc").journal)
-    ) as store:
+    companions = Companions(tmp_path / "plane.nc")
+    companions.make_folder()
+    with contextlib.closing(Journal(companions.journal)) as store:
         store.put_result(
             graph.line_keys(0)["charts"], Outcome("raised", "It raised."), b""
         )

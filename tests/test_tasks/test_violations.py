@@ -366,9 +366,9 @@ def test_extremes_within_a_step_do_not_depend_on_the_samples(monkeypatch):
     coarse = measured(name, slope, want)
     monkeypatch.setattr(violations, "SAMPLES", 8 * violations.SAMPLES)
     fine = measured(name, slope, want)
-    values = [
-        (coarse[key][0, 0], fine[key][0, 0]) for key in want if fine[key][0, 0] != 0
-    ]
+    # A free knee needs no impulse that locks it.
+    there = [key for key in want if np.nan_to_num(fine[key][0, 0]) != 0]
+    values = [(coarse[key][0, 0], fine[key][0, 0]) for key in there]
     assert len(values) > 8 and fine["unlocking_torque_time"][0, 0] > 0
     for value, closer in values:
         assert value == pytest.approx(closer, rel=1e-9)
