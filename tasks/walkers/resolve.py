@@ -120,16 +120,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     given = dict(values)
     if "l" in given:
-        mixed = [key for key in given if key in KEYS and key not in _WITH_ONE_LINK]
-        if mixed:
-            raise WalkerError(
-                mixed[0],
-                given[mixed[0]],
-                "does not go with `l`, the length of a leg of one link",
-            )
-        _check_names(given, (*KEYS, *ONE_LINK), (*ONE_LINK, *_WITH_ONE_LINK))
-        if absent := [key for key in NEEDED_BY_ONE_LINK if key not in given]:
-            raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
+        _check_one_link(given)
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
         for key, value in {"l": length, "R": radius, "c": centre}.items():
             if not isinstance(value, Fraction | np.ndarray):
@@ -146,6 +137,18 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
     return {**dict.fromkeys(ZERO_IF_STRAIGHT, 0.0), **given}
+
+
+def _check_one_link(given: Mapping[str, Any]) -> None:
+    """Check that a table of a leg of one link has its keys and no others."""
+    for key in given:
+        if key in KEYS and key not in _WITH_ONE_LINK:
+            bound = "does not go with `l`, the length of a leg of one link"
+            raise WalkerError(key, given[key], bound)
+    _check_names(given, (*KEYS, *ONE_LINK), (*ONE_LINK, *_WITH_ONE_LINK))
+    for key in NEEDED_BY_ONE_LINK:
+        if key not in given:
+            raise WalkerError(key, ", ".join(given), "is missing from the walker")
 
 
 def from_catalogue(name: object) -> Walker:
