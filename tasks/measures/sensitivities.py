@@ -104,7 +104,9 @@ def _size(name: str, walker: Walker) -> float:
     return 1.0 if kind is None else sizes[kind]
 
 
-def by_slope(problem: Problem, Z: Coordinates, names: Sequence[str]) -> Measured:
+def by_slope(
+    problem: Problem, Z: Coordinates, of_gait: np.ndarray, names: Sequence[str]
+) -> Measured:
     """Return the derivatives of measures by slope.
 
     Parameters
@@ -113,6 +115,8 @@ def by_slope(problem: Problem, Z: Coordinates, names: Sequence[str]) -> Measured
         Of one walker.
     Z : ndarray, shape (c, n)
         Its gaits.
+    of_gait : ndarray, shape (c - 1, c, n)
+        Derivative of their equations by Z.
     names : sequence of str
         Of `tasks.measures.levels.measures`.
 
@@ -122,7 +126,6 @@ def by_slope(problem: Problem, Z: Coordinates, names: Sequence[str]) -> Measured
         NaN where a gait is at a fold.
     """
     equations = Equations(problem)
-    of_gait = equations.at(Z).derivative
     moved = _moved(of_gait[:, :-1], of_gait[:, -1])
     direction = np.vstack([moved, np.ones((1, Z.shape[1]))])
     by_log_slope = _measures_along(equations, Z, direction, names, _CENTRAL)
@@ -130,13 +133,17 @@ def by_slope(problem: Problem, Z: Coordinates, names: Sequence[str]) -> Measured
 
 
 def by_key(
-    problem: Problem, Z: Coordinates, key: KeyOfWalker, names: Sequence[str]
+    problem: Problem,
+    Z: Coordinates,
+    of_gait: np.ndarray,
+    key: KeyOfWalker,
+    names: Sequence[str],
 ) -> Measured:
     """Return the derivatives of measures by a key of the walker, at a fixed slope.
 
     Parameters
     ----------
-    problem, Z, names
+    problem, Z, of_gait, names
         As for `by_slope`.
     key : KeyOfWalker
 
@@ -167,9 +174,8 @@ def by_key(
     step = np.full(n, _STEP)
     by_value = _along(_residual, equations, X, only_key, step, stencil)
 
-    by_w = Equations(problem).at(Z).derivative[:, :-1]
     direction = only_key.copy()
-    direction[: len(Z) - 1] = _moved(by_w, by_value)
+    direction[: len(Z) - 1] = _moved(of_gait[:, :-1], by_value)
     by_share = _measures_along(equations, X, direction, names, stencil)
     return {name: values / scale for name, values in by_share.items()}
 
@@ -244,11 +250,12 @@ def at_gaits(
         As for `by_slope`.
     keys : sequence of KeyOfWalker
     """
-    derivatives = {SLOPE: by_slope(problem, Z, names)}
+    of_gait = Equations(problem).at(Z).derivative
+    derivatives = {SLOPE: by_slope(problem, Z, of_gait, names)}
     absent = {}
     for key in keys:
         try:
-            derivatives[key.name] = by_key(problem, Z, key, names)
+            derivatives[key.name] = by_key(problem, Z, of_gait, key, names)
         except WalkerError as error:
             absent[key.name] = str(error)
     return derivatives, absent

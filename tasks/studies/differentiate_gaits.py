@@ -22,9 +22,9 @@ from gaitsweep.tasks.measures.sensitivities import SLOPE, KeyOfWalker, at_gaits
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import (
     is_one_link,
-    resolve,
     value_of_key,
     walker_of_line,
+    walkers_over,
 )
 from gaitsweep.tasks.walkers.walker import (
     KEYS,
@@ -146,11 +146,7 @@ def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
 
 def _key(line: Mapping[str, Any], name: str) -> KeyOfWalker:
     """A key of a line's walker."""
-
-    def walker_at(value: float) -> Walker:
-        return resolve(line["walker"], {**line["set"], name: value})
-
-    return KeyOfWalker(name, value_of_key(line, name), walker_at)
+    return KeyOfWalker(name, value_of_key(line, name), walkers_over(line, name))
 
 
 def _gaits(

@@ -35,7 +35,7 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.levels import level, measures
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.walkers.resolve import resolve, value_of_key, walker_of_line
+from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Why a line has no curve.
@@ -107,11 +107,7 @@ def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
     """A line's key as an unknown, over its range."""
     if not low < high:
         raise WalkerError("from", low, f"must be less than `to` = {high!r}")
-
-    def walker_at(value: float) -> Walker:
-        return resolve(line["walker"], {**line.get("set", {}), key: value})
-
-    return Keys.of_one(key, walker_at, low, high)
+    return Keys.of_one(key, walkers_over(line, key), low, high)
 
 
 @dataclass(frozen=True)

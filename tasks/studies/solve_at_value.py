@@ -35,7 +35,7 @@ from gaitsweep.tasks.measures.levels import level, measure_at, measures
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
-from gaitsweep.tasks.walkers.resolve import resolve, walker_of_line
+from gaitsweep.tasks.walkers.resolve import walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: What is varied if it is no key.
@@ -180,10 +180,7 @@ def _reached(
 
 def _keys(line: Mapping[str, Any], target: _Target) -> Keys:
     """The key that is varied, as an unknown."""
-
-    def walker_at(value: float) -> Walker:
-        return resolve(line["walker"], {**line["set"], target.vary: value})
-
+    walker_at = walkers_over(line, target.vary)
     return Keys.of_one(target.vary, walker_at, target.low, target.high)
 
 

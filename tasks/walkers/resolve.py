@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from typing import Any, TypeVar
@@ -254,6 +254,15 @@ def walker_of_line(line: Mapping[str, Any]) -> Walker:
     it may `set`.
     """
     return resolve(line["walker"], line.get("set"))
+
+
+def walkers_over(line: Mapping[str, Any], key: str) -> Callable[[float], Walker]:
+    """Return a line's walkers as a function of the value of a key."""
+
+    def walker_at(value: float) -> Walker:
+        return resolve(line["walker"], {**(line.get("set") or {}), key: value})
+
+    return walker_at
 
 
 def value_of_key(line: Mapping[str, Any], key: str) -> float:
