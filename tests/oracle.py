@@ -258,8 +258,9 @@ class Oracle(Stepper):
     ----------
     walker : Mapping
         The paper's keys ``l_t w_t m_t r_t c_t l_s w_s m_s r_s c_s R eps_T`` and
-        ``m_h``, ``g``, ``knees``. Leg 0 stands and leg 1 swings until a heelstrike
-        swaps them.
+        ``m_h``, ``g``, ``knees``, and those of what drives it: ``push_off``,
+        ``hip_stiffness``, ``hip_damping``, ``hip_rest``, ``hip_torque``. Leg 0 stands
+        and leg 1 swings until a heelstrike swaps them.
     """
 
     def __init__(self, walker: Mapping):
@@ -294,8 +295,8 @@ class Oracle(Stepper):
         return np.array([three[0], three[0], three[1], three[2]])
 
     def _constraints(self, angles, rates, contact, locked):
-        """Rows for pins, then the rolling foot of leg `contact`, then each leg in
-        `locked`.
+        """Rows for pins, then the rolling foot of leg `contact`, if one is on the
+        ground, then each leg in `locked`.
         """
         rows, bias = [], []
 
@@ -315,12 +316,12 @@ class Oracle(Stepper):
             knee, c = point(SHANK[leg], 2 * leg + 1, self.knee_on_shank)
             rows += [top - hip, low - knee]
             bias += [a, b - c]
-        foot, a = point(SHANK[contact], 2 * contact + 1, self.centre_on_shank)
-        foot[0, SHANK[contact] + 2] += (
-            self.radius
-        )  # the lowest point of the arc is at rest
-        rows.append(foot)
-        bias.append(a)
+        if contact is not None:
+            foot, a = point(SHANK[contact], 2 * contact + 1, self.centre_on_shank)
+            # The lowest point of the arc is at rest.
+            foot[0, SHANK[contact] + 2] += self.radius
+            rows.append(foot)
+            bias.append(a)
         for leg in locked:
             lock = np.zeros((1, COORDINATES))
             lock[0, THIGH[leg] + 2], lock[0, SHANK[leg] + 2] = 1, -1
@@ -380,7 +381,19 @@ class Oracle(Stepper):
             0,
             (0, 1) if locked else (0,),
         )
-        return self._solve(jac, self._gravity(slope), bias)
+        force = self._gravity(slope)
+        torque = self.hip_torque(state)
+        force[THIGH[1] + 2] += torque
+        force[THIGH[0] + 2] -= torque
+        return self._solve(jac, force, bias)
+
+    def hip_torque(self, state):
+        """Torque between the thighs, on the swing leg."""
+        k = self.keys
+        between, opening = state[1] - state[0], state[4] - state[3]
+        spring = k.get("hip_stiffness", 0.0) * (between - k.get("hip_rest", 0.0))
+        damper = k.get("hip_damping", 0.0) * opening
+        return k.get("hip_torque", 0.0) - spring - damper
 
     def accelerations(self, state, slope, locked):
         """Angular accelerations of stance leg, thigh and shank."""
@@ -404,8 +417,32 @@ class Oracle(Stepper):
             "total": kinetic + potential,
         }
 
+    def push(self, state, velocities, locked):
+        """Velocities after the push-off of leg 0, and its work: its foot leaves the
+        ground, and the other has not struck.
+        """
+        impulse = self.keys.get("push_off", 0.0)
+        angles = self._links(state[:3])
+        there, _ = self._constraints(angles, np.zeros(4), 0, locked)
+        free, _ = self._constraints(angles, np.zeros(4), None, locked)
+        contact = there[8:10]
+        positions = self.positions(state)
+        on_ground = positions[SHANK[0] : SHANK[0] + 2].copy()
+        on_ground += _turn(angles[1], self.centre_on_shank) - [0.0, self.radius]
+        toward_hip = positions[HIP : HIP + 2] - on_ground
+        direction = toward_hip / np.linalg.norm(toward_hip)
+        after, _ = self._solve(
+            free,
+            self.mass * velocities + impulse * direction @ contact,
+            np.zeros(len(free)),
+        )
+        work = 0.5 * self.mass @ after**2 - 0.5 * self.mass @ velocities**2
+        return after, work
+
     def _impact(self, state, contact, locked):
         before = self.velocities(state)
+        if contact == 1:
+            before, self.push_work = self.push(state, before, locked)
         jac, _ = self._constraints(self._links(state[:3]), np.zeros(4), contact, locked)
         after, impulse = self._solve(jac, self.mass * before, np.zeros(len(jac)))
         loss = 0.5 * self.mass @ before**2 - 0.5 * self.mass @ after**2

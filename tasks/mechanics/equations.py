@@ -13,6 +13,9 @@ are
     e^{i(b-a)})) a' b' + 1/2 C_bb b'^2 + ... V = R a sin(slope) + Im(e^{i(a-slope)} S_a)
     + Im(e^{i(b-slope)} S_b) + ...
 
+A spring, a damper and a motor between the thighs add the generalised force bias - k (b -
+a) - c (b' - a') on the swing thigh, and its opposite on the stance leg.
+
 Rows of the swing links are divided by the leg's inertia `eps`, so the limit of a
 vanishing foot mass is exact. States are scaled, q = s x with s a power of two, so an
 absolute tolerance is a relative one on any slope. Expressions of parameters alone are
@@ -68,6 +71,16 @@ class Symbols:
             self.S_c = vector("S_c")
             self.C_cc = values["C_cc"]
             self.H = vector("H")
+        self.has_hip_torque = structure.has_hip_torque
+        if structure.has_hip_torque:
+            self.hip_stiffness = values["hip_stiffness"]
+            self.hip_damping = values["hip_damping"]
+            self.hip_bias = values["hip_bias"]
+        self.pushes_off = structure.pushes_off
+        if structure.pushes_off:
+            self.push = values["push"]
+            if structure.kneed and not structure.locks_trailing_knee:
+                self.knee = vector("knee")
 
     def hold(self, value: Sym) -> Sym:
         """An expression of parameters alone, as the flow's own parameter where this is
@@ -153,6 +166,8 @@ class Motion:
             self.couplings.append(coupling)
         if free_knee:
             self._add_knee()
+        if p.has_hip_torque:
+            self._add_hip_torque()
         _, last_inertia = links[-1]
         self.last_pivot = p.hold(ONE / last_inertia)
 
@@ -198,6 +213,20 @@ class Motion:
         self.M[1][2] = self.M[2][1] = self.h
         self.f[1] = self.f[1] + self.h_by * self.square[2]
         self.f[2] = self.f[2] - self.h_by * self.square[1]
+
+    def _add_hip_torque(self) -> None:
+        """The torque of spring, damper and motor on the swing thigh, and against it on
+        the stance leg.
+        """
+        p = self.p
+        self.stiffness = p.hold(p.hip_stiffness)
+        self.damping = p.hold(p.hip_damping)
+        bias = p.hold(p.hip_bias / p.scale)
+        of_spring = self.stiffness * (self.q[1] - self.q[0])
+        of_damper = self.damping * (self.rate[1] - self.rate[0])
+        torque = bias - of_spring - of_damper
+        self.f[0] = self.f[0] - self.eps * torque
+        self.f[1] = self.f[1] + torque
 
     def _rolling(self, S: Vector, j: int) -> tuple[Sym, Sym]:
         """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
@@ -247,6 +276,8 @@ class Motion:
         by_q[0][0] = by_stance
         if len(u) == 3:
             self._differentiate_knee(u, by_q, by_rate)
+        if p.has_hip_torque:
+            self._differentiate_hip_torque(by_q, by_rate)
         return by_q, by_rate
 
     def _weights(self, factor: Sym) -> list[Sym]:
@@ -265,6 +296,17 @@ class Motion:
             by_q[j][1] = by_q[j][1] + bend
             by_q[j][2] = by_q[j][2] - bend
             by_rate[j][other] = -sign * (self.h_by * (2.0 * self.rate[other]))
+
+    def _differentiate_hip_torque(
+        self, by_q: list[list[Sym]], by_rate: list[list[Sym]]
+    ) -> None:
+        """Add the derivatives of the torque between the thighs."""
+        for matrix, factor in ((by_q, self.stiffness), (by_rate, self.damping)):
+            on_stance = self.eps * factor
+            matrix[0][0] = matrix[0][0] + on_stance
+            matrix[0][1] = matrix[0][1] - on_stance
+            matrix[1][0] = matrix[1][0] - factor
+            matrix[1][1] = matrix[1][1] + factor
 
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""

@@ -81,7 +81,7 @@ def heelstrike(
     -----
     Section 2.1 of the paper, with feet of any radius: the impulse acts at the new contact only, so angular momentum of
     the whole walker about it and of the old stance leg about the hip are conserved.
-    That leg becomes the swing leg.
+    That leg becomes the swing leg. A push-off of that leg adds its own momenta first.
     """
     new = _Leg(p, p.scale * angle)
     if old_angle is None:
@@ -111,7 +111,29 @@ def heelstrike(
     momentum = [of_stance + of_swing]
     for S_j, inertia in swing:
         momentum.append((old.sweep(S_j).dot(old.hip) + inertia) * stance_rate)
+    if p.pushes_off:
+        gained = _push_off(p, new, old, free_knee)
+        momentum = [a + b for a, b in zip(momentum, gained, strict=True)]
     return Solver(M)(momentum)
+
+
+def _push_off(p: Symbols, new: _Leg, old: _Leg, free_knee: bool) -> list[Sym]:
+    """Momenta that the trailing leg's push-off gives: its impulse, from the contact
+    toward the hip, times the velocity of that contact at a unit rate of each link.
+
+    It turns no leg about the hip, but thigh and shank against each other where the knee
+    lies beside its line.
+    """
+    push = p.push / p.scale
+    to_contact = Vector(p.l * old.sine, -p.R - p.l * old.cosine)
+    direction = to_contact / -hy.sqrt(to_contact.dot(to_contact))
+    of_hip = push * direction.dot(new.hip)
+    if not free_knee:
+        return [of_hip, ZERO]
+
+    knee = p.knee.rotate(old.sine, old.cosine)
+    bending = push * direction.dot(knee.normal()) / p.eps
+    return [of_hip, bending, -bending]
 
 
 class _Leg:

@@ -119,6 +119,8 @@ class Flow:
         self, structure: Structure, directions: int, with_slope: bool, coarse: bool
     ):
         motion = system(structure, structure.kneed, directions, with_slope)
+        #: What comes after these among a walker's parameters only the strikes need.
+        self._used = len(structure.parameters)
         self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
         # Without a foot mass the links do not couple: with so few terms a group of two
         # narrow registers is faster.
@@ -164,7 +166,7 @@ class Flow:
         began, n = time.process_time(), state.shape[1]
         batch = _Batch(
             whole_groups(state, self.lanes),
-            self._parameters(whole_groups(parameters, self.lanes)),
+            self._parameters(whole_groups(parameters[: self._used], self.lanes)),
             whole_groups(duration, self.lanes),
             samples,
             self.angles,

@@ -7,6 +7,10 @@ walker's mass,
 
     S_a = sum m A,  C_aa = sum m (R^2 + |A|^2) + I,  S_b, S_c = sum m B,  C_bb, C_cc, H
     = conj(knee) S_c.
+
+What acts between the thighs has three more, the torque on the swing leg being bias - k
+(b - a) - c (b' - a'), and a push-off its impulse and, where the knee bends under it,
+the place of the knee.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import numpy as np
 from heyoka import real128
 from numpy import ndarray
 
-from gaitsweep.tasks.mechanics.arrays import PerLane
+from gaitsweep.tasks.mechanics.arrays import Marks, PerLane
 from gaitsweep.tasks.mechanics.vector import Vector
 from gaitsweep.tasks.walkers.statics import lies_on_line
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
@@ -30,6 +34,12 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 #: order of `lump`.
 _CONSTANTS = ("R", "l", "eps", "S_a_re", "S_a_im", "C_aa", "S_b_re", "S_b_im", "C_bb")
 _OF_KNEES = ("S_c_re", "S_c_im", "C_cc", "H_re", "H_im")
+#: Those of what acts between the thighs, divided by `eps`; and of a push-off, and of the
+#: knee that bends under it.
+_OF_HIP = ("hip_stiffness", "hip_damping", "hip_bias")
+_OF_PUSH, _OF_PUSHED_KNEE = ("push",), ("knee_re", "knee_im")
+#: Constants that come last, since only the strikes need them.
+_AT_STRIKES = (*_OF_PUSH, *_OF_PUSHED_KNEE)
 #: Offset of a centre of mass, over its distance, below which it is computed in 128
 #: bits.
 _NEARLY_TUNED = 1e-2
@@ -51,7 +61,8 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     dict
         `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and
         `_im`; kneed walkers also `S_c, C_cc, H`. Swing constants are divided by `eps`,
-        the swing leg's inertia about the hip.
+        the swing leg's inertia about the hip, as are `hip_stiffness, hip_damping,
+        hip_bias`; `push` is the impulse of the push-off, and `knee` where the knee is.
     """
     constants = _lump_all(WalkerArray.of([walker]), number)
     return {name: values[0] for name, values in constants.items()}
@@ -95,7 +106,25 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
         }
     else:
         swing = {"S_b": S / inertia, "C_bb": leg.one}
-    return _in_parts(_of_stance(leg, S, eps, inertia) | swing)
+    of_hip = _of_hip(leg, inertia, massless)
+    speed = _power(leg.key.g * leg.length, leg.one / leg.two)
+    of_push = {"push": leg.key.push_off / (leg.mass * speed), "knee": leg.knee}
+    return _in_parts(_of_stance(leg, S, eps, inertia) | swing | of_hip | of_push)
+
+
+def _of_hip(leg: _Leg, inertia: PerLane, massless: Marks) -> dict[str, PerLane]:
+    """Constants of what acts between the thighs, over the swing leg's inertia; of legs
+    without mass they are given so.
+    """
+    key = leg.key
+    time = _power(leg.length / key.g, leg.one / leg.two)
+    torque = leg.mass * key.g * leg.length * inertia
+    torque, time = (np.where(massless, leg.one, unit) for unit in (torque, time))
+    return {
+        "hip_stiffness": key.hip_stiffness / torque,
+        "hip_damping": key.hip_damping / (torque * time),
+        "hip_bias": (key.hip_stiffness * key.hip_rest + key.hip_torque) / torque,
+    }
 
 
 def _of_stance(leg: _Leg, S: Vector, eps: PerLane, inertia: PerLane) -> dict[str, Any]:
@@ -216,6 +245,9 @@ class Structure:
     units: tuple[tuple[str, float], ...]
     #: Whether the knee of the leg that leaves the ground is locked during heelstrike.
     locks_trailing_knee: bool = False
+    #: Whether anything acts between the thighs, and whether the trailing leg pushes.
+    has_hip_torque: bool = False
+    pushes_off: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -238,41 +270,75 @@ class Structure:
         """Return the structure of the motion, on which what happens at heelstrike has no
         bearing.
         """
-        if not self.locks_trailing_knee:
+        if not (self.locks_trailing_knee or self.pushes_off):
             return self
-        return replace(self, locks_trailing_knee=False)
+        constants = tuple(name for name in self.constants if name not in _AT_STRIKES)
+        units = tuple(unit for unit in self.units if unit[0] not in _AT_STRIKES)
+        return replace(
+            self,
+            constants=constants,
+            units=units,
+            locks_trailing_knee=False,
+            pushes_off=False,
+        )
 
 
-def general_structure(kneed: bool, locks_trailing_knee: bool = False) -> Structure:
-    """Return the structure of all walkers with or without knees, and of one rule at
-    heelstrike: every constant is a parameter.
+def general_structure(
+    kneed: bool,
+    locks_trailing_knee: bool = False,
+    has_hip_torque: bool = False,
+    pushes_off: bool = False,
+) -> Structure:
+    """Return the structure of all walkers with or without knees, of one rule at
+    heelstrike and of what drives them: every constant is a parameter.
     """
-    constants = (*_CONSTANTS, *_OF_KNEES) if kneed else _CONSTANTS
-    return Structure(kneed, False, constants, (), locks_trailing_knee)
+    frees_knee = kneed and not locks_trailing_knee
+    constants = (
+        *_CONSTANTS,
+        *(_OF_KNEES if kneed else ()),
+        *(_OF_HIP if has_hip_torque else ()),
+        *(_OF_PUSH if pushes_off else ()),
+        *(_OF_PUSHED_KNEE if pushes_off and frees_knee else ()),
+    )
+    rules = locks_trailing_knee, has_hip_torque, pushes_off
+    return Structure(kneed, False, constants, (), *rules)
 
 
 def general_structure_of(walker: Walker) -> Structure:
     """Return the general structure of a walker, or of an array of them."""
-    return general_structure(walker.knees, walker.locks_trailing_knee)
+    return general_structure(
+        walker.knees,
+        walker.locks_trailing_knee,
+        walker.has_hip_torque,
+        walker.pushes_off,
+    )
 
 
-def locked(parameters: ndarray) -> ndarray:
-    """Parameters of the general structure of straight legs, for walkers with knees
-    while these are locked.
+def locked(structure: Structure, parameters: ndarray) -> tuple[Structure, ndarray]:
+    """Return the structure of straight legs as which walkers with knees move while
+    these are locked, and its parameters.
 
     Parameters
     ----------
+    structure : Structure
+        The general one of knees.
     parameters : ndarray, shape (n_parameters, ...)
-        Slope, scale and constants of the general structure of knees.
+        Slope, scale and its constants.
 
     Returns
     -------
+    Structure
     ndarray, shape (slope, scale and the constants of straight legs, ...)
     """
-    S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _ = parameters[8:]
+    of_knees = slice(8, 8 + 3 + len(_OF_KNEES))
+    S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _ = parameters[of_knees]
     inertia = C_bb + C_cc + 2 * H_re
     of_leg = [S_b_re + S_c_re, S_b_im + S_c_im, inertia]
-    return np.concatenate([parameters[:8], of_leg])
+    rows = [parameters[:8], of_leg]
+    if structure.has_hip_torque:
+        rows.append(parameters[of_knees.stop :][: len(_OF_HIP)])
+    straight = general_structure(False, has_hip_torque=structure.has_hip_torque)
+    return straight, np.concatenate(rows)
 
 
 def structure_of(walker: Walker) -> Structure:
@@ -329,12 +395,18 @@ def _is_special(walker: Walker | WalkerArray) -> bool:
 
 def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Structure:
     """Structure in which constants that are 0 or +-1 are code, all others parameters."""
+    general = general_structure_of(walker)
     units = {}
-    for name, value in constants.items():
-        if value in (0.0, 1.0, -1.0):
-            units[name] = float(value)
-    others = tuple(name for name in constants if name not in units)
-    return Structure(False, walker.point_foot, others, tuple(units.items()))
+    for name in general.constants:
+        if constants[name] in (0.0, 1.0, -1.0):
+            units[name] = float(constants[name])
+    others = tuple(name for name in general.constants if name not in units)
+    return replace(
+        general,
+        point_foot=walker.point_foot,
+        constants=others,
+        units=tuple(units.items()),
+    )
 
 
 def constants_of(walkers: WalkerArray, structure: Structure) -> ndarray:

@@ -40,7 +40,7 @@ from gaitsweep.tasks.mechanics.kernel import (
     prepare_compiler,
     whole_groups,
 )
-from gaitsweep.tasks.mechanics.lumped import Structure, general_structure, locked
+from gaitsweep.tasks.mechanics.lumped import Structure, locked
 from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.symbols import (
@@ -309,7 +309,8 @@ class StrideMap:
             end, motion_of_free = _integrate(phase, *options)
             motion.append(motion_of_free)
             state, parts, guard, strike = self._kneestrike(end, parameters)
-            phase = _locked_phase(state, slope, parameters, times[1] - times[0])
+            duration = times[1] - times[0]
+            phase = _locked_phase(self.structure, state, slope, parameters, duration)
         end, motion_of_locked = _integrate(phase, *options)
         motion.append(motion_of_locked)
 
@@ -400,12 +401,14 @@ class StrideMap:
 
 
 def _locked_phase(
+    structure: Structure,
     state: States, slope: bool, parameters: Parameters, duration: PerLane
 ) -> _Phase:
     """The phase from kneestrike on, with unit vectors beside the field as directions."""
     unit = np.eye(4, 3 + slope, -1)[:, :, None]
     D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
-    return _Phase(general_structure(False), state, D, locked(parameters), duration)
+    straight, of_straight = locked(structure, parameters)
+    return _Phase(straight, state, D, of_straight, duration)
 
 
 def _integrate(

@@ -15,6 +15,7 @@ from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
 from gaitsweep.tasks.walkers.walker import (
     KEYS,
     NUMBERS,
+    OF_DRIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -33,7 +34,7 @@ FOOT_MASS_RATIOS = 0.0, 0.5
 
 
 #: Keys that a leg of one link has as one of two has them.
-_WITH_ONE_LINK = ("R", "m_h", "g", "knees", "units")
+_WITH_ONE_LINK = ("R", "m_h", "g", *OF_DRIVE, "knees", "units")
 
 
 def from_table(table: Mapping[str, Any]) -> Walker:
@@ -415,11 +416,12 @@ def _values(
     (section 4.1).
     """
     if derived == "detuning":
-        start, end = (each.table() for each in _detuning_ends(walker))
+        start, end = _detuning_ends(walker)
+        ends = {key: (getattr(start, key), getattr(end, key)) for key in NUMBERS}
         return {
-            k: (1 - amount) * start[k] + amount * end[k]
-            for k in NUMBERS
-            if start[k] != end[k]
+            key: (1 - amount) * first + amount * last
+            for key, (first, last) in ends.items()
+            if first != last
         }
     own = _itself(_table(walker))
     total = own.total_mass

@@ -31,6 +31,9 @@ BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))
     for k in (*NUMBERS, *ONE_LINK)
 }
+#: Keys by which a walker is driven or braked, 0 in passive ones.
+OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
+OF_DRIVE = ("push_off", *OF_HIP, "hip_rest")
 #: What the knee of the leg that leaves the ground may do during heelstrike; the first
 #: is the paper's rule.
 TRAILING_KNEES = "free", "locked"
@@ -94,6 +97,14 @@ class Walker:
         Angle between the thigh and the line from hip to foot centre at full extension.
     g : float [length/time^2]
         Acceleration of gravity.
+    push_off : float [impulse]
+        Along the trailing leg, from its contact with the ground to the hip, just before
+        heelstrike.
+    hip_stiffness, hip_damping, hip_torque : float [torque/rad, torque time/rad, torque]
+        Of a spring, a damper and a motor between the thighs; for legs without mass over
+        their vanishing inertia, in units of the leg and g.
+    hip_rest : float [rad]
+        Angle from the stance to the swing thigh at which the spring rests.
     knees : bool
         Whether the swing leg's knee is free.
     units : str
@@ -122,6 +133,11 @@ class Walker:
     eps_T: float
     m_h: float = 0.0
     g: float = 1.0
+    push_off: float = 0.0
+    hip_stiffness: float = 0.0
+    hip_damping: float = 0.0
+    hip_rest: float = 0.0
+    hip_torque: float = 0.0
     knees: bool = False
     units: str = "1"
     trailing_knee: str = TRAILING_KNEES[0]
@@ -348,11 +364,30 @@ class Walker:
         """Whether the leg that leaves the ground bends during heelstrike already."""
         return self.knees and not self.locks_trailing_knee
 
+    @property
+    def has_hip_torque(self) -> bool:
+        """Whether anything acts between the thighs."""
+        return any(_any(getattr(self, key)) for key in OF_HIP)
+
+    @property
+    def pushes_off(self) -> bool:
+        """Whether the trailing leg pushes just before heelstrike."""
+        return _any(self.push_off)
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether nothing but gravity acts."""
+        return not (self.has_hip_torque or self.pushes_off)
+
     def table(self) -> dict[str, Any]:
-        """All keys and values, as written in TOML; of the knee's rule only the one that
-        is not the paper's.
+        """All keys and values, as written in TOML; of those that passive walkers of the
+        paper lack only what differs from them.
         """
-        table = {key: getattr(self, key) for key in KEYS}
+        table = {
+            key: getattr(self, key)
+            for key in KEYS
+            if key not in OF_DRIVE or _any(getattr(self, key))
+        }
         if not self.locks_trailing_knee:
             del table["trailing_knee"]
         return table
