@@ -122,10 +122,9 @@ def violation_limits(study: Study) -> dict[str, float]:
     """Limit of every violation that the study's walkers may have, by name in the order
     of their bits.
     """
-    locks = any(check["locks_trailing_knee"] for check in study.checks)
     limits = {
         v.name: v.limit
         for v in VIOLATIONS.values()
-        if locks or not all(VARIABLES[name].is_of_locked_knee for name in v.amounts)
+        if not all(VARIABLES[name].is_left_out(study.features) for name in v.amounts)
     }
     return limits | study.options.get("violation_limits", {})

@@ -131,11 +131,11 @@ def _omitted(planned: Plan) -> list[str]:
     groups = {v.group for v in VARIABLES.values()} - {
         VARIABLES[v].group for v in graph.variables
     }
-    locks = any(check["locks_trailing_knee"] for check in planned.study.checks)
+    features = planned.study.features
     left = [
         v
         for v in VARIABLES.values()
-        if v.name not in graph.variables and (locks or not v.is_of_locked_knee)
+        if v.name not in graph.variables and not v.is_left_out(features)
     ]
     return (
         list(dict.fromkeys(v.group if v.group in groups else v.name for v in left))

@@ -50,8 +50,10 @@ def variables(study: Study) -> tuple[str, ...]:
 
 def is_interpolated(study: Study) -> bool:
     """Whether polynomials over slopes may give the points: a line has many, of smooth
-    variables, and they suffice.
+    variables, and they suffice. Walkers that are driven are solved one by one.
     """
+    if "drive" in study.features:
+        return False
     return len(study.slope) > SHORT_LINE and accuracy.is_interpolated(
         variables(study), study.accuracy
     )

@@ -207,6 +207,11 @@ class Study:
         )
 
     @functools.cached_property
+    def features(self) -> frozenset[str]:
+        """What any of its walkers has that some variables are of."""
+        return frozenset(name for check in self.checks for name in check["features"])
+
+    @functools.cached_property
     def plane(self) -> Plane | None:
         """The longest one or two axes of keys, if they hold enough lines for gaits to
         be interpolated over them.

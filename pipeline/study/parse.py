@@ -175,17 +175,15 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[Definition,
 def _with_checks(
     study: Study, wanted: Mapping[str, Any], top: Location, way: Location
 ) -> Study:
-    """A study whose walkers are checked, without the variables that only walkers have
-    that lock the trailing knee, if none of its does; those that it names itself stay.
+    """A study whose walkers are checked, without the variables of what none of them
+    has; those that it names itself stay.
     """
     study = replace(study, checks=check_walkers(study, top, way))
-    if any(check["locks_trailing_knee"] for check in study.checks):
-        return study
     named = wanted.get("variables") or ()
     kept = [
         name
         for name in study.variables
-        if name in named or not VARIABLES[name].is_of_locked_knee
+        if name in named or not VARIABLES[name].is_left_out(study.features)
     ]
     return replace(study, variables=tuple(kept))
 

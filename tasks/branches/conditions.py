@@ -234,7 +234,8 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
     s = at.stride.steps
     start = at.stride.singles.start
     scale = np.exp(at.Z[0]) / at.stride.y[0]
-    scale, slope = np.tile(np.stack([scale, np.exp(at.q)]), s)
+    slope = at.problem.slopes(np.exp(at.q))
+    scale, slope = np.tile(np.stack([scale, slope]), s)
     links = [0, 0, 1, 2]
     q, rate = start[:3][links] * scale, start[3:][links] * scale
 

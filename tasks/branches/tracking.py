@@ -140,13 +140,14 @@ def correct_and_evaluate(
 def _stop_reasons(point: Point) -> ndarray:
     """Why tracks stop at their points; empty where they go on."""
     q, angle = point.at.q, point.Z[0]
-    slope = (q <= np.log(MIN_SLOPE)) | (q >= np.log(MAX_SLOPE))
+    least, largest = np.log(point.at.problem.drive.window)
+    beyond = (q <= least) | (q >= largest)
     vanished = rate_of_steps(point.Z, point.at.m, point.at.stride.steps) > MOST_RATE
     early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
     tests = {
-        "window": slope,
+        "window": beyond,
         "end_fall": ~no_step & (fall_margin(point.Z, point.at.stride.steps) > 0),
         "end_zero_step": no_step | vanished,
         "heelstrike before kneestrike": early,

@@ -58,8 +58,9 @@ class Variable:
     `first`, which begins with the largest stance angle, their `sum` or `mean`, the
     `greatest`, the `least`, or the flags of `any`; others follow from them. `is_smooth`
     is whether polynomials give it along a branch (`tasks.measures.smooth`): gaits are
-    otherwise integrated. `is_of_knees` is whether straight-legged walkers have none,
-    `is_of_locked_knee` whether only walkers have it that lock the trailing knee.
+    otherwise integrated. `only_of` is what a walker must have for it to have a
+    value (`Walker.features`), empty for any: others have NaN, and but for knees studies
+    of none but others leave it out.
 
     A variable of another package has a `measure`, called with the steps
     (`tasks.measures.gaits.Steps`) and what is measured of them already, arrays by name;
@@ -76,10 +77,13 @@ class Variable:
     absent: float = float("nan")
     over_steps: str = "first"
     is_smooth: bool = False
-    is_of_knees: bool = False
-    is_of_locked_knee: bool = False
+    only_of: str = ""
     measure: Callable[[Any, dict[str, Any]], Any] | None = None
     version: int = 1
+
+    def is_left_out(self, features: Iterable[str]) -> bool:
+        """Whether studies leave it out whose walkers have none but these features."""
+        return self.only_of not in ("", "knees", *features)
 
     def unit(self, length: Any, mass: Any, time: Any) -> Any:
         """Return its unit, by those of length, mass and time: numbers, or arrays."""

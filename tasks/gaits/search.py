@@ -13,6 +13,7 @@ from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.mechanics.small_gaits import small_gaits
+from gaitsweep.tasks.step.drive import OVER_SLOPE
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.verify_step import StepCheck
@@ -56,6 +57,8 @@ VANISHING, _FAST = 1e-6, 1.0
 #: Length from the hip to the centre of the foot's arc, over the leg, below which steps
 #: are longer.
 _ROUND = 0.5
+#: Largest angle of guesses that a push-off drives, over the root of its impulse.
+_BY_PUSH = 2.0
 #: Angles of guesses that lose no energy to first order, over the largest.
 _OF_LARGEST = (0.12, 0.25, 0.5, 1.0)
 
@@ -122,7 +125,7 @@ def _lattices(
     ratios = [_RATIOS] if linear.has_knees else []
     lattices = []
     for i, slope in enumerate(slopes):
-        top = _largest_angle(slope, linear.length)
+        top = _largest_angle(slope, linear)
         bottom = max(0.7 * slope, 0.01 * top)
         log_angles = np.linspace(np.log(bottom), np.log(min(top, 1.2)), angles)
 
@@ -134,14 +137,18 @@ def _lattices(
     return lattices
 
 
-def _largest_angle(slope: float, length: float) -> float:
-    """Angle of steps that lose more energy than a gentle slope gives [rad].
+def _largest_angle(slope: float, linear: SmallAngles) -> float:
+    """Angle of steps that lose more energy than a gentle slope gives, and what else
+    drives [rad].
 
-    A foot whose arc is rounder than half the leg rolls more than it strikes: the angle's
+    A torque between the thighs gives in a step of angle a what twice as large a slope
+    does over its length; a push-off gives half its square. A foot whose arc is rounder than half the leg rolls more than it strikes: the angle's
     cube is the slope over the square of what is left of the length (section 4.1).
     """
-    rolling = max(1.0, _ROUND / length) ** (2 / 3)
-    return float(2.0 * rolling * slope ** (1 / 3))
+    rolling = max(1.0, _ROUND / linear.length) ** (2 / 3)
+    driving = max(slope + 2 * max(linear.torque, 0.0), 0.0)
+    by_push = _BY_PUSH * float(linear.push) ** 0.5
+    return float(2.0 * rolling * driving ** (1 / 3)) + by_push
 
 
 def lattice_size(walker: Walker, slopes: Sequence[float], shares: int) -> int:
@@ -203,7 +210,7 @@ def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndar
     fastest = _MAX_RATE * max(1.0, np.pi / linear.swing)
     found = []
     for slope in slopes:
-        largest = _largest_angle(slope, linear.length)
+        largest = _largest_angle(slope, linear)
         is_lossless = is_fast and slope == min(slopes)
         scaled = _scaled(gaits.get(slope, none), largest, is_lossless)
         angle, *rates, period = scaled
@@ -270,7 +277,8 @@ def search(
     check : StepCheck or None
         Whether these happen.
     """
-    w = search_lines(Lanes([problem.walker]), [slope])[0][0]
+    line = Lanes([problem.walker], problem.structure, problem.drive)
+    w = search_lines(line, [slope])[0][0]
     if not w.shape[1]:
         return w, None, None
     return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
@@ -296,9 +304,7 @@ def search_lines(
         In similarity coordinates, for each slope one array a line.
     """
     lines = range(len(problem.lanes))
-    lattice = [
-        w for line in lines for w in starts(problem.walker_of(line), slopes, shares)
-    ]
+    lattice = [w for line in lines for w in _starts(problem, line, slopes, shares)]
     # A group is a slope of a line.
     group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
@@ -325,6 +331,21 @@ def search_lines(
         [w[:, group == i + len(slopes) * line] for line in lines]
         for i in range(len(slopes))
     ]
+
+
+def _starts(
+    problem: Lanes, line: int, drives: Sequence[float], shares: int
+) -> list[np.ndarray]:
+    """The initial guesses of a line at some values of its drive."""
+    walker = problem.walker_of(line)
+    if problem.drive is OVER_SLOPE:
+        return starts(walker, drives, shares)
+    of_each = []
+    for i, drive in enumerate(drives):
+        pushing, slope = problem.drive.at(walker, drive)
+        [guesses] = starts(pushing, [slope])
+        of_each.append(guesses[:, i % shares :: shares])
+    return of_each
 
 
 def distinct(

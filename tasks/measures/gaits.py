@@ -22,6 +22,12 @@ from gaitsweep.tasks.gaits.multipliers import (
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.drive import (
+    PushOff,
+    damping_loss,
+    hip_torque_work,
+    push_off,
+)
 from gaitsweep.tasks.measures.kinematics import step_length, travel
 from gaitsweep.tasks.measures.losses import (
     heelstrike_losses,
@@ -36,6 +42,8 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 #: Significant bits in which bounds are kept that need not be exact.
 _BOUND_BITS = 4
+#: What a gait loses of its energy.
+_LOSSES = "loss_normal", "loss_tangential", "loss_kneestrike", "loss_damping"
 #: Number of multipliers of a gait, by whether there are knees (paper, section 2.2).
 _MULTIPLIERS = {False: 3, True: 4}
 
@@ -270,7 +278,8 @@ def describe(
         Of one walker, or of one for each gait, for which violations cannot be measured.
     at : Polished
         The gaits.
-    slope : ndarray, shape (n,) [rad]
+    slope : ndarray, shape (n,)
+        The slopes [rad], or what else drives the walker.
     want : sequence of str
         Names of variables.
     limits : mapping, optional
@@ -298,12 +307,15 @@ def describe(
         "passes": at.leg_passes,
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
-    solved |= without_knees(want, walker, len(slope)) | of_all_steps(
-        measured, problem.steps
-    )
+    solved |= without_features(want, problem.features, len(slope))
+    solved |= of_all_steps(measured, problem.steps)
+    slope = problem.slopes(slope)
     solved |= travel(
         walker, slope, solved["step_length"], solved["period"], problem.steps
     )
+    supplied = work_of_drive(solved)
+    if supplied:
+        solved |= with_drive(walker, solved, sum(supplied.values()), problem.steps)
     if "energy_imbalance" in want:
         solved["energy_imbalance"] = energy_imbalance(
             walker, slope, solved, problem.steps
@@ -368,6 +380,7 @@ def steps_of(
         state * scale,
         side_by_side(times, s) - begins,
         scale,
+        single.slopes(slope),
         slope,
         after=np.roll(np.arange(s * n), -n),
     )
@@ -413,14 +426,14 @@ _OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
-    """NaN for those of some variables that only knees have, or only knees locked at
-    heelstrike, if the walker has none.
+def without_features(names: Sequence[str], features: Sequence[str], n: int) -> Arrays:
+    """NaN for those of some variables that are only of what the walker has not.
 
     Parameters
     ----------
     names : sequence of str
-    walker : Walker
+    features : sequence of str
+        What it has.
     n : int
 
     Returns
@@ -430,8 +443,7 @@ def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
     lacking = [
         name
         for name in names
-        if (VARIABLES[name].is_of_knees and not walker.knees)
-        or (VARIABLES[name].is_of_locked_knee and not walker.locks_trailing_knee)
+        if VARIABLES[name].only_of not in ("", *features)
     ]
     return {name: np.full(n, np.nan) for name in lacking}
 
@@ -452,6 +464,8 @@ class Steps:
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
     scale : ndarray, shape (n,)
     slope : ndarray, shape (n,) [rad]
+    drive : ndarray, shape (n,)
+        The slope, or the impulse of the push-off [mass sqrt(g leg)].
     after : ndarray of int, shape (n,)
         The step after each: of gaits of one step, itself.
     """
@@ -464,6 +478,7 @@ class Steps:
     times: np.ndarray
     scale: np.ndarray
     slope: np.ndarray
+    drive: np.ndarray
     after: np.ndarray
 
     def measure(
@@ -500,20 +515,9 @@ class Steps:
         }
         if walker.knees:
             measured["kneestrike_time"] = self.times[0] * time_unit
-        if set(want) & {
-            "loss_normal",
-            "loss_tangential",
-            "loss_kneestrike",
-            "energy_imbalance",
-        }:
-            unit = walker.total_mass * walker.g * walker.leg
-            normal, tangential = heelstrike_losses(walker, end, stride.impact * scale)
-            measured["loss_normal"] = normal * unit
-            measured["loss_tangential"] = tangential * unit
-            if walker.knees:
-                measured["loss_kneestrike"] = (
-                    kneestrike_loss(walker, stride.knee * scale) * unit
-                )
+        measured |= self._work_of_drive()
+        if any(VARIABLES[name].group == "energy" for name in want):
+            measured |= self._losses()
         if any(VARIABLES[name].group == "violations" for name in want):
             measured |= self._violations(limits)
         for name in want:
@@ -524,6 +528,44 @@ class Steps:
                     )
                 )
         return measured
+
+    @cached_property
+    def _push_off(self) -> PushOff | None:
+        """The push-off at the end of each step; None of a walker without one."""
+        if "push_off" not in self.problem.features:
+            return None
+        end = self.y[0][self.after]
+        return push_off(self.walker, end, self.problem.impulses(self.drive))
+
+    def _work_of_drive(self) -> Arrays:
+        """Work of push-off and hip over each step, of a walker that has them."""
+        walker, work = self.walker, {}
+        unit = walker.total_mass * walker.g * walker.leg
+        if self._push_off is not None:
+            work["push_off_work"] = self._push_off.work * unit
+        if walker.has_hip_torque:
+            begin, end = self.y[0], self.y[0][self.after]
+            of_hip = hip_torque_work(walker, begin, end)
+            work["hip_torque_work"] = of_hip * unit
+        return work
+
+    def _losses(self) -> Arrays:
+        """Energy lost in each step."""
+        walker, stride, scale = self.walker, self.stride, self.scale
+        unit = walker.total_mass * walker.g * walker.leg
+        end = self.y[0][self.after]
+        impact = stride.impact * scale
+        normal, tangential = heelstrike_losses(walker, end, impact, self._push_off)
+        losses = {"loss_normal": normal * unit, "loss_tangential": tangential * unit}
+        if walker.knees:
+            knee = kneestrike_loss(walker, stride.knee * scale)
+            losses["loss_kneestrike"] = knee * unit
+        if walker.has_hip_torque:
+            damped = np.zeros(len(end))
+            if np.any(walker.hip_damping):
+                damped = damping_loss(walker, self.motion(), self.times)
+            losses["loss_damping"] = damped * unit
+        return losses
 
     def motion(self) -> list[np.ndarray]:
         """Samples of the motion from heelstrike to heelstrike.
@@ -540,7 +582,7 @@ class Steps:
     def _fine(self) -> Stride | Strides:
         # Extremes need closer samples than the verification of a step: it is integrated
         # again with those.
-        parameters = self.problem.parameters(self.slope, self.scale)
+        parameters = self.problem.parameters(self.drive, self.scale)
         return self.problem.map(
             self.y / self.scale, self.times, parameters, samples=violations.SAMPLES
         )
@@ -548,39 +590,71 @@ class Steps:
     def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
         # A step begins with the heelstrike that ends the one before it.
         before = (self._fine.one.impact * self.scale)[:, np.argsort(self.after)]
+        begun = np.argsort(self.after)
+        push = None if self._push_off is None else self._push_off.some(begun)
         return violations.measure(
-            self.walker, self.motion(), before, self.times, self.slope, limits
+            self.walker, self.motion(), before, self.times, self.slope, limits, push
         )
 
 
 def energy_imbalance(
     walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int
 ) -> np.ndarray:
-    """What the energy lost in a gait's steps exceeds the drop of potential energy by,
-    over that drop.
+    """What the energy lost in a gait's steps exceeds that which the drop of potential
+    energy, push-off and hip supply, over the sum of their sizes.
 
     Parameters
     ----------
     walker : Walker
     slope : ndarray, shape (n,) [rad]
     measured : mapping
-        The losses of all steps and the mean step length, in the walker's units.
+        The losses and works of all steps and the mean step length, in the walker's
+        units.
     steps : int
 
     Returns
     -------
     ndarray, shape (n,)
     """
-    names = (
-        "loss_normal",
-        "loss_tangential",
-        *(("loss_kneestrike",) if walker.knees else ()),
-    )
-    losses = sum(measured[name] for name in names)
+    losses = sum(measured[name] for name in _LOSSES if name in measured)
     drop = (
         walker.total_mass * walker.g * steps * measured["step_length"] * np.sin(slope)
     )
-    return np.asarray((losses - drop) / drop)
+    supplied = [drop, *work_of_drive(measured).values()]
+    sizes = sum(np.abs(work) for work in supplied)
+    return np.asarray((losses - sum(supplied)) / sizes)
+
+
+def work_of_drive(measured: Mapping[str, np.ndarray]) -> Arrays:
+    """Return the work that drives a walker beside gravity, as far as it is measured."""
+    names = "push_off_work", "hip_torque_work"
+    return {name: measured[name] for name in names if name in measured}
+
+
+def with_drive(
+    walker: Walker, measured: Mapping[str, np.ndarray], work: np.ndarray, steps: int
+) -> Arrays:
+    """Costs of transport of a walker that is driven by more than gravity.
+
+    Parameters
+    ----------
+    walker : Walker
+    measured : mapping
+        The mean step length, and the cost of transport that gravity pays.
+    work : ndarray, shape (n,)
+        What else drives all steps, in the walker's units.
+    steps : int
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+    """
+    weight = walker.total_mass * walker.g
+    by_drive = work / (weight * steps * measured["step_length"])
+    return {
+        "cost_of_transport": measured["cost_of_transport"] + by_drive,
+        "mechanical_cost_of_transport": by_drive,
+    }
 
 
 def measured_multipliers(

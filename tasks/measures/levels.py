@@ -11,7 +11,13 @@ import numpy as np
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import VARIABLES
-from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
+from gaitsweep.tasks.measures.gaits import (
+    Arrays,
+    of_all_steps,
+    steps_of,
+    with_drive,
+    work_of_drive,
+)
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -35,8 +41,7 @@ def measures(walker: Walker) -> list[str]:
         and about.dtype == "f8"
         and about.group != "proofs"
         and name not in _OF_THE_SOLVE
-        and (walker.knees or not about.is_of_knees)
-        and (walker.locks_trailing_knee or not about.is_of_locked_knee)
+        and about.only_of in ("", *walker.features)
     ]
 
 
@@ -93,7 +98,7 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     -------
     dict of ndarray, shape (n,) [the walker's units]
     """
-    problem, slope = at.problem, np.exp(at.q)
+    problem, drive = at.problem, np.exp(at.q)
     walkers = problem.every_walker
     has_travel = any(name in TRAVEL for name in names)
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
@@ -102,11 +107,16 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     # Where rounding is measured, steps are evaluated in other units.
     y = at.stride.y
     scale = np.exp(at.w[0]) / y[0]
-    steps = steps_of(problem, walkers, at.stride, y, scale, at.times, slope)
+    steps = steps_of(problem, walkers, at.stride, y, scale, at.times, drive)
     measured = of_all_steps(steps.measure(needed), problem.steps)
     if has_travel:
         length, period = measured["step_length"], measured["period"]
+        slope = problem.slopes(drive)
         measured |= travel(walkers, slope, length, period, problem.steps)
+        supplied = work_of_drive(measured)
+        if supplied:
+            work = sum(supplied.values())
+            measured |= with_drive(walkers, measured, work, problem.steps)
     if _RADIUS in names:
         measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)
     return {name: np.asarray(measured[name], float) for name in names}

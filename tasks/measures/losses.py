@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gaitsweep.tasks.measures.drive import PushOff
 from gaitsweep.tasks.mechanics.apparent_mass import (
     ApparentMass,
     dot,
@@ -111,7 +112,10 @@ def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
 
 
 def heelstrike_losses(
-    walker: Walker, angle: np.ndarray, rates: np.ndarray
+    walker: Walker,
+    angle: np.ndarray,
+    rates: np.ndarray,
+    push: PushOff | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the energy lost at heelstrike, split on the two eigenvectors of the
     contact mass matrix.
@@ -122,6 +126,8 @@ def heelstrike_losses(
     angle : ndarray, shape (n,) [rad]
     rates : ndarray, shape (2, n) [sqrt(g/leg)]
         Rates of the old stance and swing leg just before heelstrike.
+    push : PushOff, optional
+        The push-off between, if there is one.
 
     Returns
     -------
@@ -141,6 +147,9 @@ def heelstrike_losses(
         ],
         axis=-1,
     )
+    if push is not None:
+        velocity[..., 0] += push.translation.real
+        velocity[..., 1] += push.translation.imag
     if chain.massless:
         return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(
             len(angle)

@@ -14,6 +14,7 @@ from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
 from gaitsweep.tasks.contract.tables import Arrays
+from gaitsweep.tasks.measures.drive import PushOff
 from gaitsweep.tasks.mechanics.contact import SWING_SHANK, THIGH, Chain
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
@@ -225,8 +226,24 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     return amounts
 
 
+def _before_heelstrike(
+    chain: Chain, q: np.ndarray, impact: np.ndarray, push: PushOff | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates of the links just before heelstrike, after a push-off, and the velocity,
+    complex, of the point that is about to touch the ground (paper, eq. 12 with the sign
+    of its first line corrected).
+    """
+    rates = np.stack([impact[1], impact[1], impact[0], impact[0]])
+    across = -(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1])
+    upward = chain.l * np.sin(q[0]) * (impact[0] + impact[1])
+    translation = across + 1j * upward
+    if push is None:
+        return rates, translation
+    return rates + push.rates, translation + push.translation
+
+
 def _heelstrike(
-    chain: Chain, first: _Phase, impact: np.ndarray
+    chain: Chain, first: _Phase, impact: np.ndarray, push: PushOff | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ground impulse (complex) and angular impulses of the new stance knee's lock on its
     thigh, and of the trailing knee's on its shank, at heelstrike.
@@ -234,14 +251,10 @@ def _heelstrike(
     Notes
     -----
     Before heelstrike, the walker moves as the new stance leg's chain with the old rates, translating with the velocity
-    of the point that is about to touch the ground (paper, eq. 12 with the sign of its
-    first line corrected).
+    of the point that is about to touch the ground.
     """
     q, after = first.q[:, 0], first.rate[:, 0]
-    before = np.stack([impact[1], impact[1], impact[0], impact[0]])
-    translation = -(chain.R + chain.l * np.cos(q[0])) * (
-        impact[0] - impact[1]
-    ) + 1j * chain.l * np.sin(q[0]) * (impact[0] + impact[1])
+    before, translation = _before_heelstrike(chain, q, impact, push)
     ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
 
@@ -331,13 +344,22 @@ def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
     return np.where((before < 0) & (after > 0), chain.height(phases[1].q[:, 0]), np.nan)
 
 
-def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> Arrays:
-    """Items 2 and 3 at the impacts."""
-    ground, lock, trailing_lock = _heelstrike(chain, phases[0], impact)
+def _impacts(
+    chain: Chain,
+    phases: list[_Phase],
+    impact: np.ndarray,
+    push: PushOff | None,
+) -> Arrays:
+    """Items 2 and 3 at the impacts, and what the push-off asks of the ground."""
+    ground, lock, trailing_lock = _heelstrike(chain, phases[0], impact, push)
     amounts = {
         "friction_demand_heelstrike": _ratio(ground),
         "least_normal_impulse": ground.imag,
     }
+    if push is not None:
+        _, translation = _before_heelstrike(chain, phases[0].q[:, 0], impact, push)
+        amounts["friction_demand_push_off"] = _ratio(push.direction)
+        amounts["strike_velocity"] = -translation.imag
     if chain.kneed:
         q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
@@ -390,6 +412,7 @@ def measure(
     times: np.ndarray,
     slope: np.ndarray,
     limits: Mapping[str, float] | None = None,
+    push: PushOff | None = None,
 ) -> Arrays:
     """Measure every item of Appendix A, in the walker's units.
 
@@ -407,6 +430,8 @@ def measure(
     slope : ndarray, shape (n,) [rad]
     limits : mapping, optional
         Limits of violations other than the registry's.
+    push : PushOff, optional
+        The push-off before that heelstrike, if there is one.
 
     Returns
     -------
@@ -436,9 +461,9 @@ def measure(
                 _Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes])
                 for m, b, e in each
             ]
-            amounts = _moving(chain, phases, slope[lanes]) | _impacts(
-                chain, phases, impact[:, lanes]
-            )
+            amounts = _moving(chain, phases, slope[lanes])
+            pushed = None if push is None else push.some(lanes)
+            amounts |= _impacts(chain, phases, impact[:, lanes], pushed)
             amounts |= _released(chain, phases[0])
             parts.append(amounts | {"violations": flags(amounts, limits)})
     unit = _units(walker)
@@ -456,6 +481,7 @@ def _units(walker: Walker) -> dict[str, float]:
         "length": length,
         "time": time,
         "torque": mass * walker.g * length,
+        "speed": length / time,
         "impulse": mass * length / time,
         "angular_impulse": mass * length**2 / time,
         "angle": 1.0,

@@ -72,6 +72,33 @@ class Chain:
         self.S_rows = self.S.copy()
         if self.massless:
             self._take_shank_of_unit_mass(arms[4], walker.r_s / leg)
+        self._drive(walker)
+
+    def _drive(self, walker: Walker) -> None:
+        """Set what acts between the thighs, and the impulse of the push-off."""
+        self.acts = walker.has_hip_torque
+        weight_leg = walker.total_mass * walker.g * walker.leg
+        #: Over mass sqrt(g leg).
+        self.push = walker.push_off * walker.time_unit / (weight_leg / walker.g)
+        #: Of legs without mass over their inertia, which is that of `K`.
+        unit = 1.0 / weight_leg
+        unit_of_damping = unit / walker.time_unit
+        if self.massless:
+            of_leg = [self.K[i, j] for i in (2, 3) for j in (2, 3)]
+            unit = unit_of_damping = total(of_leg).real
+        self.hip_stiffness = walker.hip_stiffness * unit
+        self.hip_damping = walker.hip_damping * unit_of_damping
+        self.hip_bias = (
+            walker.hip_stiffness * walker.hip_rest + walker.hip_torque
+        ) * unit
+
+    def hip_torque(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Torque between the thighs, on the swing leg; of a massless one over its
+        inertia.
+        """
+        between, opening = q[2] - q[THIGH], rate[2] - rate[THIGH]
+        of_spring = self.hip_stiffness * between
+        return self.hip_bias - of_spring - self.hip_damping * opening
 
     def _take_shank_of_unit_mass(
         self, arms: np.ndarray, radius: float | np.ndarray
@@ -134,6 +161,11 @@ class Chain:
             f.append(((1j * self.S_rows[i] * e[i]).conj() * gravity).real + turning)
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
+        if self.acts:
+            torque = self.hip_torque(q, rate)
+            f[2] = f[2] + torque
+            if not self.massless:
+                f[THIGH] = f[THIGH] - torque
         return f
 
     def accelerations(
@@ -153,7 +185,7 @@ class Chain:
         ndarray, shape (4, ...) [rad g/leg]
         """
         f, groups = self.force(q, rate, slope), self.groups(free_knee)
-        x = _solve(_group(self.matrix(q), groups), _of_groups(f, groups))
+        x = solve(_group(self.matrix(q), groups), _of_groups(f, groups))
         links = [
             [acceleration] * len(g) for acceleration, g in zip(x, groups, strict=True)
         ]
@@ -260,7 +292,7 @@ class Chain:
         groups = self.groups(free_knee)
         M = _group(self.matrix(q), groups)
         impulses = [_of_groups(row, groups) for row in rows]
-        responses = [np.stack(_solve(M, impulse)) for impulse in impulses]
+        responses = [np.stack(solve(M, impulse)) for impulse in impulses]
         compliance = []
         for impulse in impulses:
             compliance.append([total(np.stack(impulse) * x) for x in responses])
@@ -336,9 +368,18 @@ def _of_groups(
     return [total(values[i] for i in g) for g in groups]
 
 
-def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
-    """Solve A x = b elementwise. The stance row is eliminated last: its coupling to a
-    massless leg is zero.
+def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
+    """Solve A x = b elementwise, the first row eliminated last: in a chain that of the
+    stance leg, whose coupling to a massless leg is zero.
+
+    Parameters
+    ----------
+    A : list of list of ndarray, shape (...)
+    b : list of ndarray, shape (...)
+
+    Returns
+    -------
+    list of ndarray, shape (...)
     """
     A, b = [list(row) for row in A], list(b)
     n = len(b)

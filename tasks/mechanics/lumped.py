@@ -27,7 +27,7 @@ from numpy import ndarray
 from gaitsweep.tasks.mechanics.arrays import Marks, PerLane
 from gaitsweep.tasks.mechanics.vector import Vector
 from gaitsweep.tasks.walkers.statics import lies_on_line
-from gaitsweep.tasks.walkers.walker import NUMBERS, Walker
+from gaitsweep.tasks.walkers.walker import NUMBERS, Walker, features_of
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Lumped constants of every walker, and the further ones of those with knees, in the
@@ -248,6 +248,9 @@ class Structure:
     #: Whether anything acts between the thighs, and whether the trailing leg pushes.
     has_hip_torque: bool = False
     pushes_off: bool = False
+    #: What the step map is differentiated by beside its state: the slope, or the impulse
+    #: of the push-off.
+    drive: str = "slope"
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -266,6 +269,16 @@ class Structure:
         """
         return (True, False) if self.kneed else (False,)
 
+    @property
+    def features(self) -> tuple[str, ...]:
+        """What some variables are of, as `Walker.features` has it."""
+        return features_of(
+            self.kneed,
+            self.locks_trailing_knee,
+            self.pushes_off,
+            self.has_hip_torque,
+        )
+
     def between_strikes(self) -> Structure:
         """Return the structure of the motion, on which what happens at heelstrike has no
         bearing.
@@ -280,6 +293,7 @@ class Structure:
             units=units,
             locks_trailing_knee=False,
             pushes_off=False,
+            drive="slope",
         )
 
 

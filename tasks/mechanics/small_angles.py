@@ -3,11 +3,14 @@ with.
 
 Near q = (stance, swing thigh[, swing shank]) = 0 the equations of motion
 (tasks.mechanics.equations) are M q'' = G q - c, with constant M and G, and c linear in
-the slope. States are followed as linear functions of (stance angle, old stance rate,
+the slope; a damper between the thighs is left out. A push-off adds to the rates after
+heelstrike what is linear in the angle. States are followed as linear functions of (stance angle, old stance rate,
 old swing rate, 1, slope), so that all angles and slopes share one propagation.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -79,14 +82,41 @@ class SmallAngles:
         )
         self.free = _Linear(rolling, R, self.eps, stance, swing, inertia, between)
 
-        S, J = self.locked.G[1], self.locked.M[1, 1]
-        self.swing = _swing(S, J)
+        S, J = self.locked.weights[1], self.locked.M[1, 1]
+        self.swing = _swing(S - constants["hip_stiffness"], J)
+        for motion in (self.locked, self.free):
+            motion.add_hip_torque(
+                self.eps, constants["hip_stiffness"], constants["hip_bias"]
+            )
 
-        # Heelstrike with both legs along the normal (tasks.mechanics.impacts).
-        momentum = np.zeros((len(self.free.M), 2))
-        momentum[0] = 1 + 2 * self.eps * S, self.eps * (S + J)
-        momentum[1:, 0] = self.free.G[1:] + [C + between for C in inertia]
-        self.heelstrike = self._rates_of(momentum, walker.locks_trailing_knee)
+        # Heelstrike with both legs along the normal (tasks.mechanics.impacts): by both
+        # rates, the angle and 1.
+        momentum = np.zeros((len(self.free.M), 4))
+        momentum[0, :2] = 1 + 2 * self.eps * S, self.eps * (S + J)
+        momentum[1:, 0] = self.free.weights[1:] + [C + between for C in inertia]
+        if walker.pushes_off:
+            momentum[:, 2:] = self._push_off(constants, walker.frees_trailing_knee)
+        #: Impulse of the push-off, and torque between the thighs that drives.
+        self.push, self.torque = constants["push"], self.eps * constants["hip_bias"]
+        rates = self._rates_of(momentum, walker.locks_trailing_knee)
+        self.heelstrike, self.push_off = rates[:, :2], rates[:, 2:]
+
+    def _push_off(
+        self, constants: Mapping[str, float], frees_knee: bool
+    ) -> np.ndarray:
+        """Momenta of the links that the push-off gives, by (angle, 1)."""
+        push = constants["push"]
+        gained = np.zeros((len(self.free.M), 2))
+        gained[0, 0] = -2 * self.length * push
+        if frees_knee:
+            # The knee lies beside the line from the contact to the hip, which leans by
+            # the foot's arc.
+            knee_x, knee_y = constants["knee_re"], constants["knee_im"]
+            leaning = knee_y * (self.length - 1.0)
+            bending = push / self.eps * np.array([leaning, knee_x])
+            gained[1] = bending
+            gained[2] = -bending
+        return gained
 
     def _rates_of(self, momentum: np.ndarray, locks_trailing_knee: bool) -> np.ndarray:
         """Rates just after heelstrike from the momenta of the links, by the old rates."""
@@ -250,7 +280,7 @@ class SmallAngles:
 
     def _hangs_bent(self) -> bool:
         """Whether the swing leg's links, its knee free, hang far from a line."""
-        moments = self.free.c[:, 0] + 1j * self.free.G
+        moments = self.free.moments
         _, thigh, shank = moments.tolist()
         between = thigh * shank.conjugate()
         return abs(between.imag) > np.tan(_BENT) * abs(between.real)
@@ -274,6 +304,7 @@ class SmallAngles:
         start = np.zeros((2 * n, 5))
         start[:n, 0] = [1.0, *[-1.0] * (n - 1)]
         start[n:, 1:3] = self.heelstrike
+        start[n:, [0, 3]] = self.push_off
         return start
 
     def _knee_returns(
@@ -351,14 +382,21 @@ class _Linear:
         inertia: list[float],
         between: float,
     ):
-        arms = np.array([stance, *swing])
-        self.G = arms.imag
+        self.moments = arms = np.array([stance, *swing])
+        self.weights = arms.imag
+        self.G = np.diag(arms.imag)
         self.M = np.diag([rolling, *inertia])
-        self.M[0, 1:], self.M[1:, 0] = eps * self.G[1:], self.G[1:]
+        self.M[0, 1:], self.M[1:, 0] = eps * self.weights[1:], self.weights[1:]
         if len(swing) > 1:
             self.M[1, 2] = self.M[2, 1] = between
         self.c = np.stack([arms.real, arms.imag], axis=1)
         self.c[0, 1] += R
+
+    def add_hip_torque(self, eps: float, stiffness: float, bias: float) -> None:
+        """Add a spring between stance leg and swing thigh, and a constant torque."""
+        between = np.array([[-eps], [1.0]]) * [stiffness, -stiffness]
+        self.G[:2, :2] += between
+        self.c[:2, 0] += np.array([eps, -1.0]) * bias
 
     def after(self, times: np.ndarray) -> np.ndarray:
         """States (angles, rates) after k times by those at the start, then by (1,
@@ -367,7 +405,7 @@ class _Linear:
         # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
         # force.
         squares, modes = np.linalg.eig(
-            np.linalg.solve(self.M, np.diag(self.G)).astype(complex)
+            np.linalg.solve(self.M, self.G).astype(complex)
         )
         growth = np.sqrt(squares)[:, None]
         is_free = growth == 0

@@ -119,6 +119,8 @@ def _repetition(
     # At the start the swing leg's angle is that of the stance leg, reversed.
     end[:, :, 1] = end[:, :, 0] - end[:, :, 1]
     by_unknown = end[:, :, 1:4]
+    # At the end the new stance angle, which the push-off acts by, is that of the start.
+    by_unknown[:, 2:, 0] += linear.push_off[:, 0]
 
     # At the end the legs have exchanged their places, and each has the other's rate.
     repeated = np.array(

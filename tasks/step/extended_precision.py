@@ -140,10 +140,15 @@ class _ExtendedStepMap:
     ) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
 
-    def parameters(self, walker: Walker, slope: float, scale: float) -> np.ndarray:
-        """Parameters of the compiled functions."""
+    def parameters(
+        self, problem: Problem, lane: int, drive: float, scale: float
+    ) -> np.ndarray:
+        """Parameters of the compiled functions, for a lane at a value of its drive."""
         # Long double leaves differences in them too few digits.
-        constants = lump(walker, hy.real128)
+        constants = lump(problem.walker_of(lane), hy.real128)
+        if problem.drive.name == "push_off":
+            constants["push"] = hy.real128(drive)
+        slope = float(problem.slopes(np.array([drive]))[0])
         values = [constants[name] for name in self.structure.constants]
         if self.number is not hy.real128:
             values = [self._rounded(value) for value in values]
@@ -289,10 +294,9 @@ def solved(start: Start, tier: int) -> Wide:
         shrink.
     """
     exact = _extended_step_map(start.problem.structure, tier)
-    walker = start.problem.walker_of(start.lane)
     rule = _WideNewton(
         exact,
-        exact.parameters(walker, start.slope, start.scale),
+        exact.parameters(start.problem, start.lane, start.slope, start.scale),
         tier,
         exact.array(start.y),
         exact.array(start.times),
@@ -375,8 +379,8 @@ def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
     exact = _extended_step_map(problem.structure, 1)
     y, scale = problem.section(Z)
     columns = []
-    for lane, slope in enumerate(np.exp(Z[-1]).tolist()):
-        parameters = exact.parameters(problem.walker_of(lane), slope, scale[lane])
+    for lane, drive in enumerate(np.exp(Z[-1]).tolist()):
+        parameters = exact.parameters(problem, lane, drive, scale[lane])
         times = exact.array(Z[problem.m : -1, lane])
         values, _ = exact(exact.array(y[:, lane]), times, parameters)
         columns.append(_doubles(values) / y[0, lane])

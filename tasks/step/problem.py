@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gaitsweep.tasks.mechanics.lumped import Structure, constants_of, structure_of
+from gaitsweep.tasks.mechanics.lumped import Structure, constants_of
+from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive
 from gaitsweep.tasks.step.several_steps import AnyStride, StepSequence
 from gaitsweep.tasks.step.step_map import StrideMap, stride_map
 from gaitsweep.tasks.walkers.walker import Walker
@@ -31,9 +32,12 @@ class Problem:
     step: StrideMap
     #: Columns of `constants` that the lanes have.
     lanes: slice | np.ndarray = slice(None)
+    #: What gaits are followed over: the slope, or the push-off at one slope.
+    drive: Drive
 
-    def __init__(self, walker: Walker, steps: int = 1):
-        structure = structure_of(walker)
+    def __init__(self, walker: Walker, steps: int = 1, drive: Drive = OVER_SLOPE):
+        self.drive = drive
+        structure = drive.structure(walker)
         self.walker = walker
         self.constants = constants_of(WalkerArray.of([walker]), structure)
         self._set(structure, steps)
@@ -52,12 +56,28 @@ class Problem:
         other._set(self.structure, steps)
         return other
 
-    def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    def slopes(self, drive: np.ndarray) -> np.ndarray:
+        """Return the slopes [rad] at values of the drive, shape (n,)."""
+        return self.drive.slopes(drive)
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """What some variables are of, as `Walker.features` has it."""
+        return self.structure.features
+
+    def impulses(self, drive: np.ndarray) -> np.ndarray:
+        """Return the impulses of the push-off at values of the drive, shape (n,) [mass
+        sqrt(g leg)].
+        """
+        return self.drive.impulses(self.every_walker, drive)
+
+    def parameters(self, drive: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Runtime parameters of every lane.
 
         Parameters
         ----------
-        slope : ndarray, shape (n,) [rad]
+        drive : ndarray, shape (n,)
+            The slope [rad], or the impulse of the push-off [mass sqrt(g leg)].
         scale : ndarray, shape (n,)
             Power of two by which angles and rates are divided.
 
@@ -66,9 +86,9 @@ class Problem:
         ndarray, shape (n_parameters, n)
         """
         constants = self.constants[:, self.lanes]
-        return np.vstack(
-            [slope, scale, np.broadcast_to(constants, (len(constants), len(slope)))]
-        )
+        constants = np.broadcast_to(constants, (len(constants), len(drive)))
+        constants = self.drive.constants(self.structure, constants, drive)
+        return np.vstack([self.slopes(drive), scale, constants])
 
     def some(self, lanes: np.ndarray | slice) -> Problem:
         """Return the problem of some lanes: the same where all lanes share a walker.
@@ -213,12 +233,14 @@ class Lanes(Problem):
         self,
         walkers: WalkerArray | Sequence[Walker],
         structure: Structure | None = None,
+        drive: Drive = OVER_SLOPE,
     ):
+        self.drive = drive
         self.walkers = (
             walkers if isinstance(walkers, WalkerArray) else WalkerArray.of(walkers)
         )
         self.walker = walkers[0]
-        self._set(structure or structure_of(self.walker), 1)
+        self._set(structure or drive.structure(self.walker), 1)
         self.constants = constants_of(self.walkers, self.structure)
         self.lanes = np.arange(len(walkers))
 
@@ -245,6 +267,7 @@ class Lanes(Problem):
     def alone(self, lane: int) -> Problem:
         """Return the problem of one lane's walker."""
         alone = Problem.__new__(Problem)
+        alone.drive = self.drive
         alone.walker = self.walker_of(lane)
         alone.constants = self.constants[:, [self.lanes[lane]]]
         alone._set(self.structure, 1)

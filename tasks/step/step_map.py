@@ -76,7 +76,8 @@ class Stride:
     times : ndarray, shape (k, n)
         Kneestrike, for knees, and heelstrike, corrected.
     by_slope : ndarray, shape (m, n)
-        Derivative of P(y) by the slope; zero where not asked for.
+        Derivative of P(y) by the slope, or by what else drives the walker; zero where
+        not asked for.
     residual : ndarray, shape (m + k, n)
         Of the joint equations: the image less y, at the given durations of the phases,
         and the guards of the strikes.
@@ -154,7 +155,7 @@ def _changed(values: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
 
 class _Phase(NamedTuple):
     """A phase to integrate; D (angles, directions, n) are the directions carried along,
-    that by the slope last where it is asked for.
+    that by the slope last where it is asked for, of at most `width`.
     """
 
     structure: Structure
@@ -162,6 +163,7 @@ class _Phase(NamedTuple):
     D: np.ndarray
     parameters: Parameters
     duration: PerLane
+    width: int
 
 
 class StrideMap:
@@ -173,6 +175,8 @@ class StrideMap:
         self.structure = structure
         self.m, self.kneed = structure.dimension, structure.kneed
         self.start_size = 6 if self.kneed else 4
+        #: Whether the drive acts in heelstrike alone, not all along as the slope does.
+        self.by_push = structure.drive != "slope"
         self._start = self._compile_start()
         if self.kneed:
             self._knee = self._compile_knee()
@@ -189,7 +193,8 @@ class StrideMap:
         y = vector("y", self.m)
         state = start_of_step(self.structure, p, y)
         gradients = [[hy.diff(value, v) for v in y] for value in state]
-        return self._function(state + flat(gradients), [*y, *p.variables])
+        by_push = [hy.diff(value, p.push) for value in state] if self.by_push else []
+        return self._function(state + flat(gradients) + by_push, [*y, *p.variables])
 
     def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y,
@@ -226,7 +231,11 @@ class StrideMap:
 
         D = self._directions(carried, parts, field(p, x, False))
         section = end_of_step(self.structure, p, x)
-        outputs = _to_first_order(y, x, D, section, knee)
+        section_by = derivatives_along(section, x, D)
+        if self.by_push:
+            for row, value in zip(section_by, section, strict=True):
+                row[-1] = row[-1] + hy.diff(value, p.push)
+        outputs = _to_first_order(y, x, D, section, section_by, knee)
         return self._function(outputs, variables)
 
     def _directions(
@@ -266,7 +275,8 @@ class StrideMap:
         """State just after heelstrike, then the matrix of its derivatives by y row by
         row, shape (start_size (1 + m), n).
         """
-        return self._apply(self._start, np.vstack([y, parameters]))
+        values = self._apply(self._start, np.vstack([y, parameters]))
+        return values[: self.start_size * (1 + self.m)]
 
     def __call__(
         self,
@@ -300,9 +310,9 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
-        options = slope, samples, coarse
+        options = slope and not self.by_push, samples, coarse
         start, D = self._begin(y, parameters, slope)
-        phase = _Phase(self.structure, start, D, parameters, times[0])
+        phase = _Phase(self.structure, start, D, parameters, times[0], m + 1)
         parts = guard = strike = np.empty((0, n))
         motion = []
         if self.kneed:
@@ -310,7 +320,7 @@ class StrideMap:
             motion.append(motion_of_free)
             state, parts, guard, strike = self._kneestrike(end, parameters)
             duration = times[1] - times[0]
-            phase = _locked_phase(self.structure, state, slope, parameters, duration)
+            phase = _locked_phase(self.structure, state, options[0], parameters, duration)
         end, motion_of_locked = _integrate(phase, *options)
         motion.append(motion_of_locked)
 
@@ -330,14 +340,15 @@ class StrideMap:
         self, y: Sections, parameters: Parameters, slope: bool
     ) -> tuple[States, np.ndarray]:
         """State just after heelstrike, and its derivatives by y and, where asked for,
-        by the slope, on which it does not depend.
+        by the drive: it does not depend on the slope.
         """
         m, n = y.shape
         size = self.start_size
-        values = self.start(y, parameters)
-        D = values[size:].reshape(size, m, n)
+        values = self._apply(self._start, np.vstack([y, parameters]))
+        D = values[size : size * (1 + m)].reshape(size, m, n)
         if slope:
-            D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
+            by_drive = values[size * (1 + m) :] if self.by_push else np.zeros((size, n))
+            D = np.concatenate([D, by_drive[:, None]], axis=1)
         return values[:size], D
 
     def _kneestrike(self, end: np.ndarray, parameters: Parameters) -> list[np.ndarray]:
@@ -408,14 +419,14 @@ def _locked_phase(
     unit = np.eye(4, 3 + slope, -1)[:, :, None]
     D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
     straight, of_straight = locked(structure, parameters)
-    return _Phase(straight, state, D, of_straight, duration)
+    return _Phase(straight, state, D, of_straight, duration, 4)
 
 
 def _integrate(
     phase: _Phase, slope: bool, samples: int, coarse: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """State at the end of a phase with its directions as rows, and samples of its
-    motion; the slope's direction is zero where it is not asked for.
+    motion; the last direction is zero where it is not asked for.
     """
     size, directions, n = phase.D.shape
     integrate = flow(phase.structure, directions, slope, coarse)
@@ -424,7 +435,7 @@ def _integrate(
     start = np.vstack([phase.state, columns])
     final, motion = integrate(start, phase.parameters, phase.duration, samples)
 
-    rows = np.zeros((size, directions + (not slope), n))
+    rows = np.zeros((size, phase.width, n))
     rows[:, :directions] = final[size:].reshape(-1, size, n).transpose(1, 0, 2)
     return np.vstack([final[:size], rows.reshape(-1, n)]), motion
 
@@ -455,14 +466,14 @@ def _to_first_order(
     x: list[Sym],
     D: list[list[Sym]],
     section: list[Sym],
+    section_by: list[list[Sym]],
     knee: list[list[Sym]],
 ) -> list[Sym]:
     """All that `rows_of_end` names, from a state x at the end of the flow, its
-    derivatives D by y, durations and slope, and the section there; `knee` has the guard
-    of kneestrike.
+    derivatives D by y, durations and slope, and the section there with its own; `knee`
+    has the guard of kneestrike.
     """
     m = len(y)
-    section_by = derivatives_along(section, x, D)
     guards = [row[0] for row in knee] + [x[0] + x[1]]
     guards_by = [[*row[1:-1], ZERO, row[-1]] for row in knee]
     guards_by.append([a + b for a, b in zip(D[0], D[1], strict=True)])

@@ -385,15 +385,12 @@ def record(label: str, slope: float, gait: _Gait, walker: Walker) -> dict[str, A
 
 
 def _columns(walker: Walker) -> list[str]:
-    """Columns of a walker's gaits, without the impulse that locks a trailing knee where
-    it is free.
-    """
+    """Columns of a walker's gaits, without those of what it has not."""
     return [
         name
         for name in _COLUMNS
-        if walker.locks_trailing_knee
-        or name not in VARIABLES
-        or not VARIABLES[name].is_of_locked_knee
+        if name not in VARIABLES
+        or not VARIABLES[name].is_left_out(walker.features)
     ]
 
 

@@ -525,7 +525,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si`, `kneed` and `locks_trailing_knee` (bool), `multipliers` (their number), `table` (the walker
+        `si` and `kneed` (bool), `features` (what some variables are of), `multipliers` (their number), `table` (the walker
         before `set`), `parameters` (the walker with `set`), `varied` (for each key of
         the walker that `set` moves, the keys of `set` that do), `tuned` (keys that are
         changed so that the walker is tuned), `smooth` (keys of `set` with which gaits
@@ -554,7 +554,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "si": walker.si,
         "kneed": walker.knees,
-        "locks_trailing_knee": walker.locks_trailing_knee,
+        "features": walker.features,
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(given).table(),
         "parameters": walker.table(),
@@ -563,7 +563,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "smooth": tuple(
             key
             for key in overrides
-            if key in ("foot_mass_ratio", "detuning") or _is_size(key)
+            if walker.is_passive
+            and (key in ("foot_mass_ratio", "detuning") or _is_size(key))
         ),
         **(
             {"way": _way(given)}

@@ -379,6 +379,18 @@ class Walker:
         """Whether nothing but gravity acts."""
         return not (self.has_hip_torque or self.pushes_off)
 
+    @property
+    def features(self) -> tuple[str, ...]:
+        """What some variables are of: "knees", "locked_knee", "push_off", "hip_torque",
+        and "drive" for either of the last two.
+        """
+        return features_of(
+            self.knees,
+            self.locks_trailing_knee,
+            self.pushes_off,
+            self.has_hip_torque,
+        )
+
     def table(self) -> dict[str, Any]:
         """All keys and values, as written in TOML; of those that passive walkers of the
         paper lack only what differs from them.
@@ -391,6 +403,20 @@ class Walker:
         if not self.locks_trailing_knee:
             del table["trailing_knee"]
         return table
+
+
+def features_of(
+    knees: bool, locks_trailing_knee: bool, pushes_off: bool, has_hip_torque: bool
+) -> tuple[str, ...]:
+    """Return the names of what a walker has."""
+    has = {
+        "knees": knees,
+        "locked_knee": locks_trailing_knee,
+        "push_off": pushes_off,
+        "hip_torque": has_hip_torque,
+        "drive": pushes_off or has_hip_torque,
+    }
+    return tuple(name for name, has_it in has.items() if has_it)
 
 
 def _any(x: Any) -> bool:

@@ -1,0 +1,211 @@
+"""What drives a walker beside gravity: the work of its push-off, and of what acts between
+its thighs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.mechanics.contact import Chain, solve
+from gaitsweep.tasks.mechanics.sums import total
+from gaitsweep.tasks.walkers.walker import Walker
+
+#: Weights of samples at equal distances over an interval of length one, by which
+#: polynomials of their degree are integrated exactly; by the number of samples.
+_WEIGHTS: dict[int, ndarray] = {}
+
+
+@dataclass(frozen=True)
+class PushOff:
+    """What the push-off of a trailing leg does, just before the other foot strikes.
+
+    Attributes
+    ----------
+    work : ndarray, shape (n,) [weight leg]
+    direction : ndarray of complex, shape (n,)
+        Unit vector from the trailing contact to the hip.
+    translation : ndarray of complex, shape (n,) [sqrt(g leg)]
+        Velocity that it gives the point of the leading foot that is to strike.
+    rates : ndarray, shape (4, n) [sqrt(g/leg)]
+        Rates that it gives the links: leading shank and thigh, trailing thigh and
+        shank.
+    """
+
+    work: ndarray
+    direction: ndarray
+    translation: ndarray
+    rates: ndarray
+
+    def some(self, lanes: slice | ndarray) -> PushOff:
+        """Return those of some lanes."""
+        return PushOff(
+            self.work[lanes],
+            self.direction[lanes],
+            self.translation[lanes],
+            self.rates[:, lanes],
+        )
+
+
+def push_off(walker: Walker, angle: ndarray, impulse: ndarray) -> PushOff:
+    """Compute what the push-off does to a walker with both feet on the ground.
+
+    Parameters
+    ----------
+    walker : Walker
+    angle : ndarray, shape (n,) [rad]
+        Stance angle just after the heelstrike that follows.
+    impulse : ndarray, shape (n,) [mass sqrt(g leg)]
+
+    Returns
+    -------
+    PushOff
+
+    Notes
+    -----
+    For the time of the impulse P no foot is held. With M the mass matrix of the walker
+    that is free to move, J the velocity of the trailing contact at unit rates and u its
+    direction, rates change by P M^-1 J^T u, and the work of a foot that was at rest is
+    P^2/2 u J M^-1 J^T u.
+    """
+    chain = Chain(walker)
+    q = np.stack([angle, angle, -angle, -angle])
+    to_contact = np.exp(-1j * angle) * -1j * chain.l - 1j * chain.R
+    direction = -to_contact / np.abs(to_contact)
+    if chain.massless:
+        # The hip has all the mass.
+        translation = impulse * direction
+        return PushOff(0.5 * impulse**2, direction, translation, 0.0 * q)
+
+    contact = _contact(chain, q, to_contact)
+    along = [direction.real, direction.imag]
+    along += [(direction.conj() * velocity).real for velocity in contact]
+    groups = [[0], [1], *[[2 + i for i in g] for g in _groups(chain)]]
+    pushed = [total(along[i] for i in g) for g in groups]
+    moved = solve(_free_mass(chain, q), [impulse * each for each in pushed])
+
+    work = 0.5 * impulse * total(a * b for a, b in zip(pushed, moved, strict=True))
+    links = [[rate] * len(g) for rate, g in zip(moved[2:], groups[2:], strict=True)]
+    rates = np.concatenate([np.stack(of_group) for of_group in links])
+    return PushOff(work, direction, moved[0] + 1j * moved[1], rates)
+
+
+def _groups(chain: Chain) -> list[list[int]]:
+    """Links that move as one during the push: the trailing knee follows its rule."""
+    return chain.groups(chain.frees_trailing_knee)
+
+
+def _contact(chain: Chain, q: ndarray, to_contact: ndarray) -> list[ndarray]:
+    """Velocities, complex, of the trailing contact at a unit rate of each link, the
+    leading foot rolling.
+    """
+    shank, thigh, knee, _ = chain.to_foot
+    turned = np.exp(1j * q)
+    to_knee = knee * turned[2]
+    return [
+        1j * shank * turned[0] - chain.R,
+        1j * thigh * turned[1],
+        1j * to_knee,
+        1j * (to_contact - to_knee),
+    ]
+
+
+def _free_mass(chain: Chain, q: ndarray) -> list[list[ndarray]]:
+    """Mass matrix of the walker with no foot held: by the velocity of the leading
+    contact along x and y, then by the rates of links that move as one.
+    """
+    groups = _groups(chain)
+    by_link = chain.levers(q)
+    levers = [total(by_link[i] for i in g) for g in groups]
+    one, zero = np.ones_like(q[0]), np.zeros_like(q[0])
+    M = chain.matrix(q)
+    rows = [
+        [one, zero, *(lever.real for lever in levers)],
+        [zero, one, *(lever.imag for lever in levers)],
+    ]
+    for g, lever in zip(groups, levers, strict=True):
+        row = [lever.real, lever.imag]
+        row += [total(M[i][j] for i in g for j in h) for h in groups]
+        rows.append(row)
+    return rows
+
+
+def hip_torque_work(walker: Walker, begin: ndarray, end: ndarray) -> ndarray:
+    """Compute the work of the constant torque between the thighs over a step.
+
+    Parameters
+    ----------
+    walker : Walker
+    begin, end : ndarray, shape (n,) [rad]
+        Stance angles just after the heelstrikes with which the step begins and ends.
+
+    Returns
+    -------
+    ndarray, shape (n,) [weight leg]
+
+    Notes
+    -----
+    The legs pass from -2 `begin` to 2 `end`. A spring that rests at an angle is one that
+    rests with the legs together, and a constant torque; the first gives back over steps
+    that repeat what it takes.
+    """
+    chain = Chain(walker)
+    bias = 0.0 if chain.massless else chain.hip_bias
+    return np.asarray(bias * 2 * (begin + end))
+
+
+def damping_loss(
+    walker: Walker, motion: list[ndarray], times: ndarray
+) -> ndarray:
+    """Compute the energy lost in the damper between the thighs over a step.
+
+    Parameters
+    ----------
+    walker : Walker
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        Angles and rates of each phase at equal times [rad, sqrt(g/leg)].
+    times : ndarray, shape (phases, n) [sqrt(leg/g)]
+        Ends of the phases.
+
+    Returns
+    -------
+    ndarray, shape (n,) [weight leg]
+    """
+    chain = Chain(walker)
+    durations = np.diff(times, axis=0, prepend=0.0)
+    losses = []
+    for phase, duration in zip(motion, durations, strict=True):
+        links = phase.shape[1] // 2
+        opening = phase[:, links + 1] - phase[:, links]
+        weights = _weights(len(opening))
+        lost = total(w * each for w, each in zip(weights, opening**2, strict=True))
+        damping = 0.0 if chain.massless else chain.hip_damping
+        losses.append(damping * duration * lost)
+    return np.asarray(total(losses))
+
+
+def _weights(samples: int) -> list[float]:
+    """Weights of samples by which a smooth function's integral over [0, 1] is a sum."""
+    if samples not in _WEIGHTS:
+        _WEIGHTS[samples] = _piecewise(samples)
+    return list(_WEIGHTS[samples].tolist())
+
+
+def _piecewise(samples: int, neighbours: int = 13) -> ndarray:
+    """Weights that integrate the polynomials through so many neighbours of each interval
+    between samples.
+    """
+    weights = np.zeros(samples)
+    n = min(neighbours, samples)
+    nodes, of_nodes = np.polynomial.legendre.leggauss(n // 2 + 1)
+    for k in range(samples - 1):
+        first = min(max(k - n // 2 + 1, 0), samples - n)
+        at = np.arange(first, first + n) - k
+        places = (nodes + 1) / 2
+        for i, own in enumerate(at):
+            others = np.delete(at, i)
+            shape = np.prod((places[:, None] - others) / (own - others), axis=1)
+            weights[first + i] += (of_nodes / 2) @ shape
+    return weights / (samples - 1)
