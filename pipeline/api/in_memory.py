@@ -2,7 +2,7 @@
 this process by the loop of a run.
 """
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -143,7 +143,7 @@ def gaits(
         if unsolvable:
             raise unsolvable[0][1]
         slopes.check(float(slope[0]))
-    unsolvable += _wrong_slopes(slope)
+    unsolvable += _wrong_slopes(slope, [line.at for line in lines])
 
     answers = [line.check for line in lines]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
@@ -199,22 +199,30 @@ def _checked(
     """
     slope = flat["slope"]
     is_slope = slopes.is_slope(slope)
+    is_level = slopes.is_level(slope)
     lines: list[_Line] = []
     unsolvable: list[tuple[np.ndarray, StudyError]] = []
     for line, every in _lines(base, flat, arrays):
-        at = every[is_slope[every]]
         try:
             check = dispatch.ask("check_walker", line)
         except StudyError as error:
-            unsolvable.append((at, error))
+            unsolvable.append((every[is_slope[every]], error))
         else:
-            lines.append(_Line(base, line, at, slope, check))
+            can_be = is_slope | is_level & ("push_off" in check["features"])
+            lines.append(_Line(base, line, every[can_be[every]], slope, check))
     return lines, unsolvable
 
 
-def _wrong_slopes(slope: np.ndarray) -> list[tuple[np.ndarray, StudyError]]:
-    """The points whose slope is none, with why."""
-    wrong = np.flatnonzero(~slopes.is_slope(slope))
+def _wrong_slopes(
+    slope: np.ndarray, asked: Sequence[np.ndarray]
+) -> list[tuple[np.ndarray, StudyError]]:
+    """The points whose slope is none, or none of their walkers', beside those that can
+    be asked for, with why.
+    """
+    is_wrong = ~slopes.is_slope(slope)
+    for at in asked:
+        is_wrong[at] = False
+    wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
     return [
         (wrong[which == k], StudyError(f"`slope` {slopes.BOUND}; got {value!r}."))
@@ -253,7 +261,8 @@ def _lines(
     n = len(flat["slope"])
     (walker,) = base.walkers
     varying = [name for name, a in arrays.items() if name != "slope" and a.ndim]
-    if "g" in varying and is_converted(base.variables, base.accuracy):
+    may_convert = is_converted(base.variables, base.accuracy)
+    if "g" in varying and may_convert and _is_passive(walker, flat):
         flat = {**flat, "g": _one_for_all(flat["g"])}
     fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
     number = np.zeros(n, int)
@@ -274,6 +283,15 @@ def _lines(
             },
             at,
         )
+
+
+def _is_passive(walker: Definition, flat: Arrays) -> bool:
+    """Whether gravity alone drives the walker, whatever its keys."""
+    keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:OF_DRIVE")
+    if any(flat[key].any() for key in keys if key in flat):
+        return False
+    check = dispatch.ask("check_walker", {"walker": walker, "set": {}})
+    return "drive" not in check["features"]
 
 
 def _one_for_all(g: np.ndarray) -> np.ndarray:

@@ -147,8 +147,10 @@ def _coordinates(file: Any) -> Iterator[str]:
             yield f"`{path}` holds values that are not finite."
         elif is_coordinate and len(np.unique(values)) < values.size:
             yield f"`{path}` holds a value twice."
-        elif is_coordinate and name == "slope" and not slopes.is_slope(values).all():
-            yield f"`slope` {slopes.BOUND}."
+        elif is_coordinate and name == "slope" and not (
+            slopes.is_slope(values) | slopes.is_level(values)
+        ).all():
+            yield f"`slope` {slopes.BOUND_OF_DRIVEN}."
 
 
 def _required(file: Any) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def _slope(options: argparse.Namespace) -> float | None:
     if options.slope is None or not options.degrees:
         return options.slope
     slope = math.radians(options.slope)
-    if not slopes.is_slope(slope):
+    if not (slopes.is_slope(slope) or slopes.is_level(slope)):
         low, high = map(math.degrees, SLOPES)
         raise StudyError(
             f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}."

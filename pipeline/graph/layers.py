@@ -107,8 +107,10 @@ def line_params(
     """
     if name == "atlas":
         return {
-            "line": _without_g(line),
+            "line": line if "drive" in study.features else _without_g(line),
             "coarse": method.is_coarse,
+            # What drives walkers there, branches over slope do not tell.
+            **({"level": True} if (study.slope <= 0).all() else {}),
             **({"steps": study.steps} if study.steps > 1 else {}),
         }
     if name == "points":

@@ -63,7 +63,7 @@ def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
 
 
 def _check_slopes(values: np.ndarray, location: Location) -> None:
-    wrong = values[~slopes.is_slope(values)]
+    wrong = values[~(slopes.is_slope(values) | slopes.is_level(values))]
     for slope in wrong.tolist():
         slopes.check(slope, location)
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.fields import WANT
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
@@ -109,6 +110,16 @@ def _a_grid_has_a_size(study: Study, top: Location) -> Iterator[StudyError]:
         )
 
 
+def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
+    """Slopes of 0 and below are those of grids of walkers that are driven."""
+    level = study.slope[slopes.is_level(study.slope)]
+    if level.size and (study.kind != "grid" or "push_off" not in study.features):
+        yield top.at("axes", "slope").error(
+            f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
+            'ground and uphill, grids of walkers with a `push_off` have gaits.'
+        )
+
+
 def _a_window_has_two_ends(study: Study, top: Location) -> Iterator[StudyError]:
     """Slopes that are a window are two at least."""
     slopes = study.slope
@@ -149,6 +160,7 @@ RULES: tuple[Rule, ...] = (
     _ground_needs_a_slope,
     _the_transition_is_of_short_gaits,
     _a_grid_has_a_size,
+    _level_ground_needs_a_drive,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
 )

@@ -56,7 +56,7 @@ def solve(
     StudyError
         If the walker, a key, the slope, the accuracy or a limit is invalid.
     """
-    slopes.check(slope)
+    slopes.check(slope, may_be_level=True)
     Location("", "steps").count(steps, MAX_STEPS)
     if every and steps > 1:
         raise Location("", "steps").wrong(

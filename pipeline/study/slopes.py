@@ -12,8 +12,9 @@ from gaitsweep.tasks.contract.registry import SLOPES
 if TYPE_CHECKING:  # help needs no arrays
     import numpy as np
 
-#: What a slope must be.
+#: What a slope must be, and that of a walker which more than gravity drives.
 BOUND = f"must lie in [{SLOPES[0]:g}, {SLOPES[1]:g}) rad"
+BOUND_OF_DRIVEN = f"{BOUND}, or in (-{SLOPES[1]:g}, 0]"
 
 
 def is_slope(value: float | np.ndarray) -> Any:
@@ -23,7 +24,14 @@ def is_slope(value: float | np.ndarray) -> Any:
     return (value >= SLOPES[0]) & (value < SLOPES[1])
 
 
-def check(value: float, place: Location | None = None) -> None:
+def is_level(value: float | np.ndarray) -> Any:
+    """Whether a slope is level, or leads uphill, so that a walker must be driven."""
+    return (value <= 0) & (value > -SLOPES[1])
+
+
+def check(
+    value: float, place: Location | None = None, may_be_level: bool = False
+) -> None:
     """Refuse a slope that cannot be asked for; one that is too steep may be meant in
     degrees.
 
@@ -32,9 +40,10 @@ def check(value: float, place: Location | None = None) -> None:
     StudyError
         If it cannot.
     """
-    if is_slope(value):
+    if is_slope(value) or (may_be_level and is_level(value)):
         return
-    wrong = (place or Location("", "slope")).wrong(BOUND, value)
+    bound = BOUND_OF_DRIVEN if may_be_level else BOUND
+    wrong = (place or Location("", "slope")).wrong(bound, value)
     if is_slope(radians := math.radians(value)):
         wrong = StudyError(
             f"{str(wrong)[:-1]}: degrees? {value:g} degrees are {radians:.6g} rad."

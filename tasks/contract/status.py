@@ -44,8 +44,9 @@ def outside(
     pieces: list[tuple[float, float]],
     searched: str,
     lost: Sequence[float] = (),
+    drive: str = "slope",
 ) -> str:
-    """Say why no branch has a gait of a label at some slope.
+    """Say why no branch has a gait of a label at some slope, or value of another drive.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def outside(
         )
     if not pieces:
         return f"No {label} gait found: {searched}."
-    return f"No {label} gait at this slope: the branches found span {ranges(pieces)} ({searched})."
+    return f"No {label} gait at this {drive}: the branches found span {ranges(pieces)} ({searched})."
 
 
 def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> str:

@@ -307,19 +307,19 @@ def describe(
         "passes": at.leg_passes,
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
-    solved |= without_features(want, problem.features, len(slope))
-    solved |= of_all_steps(measured, problem.steps)
+    of_gaits = of_all_steps(measured, problem.steps)
     slope = problem.slopes(slope)
-    solved |= travel(
-        walker, slope, solved["step_length"], solved["period"], problem.steps
+    of_gaits |= travel(
+        walker, slope, of_gaits["step_length"], of_gaits["period"], problem.steps
     )
-    supplied = work_of_drive(solved)
+    supplied = work_of_drive(of_gaits)
     if supplied:
-        solved |= with_drive(walker, solved, sum(supplied.values()), problem.steps)
+        of_gaits |= with_drive(walker, of_gaits, sum(supplied.values()), problem.steps)
     if "energy_imbalance" in want:
-        solved["energy_imbalance"] = energy_imbalance(
-            walker, slope, solved, problem.steps
+        of_gaits["energy_imbalance"] = energy_imbalance(
+            walker, slope, of_gaits, problem.steps
         )
+    solved |= without_features(want, problem.features, len(slope)) | of_gaits
     if any(VARIABLES[name].group == "multipliers" for name in want):
         solved |= measured_multipliers(
             stride.jacobian, at.change, at.error, walker.knees

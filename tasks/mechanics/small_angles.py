@@ -2,8 +2,8 @@
 with.
 
 Near q = (stance, swing thigh[, swing shank]) = 0 the equations of motion
-(tasks.mechanics.equations) are M q'' = G q - c, with constant M and G, and c linear in
-the slope; a damper between the thighs is left out. A push-off adds to the rates after
+(tasks.mechanics.equations) are M q'' = G q - D q' - c, with constant M and G, D of a
+damper between the thighs, and c linear in the slope. A push-off adds to the rates after
 heelstrike what is linear in the angle. States are followed as linear functions of (stance angle, old stance rate,
 old swing rate, 1, slope), so that all angles and slopes share one propagation.
 """
@@ -85,9 +85,7 @@ class SmallAngles:
         S, J = self.locked.weights[1], self.locked.M[1, 1]
         self.swing = _swing(S - constants["hip_stiffness"], J)
         for motion in (self.locked, self.free):
-            motion.add_hip_torque(
-                self.eps, constants["hip_stiffness"], constants["hip_bias"]
-            )
+            motion.add_hip_torque(self.eps, constants)
 
         # Heelstrike with both legs along the normal (tasks.mechanics.impacts): by both
         # rates, the angle and 1.
@@ -370,7 +368,7 @@ def _arms(walker: Walker) -> str:
 
 
 class _Linear:
-    """Motion M q'' = G q - c of some links, with c by (1, slope)."""
+    """Motion M q'' = G q - D q' - c of some links, with c by (1, slope)."""
 
     def __init__(
         self,
@@ -389,19 +387,46 @@ class _Linear:
         self.M[0, 1:], self.M[1:, 0] = eps * self.weights[1:], self.weights[1:]
         if len(swing) > 1:
             self.M[1, 2] = self.M[2, 1] = between
+        self.D = np.zeros_like(self.M)
         self.c = np.stack([arms.real, arms.imag], axis=1)
         self.c[0, 1] += R
 
-    def add_hip_torque(self, eps: float, stiffness: float, bias: float) -> None:
-        """Add a spring between stance leg and swing thigh, and a constant torque."""
-        between = np.array([[-eps], [1.0]]) * [stiffness, -stiffness]
-        self.G[:2, :2] += between
-        self.c[:2, 0] += np.array([eps, -1.0]) * bias
+    def add_hip_torque(self, eps: float, constants: Mapping[str, float]) -> None:
+        """Add a spring and a damper between stance leg and swing thigh, and a constant
+        torque.
+        """
+        on_links = np.array([-eps, 1.0])
+        opening = np.outer(on_links, [-1.0, 1.0])
+        self.G[:2, :2] -= constants["hip_stiffness"] * opening
+        self.D[:2, :2] += constants["hip_damping"] * opening
+        self.c[:2, 0] -= constants["hip_bias"] * on_links
+
+    def _damped(self, times: np.ndarray) -> np.ndarray:
+        """States after k times as `after` has them, of links that a damper slows, by
+        the motion about where they would rest.
+        """
+        n = len(self.M)
+        links = slice(n), slice(n, 2 * n)
+        rates = np.zeros((2 * n, 2 * n))
+        rates[links] = np.eye(n)
+        rates[links[1], links[0]] = np.linalg.solve(self.M, self.G)
+        rates[links[1], links[1]] = -np.linalg.solve(self.M, self.D)
+        growth, modes = np.linalg.eig(rates.astype(complex))
+        back = np.linalg.inv(modes)
+        of_modes = np.exp(np.multiply.outer(times, growth))
+        moved = np.einsum("ij,kj,jl->kil", modes, of_modes, back).real
+
+        rest = np.zeros((2 * n, 2))
+        rest[:n] = np.linalg.lstsq(self.G, self.c, rcond=None)[0]
+        by_force = rest - moved @ rest
+        return np.concatenate([moved, by_force], axis=2)
 
     def after(self, times: np.ndarray) -> np.ndarray:
         """States (angles, rates) after k times by those at the start, then by (1,
         slope), shape (k, 2 n, 2 n + 2).
         """
+        if self.D.any():
+            return self._damped(times)
         # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
         # force.
         squares, modes = np.linalg.eig(

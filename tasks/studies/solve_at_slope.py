@@ -32,6 +32,8 @@ from gaitsweep.tasks.studies.solve_guesses import solve_guesses
 from gaitsweep.tasks.studies.solve_points import atlas, solve_line, spans
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
+from gaitsweep.tasks.studies.solve_driven import driven
+from gaitsweep.tasks.studies.solve_driven import searched as searched_driven
 from gaitsweep.tasks.walkers.walker import TRAILING_KNEES, Walker
 
 #: Variables measured for one point: all but proofs.
@@ -111,6 +113,8 @@ def _solve_steps(
     """
     problem = Problem(walker_of_line(line))
     slope = float(request.slope[0])
+    if slope <= 0:
+        return _solve_driven(line, problem.walker, request)
     branches = atlases.survey(problem, COARSE)
     point = solve_line(line, branches, request)
     found = _converged(point)
@@ -132,6 +136,25 @@ def _solve_steps(
     walker = problem.walker
     records = [record(label, slope, gait, walker) for label, gait in gaits]
     return answer(records, walker, log, absent)
+
+
+def _solve_driven(
+    line: Mapping[str, Any], walker: Walker, request: Request
+) -> dict[str, Any]:
+    """Gaits on level ground or uphill, where the push-off drives."""
+    slope = float(request.slope[0])
+    point = solve_line(line, [], request)
+    found = _converged(point)
+    gaits = [(_name(place), found[place]) for place in sorted(found)]
+    records = [record(label, slope, gait, walker) for label, gait in gaits]
+    absent = [
+        str(point["reasons"][point["reason"][0, place]])
+        for place in range(2)
+        if place not in found
+    ]
+    problem, impulse = driven(walker, slope, request.steps)
+    log = [searched_driven(problem)] if impulse else []
+    return answer(records, walker, log, [*dict.fromkeys(absent)])
 
 
 def _surveyed(problem: Problem, branches: list[Branch]) -> list[str]:
@@ -237,6 +260,8 @@ def _solve_cycles(
 ) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
     slope = float(request.slope[0])
+    if slope <= 0:
+        return _solve_driven(line, walker, request)
     arrays = atlas({"line": line, "steps": request.steps}, [])
     point = solve_line(line, atlases.from_arrays(arrays), request)
     gaits = []

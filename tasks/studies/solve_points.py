@@ -31,10 +31,17 @@ from gaitsweep.tasks.measures.gaits import (
     to_accuracy,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
+from gaitsweep.tasks.step.drive import OVER_SLOPE
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.studies.interpolate import Interpolation
 from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_driven import (
+    branches_of,
+    driven,
+    in_units,
+)
+from gaitsweep.tasks.studies.solve_driven import searched as searched_driven
 from gaitsweep.tasks.studies.solve_guesses import blocks, solve_guesses
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.scaling import plain_line, scales, units
@@ -66,7 +73,8 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for
-        few points; `steps` after which the gaits repeat (1 if omitted).
+        few points; `steps` after which the gaits repeat (1 if omitted); `level`,
+        whether no slope leads down, so that none of its branches is asked for.
     inputs : list
         Empty.
 
@@ -75,6 +83,8 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         The branches as arrays, which `tasks.branches.atlas.from_arrays` reads.
     """
+    if params.get("level"):
+        return atlases.to_arrays([])
     problem = Problem(walker_of_line(params["line"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
@@ -131,6 +141,9 @@ def solve_line(
         As `points` has it.
     """
     walker = walker_of_line(line)
+    is_level = request.slope <= 0
+    if is_level.any():
+        return _on_any_ground(line, walker, branches, request, is_level)
     keys = scales(walker, line) if request.is_converted else ()
     if keys:
         plain = solve_line(plain_line(line, keys), branches, request)
@@ -142,6 +155,51 @@ def solve_line(
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
     (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
     return solved
+
+
+def _on_any_ground(
+    line: Mapping[str, Any],
+    walker: Walker,
+    branches: list[Branch],
+    request: Request,
+    is_level: np.ndarray,
+) -> Arrays:
+    """Gaits of a line at slopes of which some are level, or lead uphill."""
+    parts = []
+    if not is_level.all():
+        down = replace(request, slope=request.slope[~is_level], interpolated=False)
+        parts.append((np.flatnonzero(~is_level), solve_line(line, branches, down)))
+    for place in np.flatnonzero(is_level):
+        slope = float(request.slope[place])
+        parts.append((np.array([place]), _solve_driven(line, walker, slope, request)))
+
+    first = parts[0][1]
+    solved = {"reasons": first["reasons"]}
+    for name in first.keys() - solved.keys():
+        own = first[name]
+        solved[name] = np.empty((len(is_level), *own.shape[1:]), own.dtype)
+        for places, part in parts:
+            solved[name][places] = part[name]
+    return solved
+
+
+def _solve_driven(
+    line: Mapping[str, Any], walker: Walker, slope: float, request: Request
+) -> Arrays:
+    """Gaits of a line at one slope at which its push-off drives."""
+    problem, impulse = driven(walker, slope, request.steps)
+    if not impulse:
+        return _undriven(walker, slope, request)
+    here = replace(request, slope=np.array([impulse]), interpolated=False)
+    (solved,) = _solve_branches(problem, [line], [branches_of(problem)], here)
+    return solved
+
+
+def _undriven(walker: Walker, slope: float, request: Request) -> Arrays:
+    """No gait, of a walker that nothing drives."""
+    solved = nothing_solved(request.wanted.names, 1, walker.knees)
+    why = f"No gait at slope {slope:g}: nothing drives the walker there; `push_off` is 0."
+    return {**solved, "reasons": np.array(status.reasons(why, why))}
 
 
 def lines(
@@ -183,6 +241,8 @@ def solve_lines(
         For each line its branches, and what `points` returns.
     """
     walkers = [walker_of_line(line) for line in lines]
+    if (request.slope <= 0).any():
+        return _lines_on_any_ground(lines, request)
     if request.is_converted:
         keys = [scales(*each) for each in zip(walkers, lines, strict=True)]
         if any(keys):
@@ -197,6 +257,20 @@ def solve_lines(
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = branches, one
     return results
+
+
+def _lines_on_any_ground(
+    lines: Sequence[Mapping[str, Any]], request: Request
+) -> list[tuple[list[Branch], Arrays]]:
+    """Survey and solve lines at slopes of which some are level, or lead uphill."""
+    down = replace(request, slope=request.slope[request.slope > 0])
+    atlas: list[list[Branch]] = [[] for _ in lines]
+    if len(down.slope):
+        atlas = [branches for branches, _ in solve_lines(lines, down)]
+    return [
+        (branches, solve_line(line, branches, request))
+        for line, branches in zip(lines, atlas, strict=True)
+    ]
 
 
 def _solve_scaled(
@@ -303,7 +377,7 @@ def _solve_branches(
         for out, of_line in zip(results, parts, strict=True):
             store({name: out[name][some] for name in names}, of_line, wanted.labels)
 
-    if len(names) < len(void):
+    if len(names) < len(void) and problem.walker.is_passive:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, request.slope)
     return [
@@ -386,11 +460,16 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     if problem.steps > 1:
         outside = _outside(branches, problem.steps)
         return status.reasons(outside, outside)
-    searched = f"searched from {atlases.searched(problem.walker)}"
     lost = sorted(slope for branch in branches for slope in branch.lost())
+    if problem.drive is OVER_SLOPE:
+        searched = f"searched from {atlases.searched(problem.walker)}"
+        pieces = [list(spans(branches, label)) for label in GAITS[:2]]
+    else:
+        searched = searched_driven(problem)
+        pieces = [in_units(problem, [*spans(branches, label)]) for label in GAITS[:2]]
     long, short = (
-        status.outside(label, list(spans(branches, label)), searched, lost)
-        for label in GAITS[:2]
+        status.outside(label, of_label, searched, lost, problem.drive.name)
+        for label, of_label in zip(GAITS[:2], pieces, strict=True)
     )
     return status.reasons(long, short)
 

@@ -26,7 +26,8 @@ _ROUNDING = 4 * np.finfo(float).eps
 
 
 def scales(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the keys that a line sets which change nothing but its walker's units.
+    """Return the keys that a line sets which change nothing but its walker's units;
+    none where more than gravity drives it.
 
     Parameters
     ----------
@@ -40,6 +41,8 @@ def scales(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
     tuple of str
         They change nothing else together; `g` is always among them.
     """
+    if not walker.is_passive:
+        return ()
     changes = line.get("set") or {}
     for keys, _ in _candidates(walker, line):
         others = {key: value for key, value in changes.items() if key not in keys}
@@ -76,14 +79,17 @@ def scaled(params: Mapping[str, Any]) -> dict[str, Any]:
     walker = walker_of_line(params)
     keys = scales(walker, params)
     plain = plain_line(params, keys)
-    is_covered = any(sizes for _, sizes in _candidates(walker, params))
+    is_covered = walker.is_passive and any(
+        sizes for _, sizes in _candidates(walker, params)
+    )
     plain_units = units(walker_of_line(plain) if keys else walker)
     return {
         "keys": keys,
         "plain": plain,
         "units": units(walker),
         "plain_units": plain_units,
-        "possible": is_covered or "g" in (params.get("set") or {}),
+        "possible": walker.is_passive
+        and (is_covered or "g" in (params.get("set") or {})),
     }
 
 
