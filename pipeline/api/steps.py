@@ -294,7 +294,7 @@ def _params(
 ) -> dict[str, Any]:
     """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
-    slopes.check(value)
+    slopes.check(value, may_be_level=True)
     return {
         "walker": definition(walker),
         "slope": value,

@@ -201,19 +201,19 @@ class Problem:
         -------
         ndarray, shape (m, n)
             For kneed walkers with the rates just before the heelstrike, of which those
-            after it are linear functions.
+            after it are linear functions, but for what a push-off adds.
         """
         if not self.structure.kneed:
             return state[: self.m].copy()
         scale, size = scale_of(state[0]), self.map.start_size
         at_rest = np.vstack([state[:1] / scale, np.zeros_like(state[1:])])
-        by_y = self.map.start(at_rest, self.parameters(slope, scale))[size:].reshape(
-            size, 3, -1
-        )
-        matrix = by_y[[size // 2, size // 2 + 1], 1:].transpose(2, 0, 1)
-        return np.vstack(
-            [state[:1], np.linalg.solve(matrix, state[1:].T[:, :, None])[:, :, 0].T]
-        )
+        start = self.map.start(at_rest, self.parameters(slope, scale))
+        rates = [size // 2, size // 2 + 1]
+        by_y = start[size:].reshape(size, 3, -1)
+        matrix = by_y[rates, 1:].transpose(2, 0, 1)
+        gained = state[1:] - start[rates] * scale
+        before = np.linalg.solve(matrix, gained.T[:, :, None])[:, :, 0].T
+        return np.vstack([state[:1], before])
 
 
 class Lanes(Problem):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.tasks.measures.drive import push_off
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
@@ -69,7 +70,13 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     )
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
     energy = walker.total_mass * walker.g * walker.leg
-    normal, tangential = heelstrike_losses(walker, image[:1], step.impact * scale)
+    push = None
+    if problem.structure.pushes_off:
+        impulse = problem.impulses(parameters[0])
+        push = push_off(walker, image[:1], impulse)
+    normal, tangential = heelstrike_losses(
+        walker, image[:1], step.impact * scale, push
+    )
     return {
         "state": image,
         "jacobian": jacobian,
