@@ -40,7 +40,10 @@ def write(file: Any, study: Study) -> None:
             owner for check in study.checks for owner in check["varied"].get(key, ())
         }
         across = tuple(axis for axis in axes if axis in owners)
-        values = np.array([float(table[key]) for table in tables])
+        if not across and not any(key in table for table in tables):
+            continue
+        # Tables leave out what their walker is not driven by.
+        values = np.array([float(table.get(key, 0.0)) for table in tables])
         is_own = study.walker_axis and (across or len(set(values)) > 1)
         dims = (*(["walker"] if is_own else []), *across)
         if across:

@@ -105,6 +105,7 @@ def parse(
 
     way = way if toward is not None else top.at("walker", "toward")
     study = _with_checks(study, named, top, way)
+    rules.check_with_walkers(study, top)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
 

@@ -3,7 +3,7 @@
 A rule yields an error for each place at which a study breaks it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 from gaitsweep.pipeline.errors import StudyError
@@ -20,14 +20,29 @@ MAX_POINTS = 10**12
 
 
 def check(study: Study, top: Location) -> None:
-    """Check a study by all rules.
+    """Check a study by the rules for its fields.
 
     Raises
     ------
     StudyError
         If it breaks one.
     """
-    for rule in RULES:
+    _check(study, top, RULES)
+
+
+def check_with_walkers(study: Study, top: Location) -> None:
+    """Check a study, whose walkers are known to be, by the rules for both.
+
+    Raises
+    ------
+    StudyError
+        If it breaks one.
+    """
+    _check(study, top, RULES_OF_WALKERS)
+
+
+def _check(study: Study, top: Location, rules: Iterable[Rule]) -> None:
+    for rule in rules:
         for error in rule(study, top):
             raise error
 
@@ -160,7 +175,7 @@ RULES: tuple[Rule, ...] = (
     _ground_needs_a_slope,
     _the_transition_is_of_short_gaits,
     _a_grid_has_a_size,
-    _level_ground_needs_a_drive,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
 )
+RULES_OF_WALKERS: tuple[Rule, ...] = (_level_ground_needs_a_drive,)
