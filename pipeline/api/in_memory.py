@@ -208,7 +208,7 @@ def _checked(
         except StudyError as error:
             unsolvable.append((every[is_slope[every]], error))
         else:
-            can_be = is_slope | is_level & ("push_off" in check["features"])
+            can_be = is_slope | is_level & ("drive" in check["features"])
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
     return lines, unsolvable
 

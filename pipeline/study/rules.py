@@ -128,10 +128,10 @@ def _a_grid_has_a_size(study: Study, top: Location) -> Iterator[StudyError]:
 def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
     """Slopes of 0 and below are those of grids of walkers that are driven."""
     level = study.slope[slopes.is_level(study.slope)]
-    if level.size and (study.kind != "grid" or "push_off" not in study.features):
+    if level.size and (study.kind != "grid" or "drive" not in study.features):
         yield top.at("axes", "slope").error(
             f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
-            'ground and uphill, grids of walkers with a `push_off` have gaits.'
+            'ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits.'
         )
 
 

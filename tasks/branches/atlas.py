@@ -54,7 +54,7 @@ from gaitsweep.tasks.gaits.search import (
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.lanes import slices
-from gaitsweep.tasks.step.drive import OVER_SLOPE
+from gaitsweep.tasks.step.drive import Drive
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.sameness import ON_BRANCH
 from gaitsweep.tasks.step.several_steps import distance
@@ -67,9 +67,8 @@ ANCHORS = (
     *(0.01, 0.15, 0.0022, 0.033, 0.48, 0.007, 0.1, 0.0015, 0.022),
     *(0.33, 0.0048, 0.07, 0.001, 0.015, 0.22, 0.0033, 0.048, 0.0007),
 )
-#: Impulses of push-offs at which they are searched for [mass sqrt(g leg)], whose steps
-#: are as long: angles grow as the cube root of slopes, and as the root of impulses.
-OF_PUSH = tuple(slope ** (2 / 3) for slope in (*ANCHORS, 1e-4, 1e-6))
+#: Slopes whose steps are as short as those of the weakest drives that are searched.
+_GENTLE = (1e-4, 1e-6)
 _SHARES = 3
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them
 #: along the branch.
@@ -356,6 +355,13 @@ def searched_in(walker: Walker, time_units: Sequence[float]) -> list[str]:
     return words
 
 
+def driven_anchors(drive: Drive, walker: Walker) -> tuple[float, ...]:
+    """Return the values of a drive other than the slope at which gaits to follow are
+    searched for.
+    """
+    return drive.anchors(walker, (*ANCHORS, *_GENTLE))
+
+
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:
     """Find every branch of one walker's anthropomorphic gaits: the atlas of its line,
     as `survey_lines` does.
@@ -430,8 +436,8 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[ndarray, ndarray]]:
     (c, n) and their lines.
     """
     slopes = (*ANCHORS, VANISHING)
-    if problem.drive is not OVER_SLOPE:
-        slopes = OF_PUSH
+    if problem.drive.at_slope is not None:
+        slopes = driven_anchors(problem.drive, problem.walker)
     gaits = search_lines(problem, slopes, _SHARES)
     counts = np.array([[w.shape[1] for w in of_lines] for of_lines in gaits])
     at_slope = counts.sum(axis=1)

@@ -140,7 +140,8 @@ def correct_and_evaluate(
 def _stop_reasons(point: Point) -> ndarray:
     """Why tracks stop at their points; empty where they go on."""
     q, angle = point.at.q, point.Z[0]
-    least, largest = np.log(point.at.problem.drive.window)
+    problem = point.at.problem
+    least, largest = np.log(problem.drive.window(problem.walker))
     beyond = (q <= least) | (q >= largest)
     vanished = rate_of_steps(point.Z, point.at.m, point.at.stride.steps) > MOST_RATE
     early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5

@@ -13,7 +13,6 @@ from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.mechanics.small_gaits import small_gaits
-from gaitsweep.tasks.step.drive import OVER_SLOPE
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.verify_step import StepCheck
@@ -57,6 +56,8 @@ VANISHING, _FAST = 1e-6, 1.0
 #: Length from the hip to the centre of the foot's arc, over the leg, below which steps
 #: are longer.
 _ROUND = 0.5
+#: What drives guesses at least, as a slope [rad].
+_LEAST_DRIVING = 1e-24
 #: Largest angle of guesses that a push-off drives, over the root of its impulse.
 _BY_PUSH = 2.0
 #: Angles of guesses that lose no energy to first order, over the largest.
@@ -146,7 +147,8 @@ def _largest_angle(slope: float, linear: SmallAngles) -> float:
     cube is the slope over the square of what is left of the length (section 4.1).
     """
     rolling = max(1.0, _ROUND / linear.length) ** (2 / 3)
-    driving = max(slope + 2 * max(linear.torque, 0.0), 0.0)
+    torque = max(linear.torque, 0.0)
+    driving = max(slope + 2 * torque, torque, _LEAST_DRIVING)
     by_push = _BY_PUSH * float(linear.push) ** 0.5
     return float(2.0 * rolling * driving ** (1 / 3)) + by_push
 
@@ -338,7 +340,7 @@ def _starts(
 ) -> list[np.ndarray]:
     """The initial guesses of a line at some values of its drive."""
     walker = problem.walker_of(line)
-    if problem.drive is OVER_SLOPE:
+    if problem.drive.at_slope is None:
         return starts(walker, drives, shares)
     of_each = []
     for i, drive in enumerate(drives):

@@ -35,6 +35,7 @@ from gaitsweep.tasks.measures.losses import (
     velocity_ratio,
 )
 from gaitsweep.tasks.mechanics.sums import total
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
@@ -279,7 +280,7 @@ def describe(
     at : Polished
         The gaits.
     slope : ndarray, shape (n,)
-        The slopes [rad], or what else drives the walker.
+        The slopes [rad], or another drive of a problem over that.
     want : sequence of str
         Names of variables.
     limits : mapping, optional
@@ -290,6 +291,8 @@ def describe(
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
+    if problem.drive.at_slope is not None:
+        return _described_by_drive(problem, at, slope, want, limits)
     stride, walker = at.stride, problem.every_walker
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
@@ -308,7 +311,6 @@ def describe(
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
     of_gaits = of_all_steps(measured, problem.steps)
-    slope = problem.slopes(slope)
     of_gaits |= travel(
         walker, slope, of_gaits["step_length"], of_gaits["period"], problem.steps
     )
@@ -329,6 +331,30 @@ def describe(
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
     return solved
+
+
+def _described_by_drive(
+    problem: Problem,
+    at: Polished,
+    drive: np.ndarray,
+    want: Sequence[str],
+    limits: Mapping[str, float] | None,
+) -> Arrays:
+    """Variables of gaits as `describe` has them, of a walker at values of its drive."""
+    values, group = np.unique(drive, return_inverse=True)
+    parts, places = [], []
+    for number, value in enumerate(values.tolist()):
+        some = np.flatnonzero(group == number)
+        slope = problem.slopes(drive[some])
+        driven = problem.driven_by(value)
+        parts.append(describe(driven, lanes_of(at, some), slope, want, limits))
+        places.append(some)
+
+    order = np.argsort(np.concatenate(places))
+    return {
+        name: np.concatenate([part[name] for part in parts])[order]
+        for name in parts[0]
+    }
 
 
 def _steps(problem: Problem, walker: Walker, at: Polished, slope: np.ndarray) -> Steps:

@@ -42,7 +42,8 @@ def energies(
 
         T = m/2 (x'^2 + y'^2 + r^2 a'^2),    V = m g (y cos(slope) - x sin(slope)),
 
-    with x down the slope and y along its normal (figure 1 of the paper).
+    with x down the slope and y along its normal (figure 1 of the paper), and of the
+    spring between the thighs k/2 (swing - stance - rest)^2.
     """
     kinetic = ZERO
     potential = ZERO
@@ -56,7 +57,27 @@ def energies(
 
         height = y * hy.cos(slope) - x * hy.sin(slope)
         potential += part.mass * walker.g * height
+    if walker.hip_stiffness:
+        stretch = q[1] - q[0] - walker.hip_rest
+        potential += 0.5 * walker.hip_stiffness * stretch**2.0
     return kinetic, potential
+
+
+def hip_forces(walker: Walker, rate: list[Sym]) -> list[Sym]:
+    """Generalised forces of damper and motor between the thighs, which no energy has.
+
+    Parameters
+    ----------
+    walker : Walker
+    rate : list of expression
+
+    Returns
+    -------
+    list of expression
+        On the stance leg, the swing thigh and, with a free knee, the swing shank.
+    """
+    torque = walker.hip_torque - walker.hip_damping * (rate[1] - rate[0])
+    return [-torque, torque, *[ZERO] * (len(rate) - 2)]
 
 
 class _Part(NamedTuple):

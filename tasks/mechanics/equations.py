@@ -308,6 +308,13 @@ class Motion:
             matrix[1][0] = matrix[1][0] - factor
             matrix[1][1] = matrix[1][1] + factor
 
+    def by_hip_torque(self) -> list[Sym]:
+        """Derivatives of the residual by the constant torque between the thighs."""
+        p = self.p
+        on_swing = p.hold(-ONE / p.scale)
+        on_stance = p.hold(p.eps / p.scale)
+        return [on_stance, on_swing, *[ZERO] * (len(self.q) - 2)]
+
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""
         p = self.p
@@ -393,7 +400,8 @@ def system(
     directions : int
         Number of variations of the initial state carried along.
     with_slope : bool
-        True where the last of them is the derivative by the slope.
+        True where the last of them is the derivative by the slope, or by the torque
+        between the thighs where that is the structure's drive.
 
     Returns
     -------
@@ -421,8 +429,10 @@ def system(
         dv = _variables(f"dv{{}}_{d}", n)
         change = _product(by_q, dq, by_rate, dv)
         if with_slope and d == directions - 1:
-            by_slope = motion.by_slope()
-            change = [a + b for a, b in zip(change, by_slope, strict=True)]
+            by_drive = motion.by_slope()
+            if structure.drive == "hip_torque":
+                by_drive = motion.by_hip_torque()
+            change = [a + b for a, b in zip(change, by_drive, strict=True)]
         variation = solve([-x for x in change])
         equations += [*zip(dq, dv, strict=True), *zip(dv, variation, strict=True)]
     return System(equations, p.held_values or [], p.variables)

@@ -248,8 +248,8 @@ class Structure:
     #: Whether anything acts between the thighs, and whether the trailing leg pushes.
     has_hip_torque: bool = False
     pushes_off: bool = False
-    #: What the step map is differentiated by beside its state: the slope, or the impulse
-    #: of the push-off.
+    #: What the step map is differentiated by beside its state: `slope`, `push_off` or
+    #: `hip_torque`.
     drive: str = "slope"
 
     @property
@@ -283,7 +283,8 @@ class Structure:
         """Return the structure of the motion, on which what happens at heelstrike has no
         bearing.
         """
-        if not (self.locks_trailing_knee or self.pushes_off):
+        at_strikes = self.locks_trailing_knee, self.pushes_off, self.drive == "push_off"
+        if not any(at_strikes):
             return self
         constants = tuple(name for name in self.constants if name not in _AT_STRIKES)
         units = tuple(unit for unit in self.units if unit[0] not in _AT_STRIKES)
@@ -293,7 +294,7 @@ class Structure:
             units=units,
             locks_trailing_knee=False,
             pushes_off=False,
-            drive="slope",
+            drive="slope" if self.drive == "push_off" else self.drive,
         )
 
 
@@ -352,6 +353,8 @@ def locked(structure: Structure, parameters: ndarray) -> tuple[Structure, ndarra
     if structure.has_hip_torque:
         rows.append(parameters[of_knees.stop :][: len(_OF_HIP)])
     straight = general_structure(False, has_hip_torque=structure.has_hip_torque)
+    drive = structure.between_strikes().drive
+    straight = replace(straight, drive=drive)
     return straight, np.concatenate(rows)
 
 

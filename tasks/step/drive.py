@@ -1,25 +1,32 @@
-"""What drives a walker along its branches: the slope of the ground, or at one slope, level
-or even uphill, the push-off of the trailing leg.
+"""What drives a walker along its branches: the slope of the ground or, at one slope, level
+or even uphill, the push-off of the trailing leg or a torque between the thighs.
 
-Gaits are followed over the logarithm of the drive, which is positive. The last unknown of
-a gait's equations is ln slope or ln push-off.
+Gaits are followed over the logarithm of the drive, which is positive: the last unknown of
+their equations is ln slope, ln push-off or ln torque.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy import ndarray
 
 from gaitsweep.tasks.contract.registry import SLOPES
-from gaitsweep.tasks.mechanics.lumped import Structure, structure_of
+from gaitsweep.tasks.mechanics.lumped import Structure, lump, structure_of
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Windows in which branches are followed: of slopes [rad], and of impulses [mass sqrt(g
-#: leg)], as whose root angles grow.
-_SLOPES, _IMPULSES = (SLOPES[0], 0.7), (1e-12, 2.0)
-#: An impulse that is a parameter of compiled code [mass sqrt(g leg)].
+SLOPE, PUSH_OFF, HIP_TORQUE = "slope", "push_off", "hip_torque"
+#: Windows in which branches are followed: of slopes [rad], impulses [mass sqrt(g leg)],
+#: as whose root angles grow, and torques [weight leg], which give a step as much as
+#: twice as large a slope.
+_WINDOWS = {
+    SLOPE: (SLOPES[0], 0.7),
+    PUSH_OFF: (1e-12, 2.0),
+    HIP_TORQUE: (1e-18, 0.35),
+}
+#: A drive of no special size, which is a parameter of compiled code.
 _ORDINARY = 0.4871
 
 
@@ -29,24 +36,39 @@ class Drive:
 
     Attributes
     ----------
+    key : str
+        `slope`, `push_off` or `hip_torque`.
     at_slope : float or None
-        The slope [rad] at which the push-off drives; None where the slope drives.
+        The slope [rad] at which another key drives; None where it drives itself.
     """
 
+    key: str = SLOPE
     at_slope: float | None = None
-
-    @property
-    def name(self) -> str:
-        """The key whose logarithm is an unknown."""
-        return "slope" if self.at_slope is None else "push_off"
 
     def structure(self, walker: Walker) -> Structure:
         """Return the structure of a walker, differentiated by the drive."""
-        if self.at_slope is None:
+        if self.key == SLOPE:
             return structure_of(walker)
-        # Of no special size, or it would be compiled as a number.
-        pushing = replace(walker, push_off=_ORDINARY * unit_of_impulse(walker))
-        return replace(structure_of(pushing), drive=self.name)
+        driven = replace(walker, **{self.key: _ORDINARY * self.unit(walker)})
+        return replace(structure_of(driven), drive=self.key)
+
+    def unit(self, walker: Walker) -> float:
+        """Return the unit of the drive inside the solver, in the walker's units."""
+        if self.key == SLOPE:
+            return 1.0
+        if self.key == PUSH_OFF:
+            return unit_of_impulse(walker)
+        return 1.0 / float(_lumped_torque(walker))
+
+    def of(self, walker: Walker) -> float:
+        """Return the drive of a walker; 0 where it has none."""
+        return float(getattr(walker, self.key) / self.unit(walker))
+
+    def at(self, walker: Walker, drive: float) -> tuple[Walker, float]:
+        """Return a walker and the slope [rad] at a value of the drive."""
+        if self.at_slope is None:
+            return walker, drive
+        return replace(walker, **{self.key: drive * self.unit(walker)}), self.at_slope
 
     def slopes(self, drive: ndarray) -> ndarray:
         """Return the slopes at values of the drive.
@@ -63,18 +85,6 @@ class Drive:
             return drive
         return np.full(np.shape(drive), self.at_slope)
 
-    def at(self, walker: Walker, drive: float) -> tuple[Walker, float]:
-        """Return a walker and the slope [rad] at a value of the drive."""
-        if self.at_slope is None:
-            return walker, drive
-        push = drive * unit_of_impulse(walker)
-        return replace(walker, push_off=push), self.at_slope
-
-    @property
-    def window(self) -> tuple[float, float]:
-        """Least and largest value at which branches are followed."""
-        return _SLOPES if self.at_slope is None else _IMPULSES
-
     def impulses(self, walker: Walker, drive: ndarray) -> ndarray:
         """Return the impulses of the push-off at values of the drive.
 
@@ -87,10 +97,10 @@ class Drive:
         -------
         ndarray, shape (n,) [mass sqrt(g leg)]
         """
-        if self.at_slope is None:
-            own = walker.push_off / unit_of_impulse(walker)
-            return np.asarray(np.broadcast_to(own, np.shape(drive)))
-        return drive
+        if self.key == PUSH_OFF:
+            return drive
+        own = walker.push_off / unit_of_impulse(walker)
+        return np.asarray(np.broadcast_to(own, np.shape(drive)))
 
     def constants(
         self, structure: Structure, constants: ndarray, drive: ndarray
@@ -101,8 +111,50 @@ class Drive:
         if self.at_slope is None:
             return constants
         driven = constants.copy()
-        driven[structure.constants.index("push")] = drive
+        row = structure.constants.index(_LUMPED[self.key])
+        driven[row] = drive + (driven[row] if self.key == HIP_TORQUE else 0.0)
         return driven
+
+    def set_exact(
+        self, constants: dict[str, object], drive: float, number: Callable[[float], object]
+    ) -> None:
+        """Set constants of a wider type of number to a value of the drive."""
+        if self.key == PUSH_OFF:
+            constants["push"] = number(drive)
+        if self.key == HIP_TORQUE:
+            constants["hip_bias"] = constants["hip_bias"] + number(drive)  # type: ignore[operator]
+
+    def window(self, walker: Walker) -> tuple[float, float]:
+        """Return the least and largest value at which a walker's branches are
+        followed.
+        """
+        low, high = _WINDOWS[self.key]
+        unit = self._size(walker)
+        return low * unit, high * unit
+
+    def anchors(self, walker: Walker, slopes: tuple[float, ...]) -> tuple[float, ...]:
+        """Return values at which steps are as long as those on slopes [rad]: angles grow
+        as the cube root of slopes and torques, and as the root of impulses.
+        """
+        if self.key == PUSH_OFF:
+            return tuple(slope ** (2 / 3) for slope in slopes)
+        return tuple(slope / 2 * self._size(walker) for slope in slopes)
+
+    def _size(self, walker: Walker) -> float:
+        """What drives like a slope of 1/2, of torques: they are over the swing leg's
+        inertia.
+        """
+        return 1 / lump(walker)["eps"] if self.key == HIP_TORQUE else 1.0
+
+
+#: The lumped constants that drive.
+_LUMPED = {PUSH_OFF: "push", HIP_TORQUE: "hip_bias"}
+
+
+def _lumped_torque(walker: Walker) -> float:
+    """The lumped constant of a unit torque."""
+    alone = replace(walker, hip_torque=1.0, hip_rest=0.0)
+    return float(lump(alone)["hip_bias"])
 
 
 def unit_of_impulse(walker: Walker) -> float:
@@ -112,5 +164,5 @@ def unit_of_impulse(walker: Walker) -> float:
     return walker.total_mass * (walker.g * walker.leg) ** 0.5
 
 
-#: Passive walking, and walkers with a push-off on a slope that varies.
+#: Passive walking, and walkers that are driven on a slope that varies.
 OVER_SLOPE = Drive()

@@ -146,8 +146,7 @@ class _ExtendedStepMap:
         """Parameters of the compiled functions, for a lane at a value of its drive."""
         # Long double leaves differences in them too few digits.
         constants = lump(problem.walker_of(lane), hy.real128)
-        if problem.drive.name == "push_off":
-            constants["push"] = hy.real128(drive)
+        problem.drive.set_exact(constants, drive, hy.real128)
         slope = float(problem.slopes(np.array([drive]))[0])
         values = [constants[name] for name in self.structure.constants]
         if self.number is not hy.real128:

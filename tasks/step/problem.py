@@ -71,6 +71,18 @@ class Problem:
         """
         return self.drive.impulses(self.every_walker, drive)
 
+    def driven_by(self, drive: float) -> Problem:
+        """Return the problem of the walker that has a value of the drive, one for all
+        lanes, over the slope.
+        """
+        if self.drive.at_slope is None:
+            return self
+        other = copy.copy(self)
+        other.walker, _ = self.drive.at(self.walker, drive)
+        other.constants = constants_of(WalkerArray.of([other.walker]), self.structure)
+        other.drive = OVER_SLOPE
+        return other
+
     def parameters(self, drive: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Runtime parameters of every lane.
 

@@ -176,7 +176,7 @@ class StrideMap:
         self.m, self.kneed = structure.dimension, structure.kneed
         self.start_size = 6 if self.kneed else 4
         #: Whether the drive acts in heelstrike alone, not all along as the slope does.
-        self.by_push = structure.drive != "slope"
+        self.by_push = structure.drive == "push_off"
         self._start = self._compile_start()
         if self.kneed:
             self._knee = self._compile_knee()

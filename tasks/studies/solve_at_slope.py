@@ -141,7 +141,7 @@ def _solve_steps(
 def _solve_driven(
     line: Mapping[str, Any], walker: Walker, request: Request
 ) -> dict[str, Any]:
-    """Gaits on level ground or uphill, where the push-off drives."""
+    """Gaits on level ground or uphill, where push-off or torque drive."""
     slope = float(request.slope[0])
     point = solve_line(line, [], request)
     found = _converged(point)
@@ -152,8 +152,8 @@ def _solve_driven(
         for place in range(2)
         if place not in found
     ]
-    problem, impulse = driven(walker, slope, request.steps)
-    log = [searched_driven(problem)] if impulse else []
+    problem, drive = driven(walker, slope, request.steps)
+    log = [searched_driven(problem)] if drive else []
     return answer(records, walker, log, [*dict.fromkeys(absent)])
 
 

@@ -1,7 +1,8 @@
-"""Gaits on level ground and uphill, where a push-off drives.
+"""Gaits on level ground and uphill, where a push-off or a torque between the thighs
+drives.
 
-Branches are followed over the impulse of the push-off at one slope, and the walker's own
-impulse is a point on them.
+Branches are followed over the drive at one slope, and the walker's own drive is a point
+on them.
 """
 
 from __future__ import annotations
@@ -15,18 +16,19 @@ import numpy as np
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.refine import COARSE
-from gaitsweep.tasks.step.drive import Drive, unit_of_impulse
+from gaitsweep.tasks.step.drive import HIP_TORQUE, PUSH_OFF, Drive
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Lines whose branches are remembered: those of one walker and slope, whatever the
-#: impulse.
+#: drive.
 _REMEMBERED = 32
 
 
 def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float]:
-    """Return the problem of a walker whose push-off drives it, and the impulse.
+    """Return the problem of a walker that its push-off drives, or else the torque
+    between its thighs, and that drive: 0 where nothing does.
 
     Parameters
     ----------
@@ -38,22 +40,24 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
     Returns
     -------
     Problem
-    float [mass sqrt(g leg)]
+    float
+        In units of the leg, the walker's mass and g.
     """
-    at_rest = replace(walker, push_off=0.0)
-    problem = Problem(at_rest, steps, Drive(slope))
-    return problem, walker.push_off / unit_of_impulse(walker)
+    turns = walker.hip_torque > 0 and not walker.massless_leg
+    key = HIP_TORQUE if turns and not walker.push_off else PUSH_OFF
+    drive = Drive(key, slope)
+    problem = Problem(replace(walker, **{key: 0.0}), steps, drive)
+    return problem, drive.of(walker)
 
 
 def branches_of(problem: Problem) -> list[Branch]:
     """Return all branches of gaits over the push-off, of a walker at one slope."""
-    assert problem.drive.at_slope is not None
-    return _branches(problem.walker, problem.drive.at_slope, problem.steps)
+    return _branches(problem.walker, problem.drive, problem.steps)
 
 
 @functools.lru_cache(maxsize=_REMEMBERED)
-def _branches(walker: Walker, slope: float, steps: int) -> list[Branch]:
-    problem = Problem(walker, drive=Drive(slope))
+def _branches(walker: Walker, drive: Drive, steps: int) -> list[Branch]:
+    problem = Problem(walker, drive=drive)
     single = atlases.survey(problem, COARSE)
     if steps == 1:
         return single
@@ -61,18 +65,18 @@ def _branches(walker: Walker, slope: float, steps: int) -> list[Branch]:
 
 
 def searched(problem: Problem) -> str:
-    """Say how gaits over the push-off were searched for."""
-    impulses = np.array(atlases.OF_PUSH) * unit_of_impulse(problem.walker)
-    slope = problem.drive.at_slope
+    """Say how gaits over the drive were searched for."""
+    drive, walker = problem.drive, problem.walker
+    values = np.array(atlases.driven_anchors(drive, walker)) * drive.unit(walker)
     return (
-        f"searched from initial guesses at {len(impulses)} values of `push_off` from "
-        f"{impulses.min():.3g} to {impulses.max():.3g}, at slope {slope:g}"
+        f"searched from initial guesses at {len(values)} values of `{drive.key}` from "
+        f"{values.min():.3g} to {values.max():.3g}, at slope {drive.at_slope:g}"
     )
 
 
 def in_units(
     problem: Problem, pieces: Sequence[tuple[float, float]]
 ) -> list[tuple[float, float]]:
-    """Return ranges of impulses in the walker's units."""
-    unit = unit_of_impulse(problem.walker)
+    """Return ranges of the drive in the walker's units."""
+    unit = problem.drive.unit(problem.walker)
     return [(low * unit, high * unit) for low, high in pieces]

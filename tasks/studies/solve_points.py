@@ -31,7 +31,6 @@ from gaitsweep.tasks.measures.gaits import (
     to_accuracy,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
-from gaitsweep.tasks.step.drive import OVER_SLOPE
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.studies.interpolate import Interpolation
@@ -186,11 +185,11 @@ def _on_any_ground(
 def _solve_driven(
     line: Mapping[str, Any], walker: Walker, slope: float, request: Request
 ) -> Arrays:
-    """Gaits of a line at one slope at which its push-off drives."""
-    problem, impulse = driven(walker, slope, request.steps)
-    if not impulse:
+    """Gaits of a line at one slope at which something else drives."""
+    problem, drive = driven(walker, slope, request.steps)
+    if not drive:
         return _undriven(walker, slope, request)
-    here = replace(request, slope=np.array([impulse]), interpolated=False)
+    here = replace(request, slope=np.array([drive]), interpolated=False)
     (solved,) = _solve_branches(problem, [line], [branches_of(problem)], here)
     return solved
 
@@ -198,7 +197,10 @@ def _solve_driven(
 def _undriven(walker: Walker, slope: float, request: Request) -> Arrays:
     """No gait, of a walker that nothing drives."""
     solved = nothing_solved(request.wanted.names, 1, walker.knees)
-    why = f"No gait at slope {slope:g}: nothing drives the walker there; `push_off` is 0."
+    why = (
+        f"No gait at slope {slope:g}: nothing drives the walker there, neither "
+        "`push_off` nor a positive `hip_torque` on legs with mass."
+    )
     return {**solved, "reasons": np.array(status.reasons(why, why))}
 
 
@@ -461,14 +463,14 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
         outside = _outside(branches, problem.steps)
         return status.reasons(outside, outside)
     lost = sorted(slope for branch in branches for slope in branch.lost())
-    if problem.drive is OVER_SLOPE:
+    if problem.drive.at_slope is None:
         searched = f"searched from {atlases.searched(problem.walker)}"
         pieces = [list(spans(branches, label)) for label in GAITS[:2]]
     else:
         searched = searched_driven(problem)
         pieces = [in_units(problem, [*spans(branches, label)]) for label in GAITS[:2]]
     long, short = (
-        status.outside(label, of_label, searched, lost, problem.drive.name)
+        status.outside(label, of_label, searched, lost, problem.drive.key)
         for label, of_label in zip(GAITS[:2], pieces, strict=True)
     )
     return status.reasons(long, short)

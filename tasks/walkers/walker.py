@@ -172,6 +172,9 @@ class Walker:
             object.__setattr__(self, "m_s", 0.0)
         self._check_geometry()
         self._check_inertia()
+        self._refuse(
+            "must lie in [-pi, pi] rad", {"hip_rest": abs(self.hip_rest) > math.pi}
+        )
 
     def _check_trailing_knee(self) -> None:
         rule = self.trailing_knee
