@@ -81,7 +81,7 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     decimals written.
     """
     slope, gait = options.slope, options.gait
-    slopes.check(float(slope))
+    slopes.check(float(slope), may_be_level=True)
     Location("", "gait").check_names([] if gait is None else [gait], GAITS)
     known, _ = led(options.walker, options.set)
     ask("check_walker", {"walker": known})

@@ -53,6 +53,27 @@ class Vector:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """What drives a walker beside gravity, in its units; of a light leg over its mass.
+
+    Attributes
+    ----------
+    push : arb
+        Impulse of the push-off.
+    knee : Vector
+        Of the extended leg, from the hip.
+    stiffness, damping, bias : arb
+        The torque on the swing leg is bias - stiffness (b - a) - damping (b' - a').
+    """
+
+    push: arb
+    knee: Vector
+    stiffness: arb
+    damping: arb
+    bias: arb
+
+
+@dataclass(frozen=True)
 class Body:
     """Constants of the equations of motion, in the walker's units.
 
@@ -77,6 +98,8 @@ class Body:
     kneed, point_foot : bool
     locks_trailing_knee : bool
         Whether the knee of the leg that leaves the ground is locked during heelstrike.
+    drive : Drive
+        What drives the walker beside gravity.
     """
 
     R: arb
@@ -93,6 +116,7 @@ class Body:
     kneed: bool
     point_foot: bool
     locks_trailing_knee: bool = False
+    drive: Drive | None = None
 
     @property
     def frees_trailing_knee(self) -> bool:
@@ -148,6 +172,13 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
     leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
 
     mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
+    drive = None
+    if any(not _is_zero(keys.get(key, 0)) for key in (*_OF_HIP, "push_off")):
+        # That of legs without mass is given over their inertia, g and the leg.
+        length = l + k["R"]
+        torque = arb(1) if heavy else leg_inertia * k["g"] / length
+        time = arb(1) if heavy else (length / k["g"]).sqrt()
+        drive = _drive(k, knee, torque, time)
     first = Vector(zero, mass * l)
     second = mass * (l * l + k["R"] ** 2)
     if heavy:
@@ -168,6 +199,25 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
         kneed=kneed,
         point_foot=_is_point_foot(keys, kneed),
         locks_trailing_knee=trailing_knee == "locked",
+        drive=drive,
+    )
+
+
+#: Keys of what acts between the thighs.
+_OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
+
+
+def _drive(k: Mapping[str, arb], knee: Vector, torque: arb, time: arb) -> Drive:
+    """What drives a walker, with units of torque and time in which it is given."""
+    none = arb(0)
+    stiffness = k.get("hip_stiffness", none)
+    bias = stiffness * k.get("hip_rest", none) + k.get("hip_torque", none)
+    return Drive(
+        push=k.get("push_off", none),
+        knee=knee,
+        stiffness=stiffness * torque,
+        damping=k.get("hip_damping", none) * torque * time,
+        bias=bias * torque,
     )
 
 

@@ -15,9 +15,49 @@ from flint import arb, arb_mat, arb_series, ctx
 from gaitsweep.tasks.proofs.body import Body, Vector
 
 
+def push_off(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
+    """Rates that the push-off before a heelstrike adds to those after it, and their
+    derivative by the stance angle before.
+
+    Parameters
+    ----------
+    body : Body
+    angle : arb
+        Stance angle just before [rad].
+
+    Returns
+    -------
+    arb_mat, arb_mat
+        Shape (2 or 3, 1).
+
+    Notes
+    -----
+    The impulse at the trailing contact, toward the hip, has a moment about the new contact,
+    and about the knee if that is free.
+    """
+    swing = [body.thigh, body.shank] if body.frees_trailing_knee else [body.leg]
+    size = 1 + len(swing)
+    if body.drive is None:
+        return arb_mat(size, 1), arb_mat(size, 1)
+    with _two_terms():
+        old = _sin_cos(arb_series([angle, 1]))
+        new = _sin_cos(arb_series([-angle, -1]))
+        rows = _mass(body, new, [old] * len(swing), swing)
+        cos, sin = old
+        to_hip = Vector(-body.l * sin, body.l * cos + body.R)
+        length = to_hip.dot(to_hip).sqrt()
+        impulse = to_hip * (body.drive.push / length)
+        gained = [impulse.dot(_hip(body, new))]
+        bending = 0 * gained[0]
+        if body.frees_trailing_knee:
+            bending = impulse.dot(body.drive.knee.turned(*old).normal())
+        gained += [bending, -bending][: len(swing)]
+        return _solved(rows, [[each] for each in gained])
+
+
 def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
     """Rates after heelstrike from those before, and the derivative by the stance angle
-    before.
+    before; what a push-off adds is `push_off`'s.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from flint import arb, arb_mat
 
 from gaitsweep.tasks.proofs.body import Body
-from gaitsweep.tasks.proofs.collisions import heelstrike, kneestrike
+from gaitsweep.tasks.proofs.collisions import heelstrike, kneestrike, push_off
 from gaitsweep.tasks.proofs.enclosure import Accuracy, Flow, State, flow, narrower
 from gaitsweep.tasks.proofs.motion import velocity
 
@@ -123,24 +123,33 @@ def start(body: Body, x: Sequence[arb]) -> tuple[State, arb_mat]:
     if body.locks_trailing_knee:
         return [*state, rates[-1]], arb_mat([*rows, rows[-1]])
 
-    law, by_angle = _release(body, angle, m - 1)
-    last = law * _column(rates)
-    turn = by_angle * _column(rates)
+    last, law, turn = _release(body, angle, _column(rates))
     for i, by_rates in enumerate(law.tolist()):
         rows.append([turn[i, 0], *by_rates])
     return [*state, *last.entries()], arb_mat(rows)
 
 
-def _release(body: Body, angle: arb, leading: int) -> tuple[arb_mat, arb_mat]:
-    """Last rates after heelstrike as a matrix of the leading ones, and its derivative
-    by the new stance angle.
+def _release(
+    body: Body, angle: arb, rates: arb_mat
+) -> tuple[arb_mat, arb_mat, arb_mat]:
+    """Last rates after heelstrike from the leading ones, and their derivatives by these
+    and by the new stance angle.
     """
+    leading = rates.nrows()
     after, by_before = heelstrike(body, -angle)
     top, low = _split(after, leading)
     d_top, d_low = _split(by_before, leading)
     inverse = top.inv()
     law = low * inverse
-    return law, (law * d_top - d_low) * inverse
+    by_angle = (law * d_top - d_low) * inverse
+    if body.drive is None:
+        return law * rates, law, by_angle * rates
+
+    added, d_added = (each.tolist() for each in push_off(body, -angle))
+    own = rates - arb_mat(added[:leading])
+    last = law * own + arb_mat(added[leading:])
+    turn = law * arb_mat(d_added[:leading]) - arb_mat(d_added[leading:])
+    return last, law, by_angle * own + turn
 
 
 def _split(matrix: arb_mat, leading: int) -> tuple[arb_mat, arb_mat]:
@@ -272,6 +281,8 @@ def _by_image(body: Body, end: State, V: arb_mat, m: int) -> list[list[arb]]:
     """Derivatives of the section state after heelstrike, by those before it."""
     law, by_angle = heelstrike(body, end[0])
     turn = by_angle * _column(end[2:])
+    if body.drive is not None:
+        turn = turn + push_off(body, end[0])[1]
     angle, _, stance_rate, swing_rate = V.tolist()
     rows = [[-x for x in angle]]
     for i in range(m - 1):
@@ -310,4 +321,6 @@ def _image(body: Body, before: State, m: int) -> list[arb]:
     """Section state after the heelstrike that ends a step."""
     law, _ = heelstrike(body, before[0])
     rates = law * _column(before[2:])
+    if body.drive is not None:
+        rates = rates + push_off(body, before[0])[0]
     return [-before[0], *rates.entries()[: m - 1]]

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from flint import arb, arb_mat
 
-from gaitsweep.tasks.proofs.body import Body, Vector
+from gaitsweep.tasks.proofs.body import Body, Drive, Vector
 
 Series = list[arb]
 #: Cosine and sine parts.
@@ -221,7 +221,20 @@ class Motion:
         if self.n == 3:
             force[1] += product(self.joint[1], squares[2], k)
             force[2] -= product(self.joint[1], squares[1], k)
+        if self.body.drive is not None:
+            self._add_hip_torque(self.body.drive, force, k)
         return force
+
+    def _add_hip_torque(self, drive: Drive, force: list[arb], k: int) -> None:
+        """Add coefficient k of the torque between the thighs."""
+        between = self.q[1][k] - self.q[0][k]
+        opening = self.w[1][k] - self.w[0][k]
+        torque = -drive.stiffness * between - drive.damping * opening
+        if k == 0:
+            torque += drive.bias
+        force[1] += torque
+        if self.body.heavy:
+            force[0] -= torque
 
     @property
     def _rolls(self) -> bool:
@@ -272,6 +285,8 @@ class Motion:
             self._of_swing(j, k, by_q[j], by_w[j])
         if n == 3:
             self._of_knee(k, by_q, by_w)
+        if self.body.drive is not None and k == 0:
+            self._of_hip(self.body.drive, by_q, by_w)
 
         rows = [[*q, *w] for q, w in zip(by_q, by_w, strict=True)]
         if slope:
@@ -279,6 +294,17 @@ class Motion:
                 sinking = self.sinking if i == 0 and k == 0 else 0
                 row.append(self.weight[k][i][1] + sinking)
         return rows
+
+    def _of_hip(
+        self, drive: Drive, by_q: list[Series], by_w: list[Series]
+    ) -> None:
+        """Add the derivatives of the torque between the thighs."""
+        for rows, factor in ((by_q, drive.stiffness), (by_w, drive.damping)):
+            rows[1][0] -= factor
+            rows[1][1] += factor
+            if self.body.heavy:
+                rows[0][0] += factor
+                rows[0][1] -= factor
 
     def _by_swing(self, j: int, k: int, by_q: Series, by_w: Series) -> None:
         """Add to the derivatives of the stance leg's equation those by swing link j."""

@@ -379,9 +379,9 @@ def _solve_branches(
         for out, of_line in zip(results, parts, strict=True):
             store({name: out[name][some] for name in names}, of_line, wanted.labels)
 
-    if len(names) < len(void) and problem.walker.is_passive:
+    if len(names) < len(void):
         for line, out in zip(lines, results, strict=True):
-            _prove(out, line, request.slope)
+            _prove(out, line, problem.slopes(request.slope))
     return [
         _answer(problem.alone(i), branches, wanted, out)
         for i, (branches, out) in enumerate(zip(atlas, results, strict=True))
