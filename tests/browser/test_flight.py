@@ -22,6 +22,8 @@ LOCKED_C, LOCKED_PHYSICAL = (
     {"base": name, "trailing_knee": "locked"} for name in ("C", "physical")
 )
 
+HIP = {"hip_stiffness": 0.05, "hip_damping": 5e-4, "hip_rest": 0.1, "hip_torque": 1e-3}
+
 #: Lines of each structure: a walker's name, keys that are set, slopes.
 LINES = {
     "point feet": [("D", {}, np.geomspace(1e-6, 0.1, 24))]
@@ -51,6 +53,13 @@ LINES = {
     + [
         (LOCKED_C, {}, np.geomspace(1e-6, 1e-3, 12)),
         (LOCKED_PHYSICAL, {}, np.linspace(0.02, 0.11, 60)),
+    ],
+    "driven": [
+        ("D", {"push_off": 0.05, "hip_stiffness": 0.5}, np.linspace(0, 0.05, 26)),
+        ("E", {"push_off": 0.1}, np.linspace(0, 0.05, 26)),
+        ("B", {"push_off": 0.1, **HIP}, np.linspace(0, 0.05, 26)),
+        ("C", {"push_off": 0.05, "hip_torque": 0.01}, np.linspace(0.01, 0.06, 26)),
+        (LOCKED_C, {"push_off": 0.05, **HIP}, np.linspace(0.01, 0.06, 26)),
     ],
 }
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")

@@ -9,7 +9,6 @@ from urllib.parse import parse_qsl, urlencode
 import numpy as np
 import pandas as pd
 
-from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.report.figures import fields
 from gaitsweep.pipeline.report.figures.style import (
     LINE,
@@ -28,9 +27,6 @@ START = ("slope", "stance_angle", *RATES)
 #: holds.
 _MAX_GAITS, _MAX_LINES = 700, 40
 
-#: Keys of what drives a walker beside gravity.
-_OF_DRIVE = dispatch.resolve("gaitsweep.tasks.walkers.walker:OF_DRIVE")
-
 #: Characters of the numbers of all maps of a figure.
 _ROOM = 270_000
 
@@ -47,12 +43,9 @@ def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
 
 def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a line's walker that its script flies, and the limits of
-    violations; empty if one is missing, or the walker is driven, which scripts do not
-    fly.
+    violations; empty if one is missing.
     """
     table = source.parameters(at)
-    if any(table.get(key) for key in _OF_DRIVE):
-        return {}
     kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
     needed = {
         "l_t",

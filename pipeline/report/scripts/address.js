@@ -36,10 +36,10 @@ function writeAddress(gait) {
 
 /** Place on a line's branches nearest to a slope and a stance angle: { branch, at, apart }, `at` counted in nodes. */
 function placeOn(line, slope, angle) {
-  const x = Math.log(slope), y = Math.log(angle);
+  const x = rank(slope), y = Math.log(angle);
   let best = null;
   line.branches.forEach((nodes, branch) => nodes.forEach((node, k) => {
-    const next = nodes[k + 1] ?? node, a = [Math.log(node[0]), Math.log(node[1])], d = [Math.log(next[0]) - a[0], Math.log(next[1]) - a[1]];
+    const next = nodes[k + 1] ?? node, a = [rank(node[0]), Math.log(node[1])], d = [rank(next[0]) - a[0], Math.log(next[1]) - a[1]];
     const size = d[0] ** 2 + d[1] ** 2, share = size ? Math.min(1, Math.max(0, ((x - a[0]) * d[0] + (y - a[1]) * d[1]) / size)) : 0;
     const apart = hypot(x - a[0] - share * d[0], y - a[1] - share * d[1]);
     if (!best || apart < best.apart) best = { branch, at: k + share, apart };
@@ -71,13 +71,13 @@ const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
  */
 function storedGait({ keys, command, slope, start, exact, ...more }) {
   const walker = walkerOf(keys), state = stateOf(walker, start), y = sectionOf(walker, state), told = { ...more, slope, command: withSlope(command, slope) };
-  if (!(slope > 0 && start[0] > 0)) return null;
+  if (!(Number.isFinite(slope) && start[0] > 0)) return null;
   // Where walking ends a strike only just touches, or two coincide, and Newton's method has no derivative.
   const [plain, touching] = [0, 1e-6 * start[0]].map(slack => flyStep(walker, state, slope, 0, slack));
   const [miss, least] = [plain, touching].map(({ fall, end }) => fall ? Infinity : abs(end[0] / start[0] - 1));
   if (least < 1e-7 && least < miss) return describe({ y, slope, start: state, step: touching }, walker, told);
   const found = findGait(walker, y, slope, true);
-  if (found && hypot(Math.log(found.slope / slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
+  if (found && hypot(rank(found.slope) - rank(slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
   // Beside those ends, too, the stored state flies, and returns to itself; of another state the gait is solved.
   return miss < (exact ? 1e-6 : 1e-3) ? describe({ y, slope, start: state, step: plain }, walker, told) : null;
 }
@@ -102,15 +102,15 @@ function gaitAtSlope(line, slope, start, more = {}) {
  * What is shown is always solved: a start that only looks like a gait is where Newton's method begins.
  */
 function gaitNear(line, slope, given) {
-  if (!given.length) { const all = slope > 0 ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
-  const [angle] = given, place = slope > 0 && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
+  if (!given.length) { const all = Number.isFinite(slope) ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
+  const [angle] = given, place = Number.isFinite(slope) && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
   const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {}, own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
   let exact = null;
   if (given.length > (line.keys.knees ? 3 : 2)) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
   else if ("place" in on) {
     const near = between(line.branches[on.branch], on.place).start;
     exact = gaitAtSlope(line, slope, near.map(x => x * angle / near[0]), on) ?? gaitAtSlope(line, slope, near, on);
-  } else if (slope > 0 && angle > 0) exact = gaitGuessed(line, slope, angle);
+  } else if (Number.isFinite(slope) && angle > 0) exact = gaitGuessed(line, slope, angle);
   if (exact || !("place" in on)) return exact;
   // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
   const last = line.branches[on.branch].length - 1;
@@ -136,7 +136,7 @@ function whyNot({ at, slope, start }) {
   const line = lineAt(at), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
   if (line) {
     const slopes = line.branches.flat().map(node => node[0]);
-    if (!(slope > 0)) return "The address has no slope.";
+    if (!Number.isFinite(slope)) return "The address has no slope.";
     if (slopes.length && (slope < Math.min(...slopes) || slope > Math.max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(Math.min(...slopes), 5)} to ${brief(Math.max(...slopes), 5)} rad.`;
     return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
   }
@@ -155,7 +155,7 @@ function gaitsAt(line, slope) {
   line.branches.forEach((nodes, branch) => nodes.slice(0, -1).forEach((a, k) => {
     const b = nodes[k + 1];
     if (a[0] === b[0] || (a[0] - slope) * (b[0] - slope) > 0) return;
-    const place = k + Math.log(slope / a[0]) / Math.log(b[0] / a[0]), gait = gaitAtSlope(line, slope, between(nodes, place).start, { branch, place });
+    const place = k + (rank(slope) - rank(a[0])) / (rank(b[0]) - rank(a[0])), gait = gaitAtSlope(line, slope, between(nodes, place).start, { branch, place });
     if (gait && !found.some(other => abs(other.start[0] / gait.start[0] - 1) < 1e-6)) found.push(gait);
   }));
   return found;
@@ -258,7 +258,7 @@ function cellNamed({ at, slope, start }) {
   for (const map of MAPS.filter(one => !one.free)) {
     const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
     if (own?.start && !start.length && sameLine(own.at, at)) return [map, cell];
-    if (own?.start && sameLine(own.at, at) && hypot(Math.log(own.slope / slope), Math.log(own.start[0] / start[0])) < 1e-6) return [map, cell];
+    if (own?.start && sameLine(own.at, at) && hypot(rank(own.slope) - rank(slope), Math.log(own.start[0] / start[0])) < 1e-6) return [map, cell];
   }
   return null;
 }

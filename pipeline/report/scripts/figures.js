@@ -73,7 +73,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (map) {
       const { at, shown, slope, known, command } = cellOf(map, cell), values = { ...at, slope };
       return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
-        command: known && !map.free && slope > 0 ? withSlope(command, slope) : null };
+        command: known && !map.free && Number.isFinite(slope) ? withSlope(command, slope) : null };
     }
     const [x, y, more, ...values] = curve.rows[row], state = curve.free && curve.starts?.[row]?.slice(0, 3).join(" ");
     if (state) return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: `${withSlope(curve.command, more).replace("solve", "simulate")} --state ${state}` };
@@ -135,8 +135,8 @@ for (const plot of document.querySelectorAll(".plot")) {
       const off = ([x, y], r) => hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
       if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [gait.slope, gait.start[0]]);
     }
-    const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log(angles(curve)[r])];
-    const target = [Math.log(gait.slope), Math.log(gait.start[0])];
+    const place = (curve, r) => [rank(curve.rows[r][2]), Math.log(angles(curve)[r])];
+    const target = [rank(gait.slope), Math.log(gait.start[0])];
     let best = null, least = 0.08;
     for (const curve of series) {
       if (!isOf(curve)) continue;

@@ -8,13 +8,15 @@
 const { abs, cos, exp, hypot, sin } = Math;
 const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
-const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls", "trailing knee unlocks"];
+const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls", "trailing knee unlocks", "push-off slips", "takes off"];
 
 const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
 const multiply = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
 const conjugate = a => [a[0], -a[1]];
 const turned = (a, angle) => multiply(a, [cos(angle), sin(angle)]);
+// Where a slope stands among others: its logarithm; level ground and uphill come before all that lead down.
+const rank = slope => slope > 0 ? Math.log(slope) : 99 * slope - 99;
 const sum = values => values.reduce((total, value) => total + value, 0);
 
 // Links that move as one, by their places in the chain.
@@ -53,18 +55,23 @@ function makeWalker(keys) {
       return plus(total, [masses[k] * product[0], masses[k] * product[1]]);
     }, [i === j ? rotation[i] : 0, 0]);
   }));
+  // What acts between the thighs: of massless legs over their inertia, which is that of K.
+  const weight = massless ? 1 / sum([2, 3].flatMap(i => [2, 3].map(j => K[i][j][0]))) : mass * keys.g * leg;
+  const rateUnit = massless ? weight : weight * Math.sqrt(leg / keys.g), own = name => keys[name] ?? 0;
+  const hip = [own("hip_stiffness") / weight, own("hip_damping") / rateUnit, (own("hip_stiffness") * own("hip_rest") + own("hip_torque")) / weight];
+  const placeOf = (groups, link) => groups.findIndex(g => g.includes(link));
   const gathered = groups => {
     const add = list => list.reduce(plus, none);
     const flat = (values, part) => Float64Array.from(values.flat(), v => v[part]);
     const k = groups.map(g => groups.map(h => [add(g.flatMap(i => h.map(j => K[i][j])))])).flat();
     const s = groups.map(g => add(g.map(i => S[i]))), r = groups.map(g => add(g.map(i => rows[i])));
-    return { n: groups.length, R: keys.R / leg, kr: flat(k, 0), ki: flat(k, 1),
+    return { n: groups.length, groups, hip: hip.some(abs) && hip, massless, stance: placeOf(groups, 1), swing: placeOf(groups, 2), R: keys.R / leg, kr: flat(k, 0), ki: flat(k, 1),
       sr: flat([s], 0), si: flat([s], 1), rr: flat([r], 0), ri: flat([r], 1) };
   };
   const chains = Object.fromEntries(Object.entries(GROUPS).map(([name, groups]) => [name, gathered(groups)]));
   // The links of the walker during heelstrike, in which the trailing knee may be locked.
   const locks = keys.trailing_knee === "locked", striking = keys.knees && !locks ? chains.free : chains.locked;
-  return { keys, kneed: Boolean(keys.knees), pointFoot, massless, ...chains, locks, striking, R: keys.R / leg, l: l / leg, foot, knee, leg, mass,
+  return { keys, kneed: Boolean(keys.knees), pointFoot, massless, ...chains, locks, striking, push: own("push_off") / (mass * Math.sqrt(leg * keys.g)), R: keys.R / leg, l: l / leg, foot, knee, leg, mass,
     time: Math.sqrt(leg / keys.g), speed: Math.sqrt(leg * keys.g), energy: mass * keys.g * leg };
 }
 
@@ -98,6 +105,12 @@ function forces(chain, q, rate, slope, f = new Float64Array(chain.n)) {
     pull += rate[i] * rate[i] * (chain.sr[i] * c - chain.si[i] * s);
   }
   f[0] -= R * pull;
+  if (chain.hip) {
+    const { stance, swing, hip: [stiffness, damping, bias] } = chain;
+    const torque = bias - stiffness * (q[swing] - q[stance]) - damping * (rate[swing] - rate[stance]);
+    f[swing] += torque;
+    if (!chain.massless) f[stance] -= torque;
+  }
   return f;
 }
 
@@ -222,6 +235,26 @@ const lever = (chain, q, j) => {
   return [-im - (j === 0 ? chain.R : 0), re];
 };
 
+/** Direction of the push-off, and its share of the velocity of the trailing contact for a unit rate of each group of links. */
+function pushing(walker, angle) {
+  const toContact = minus(turned([0, -walker.l], -angle), [0, walker.R]), size = -hypot(...toContact);
+  const u = toContact.map(v => v / size), knee = turned(walker.knee, -angle), rest = minus(toContact, knee);
+  const shank = turned(minus([0, walker.l], [-walker.knee[0], -walker.knee[1]]), angle), thigh = turned([-walker.knee[0], -walker.knee[1]], angle);
+  const arms = [[-shank[1] - walker.R, shank[0]], [-thigh[1], thigh[0]], [-knee[1], knee[0]], [-rest[1], rest[0]]];
+  return { u, along: walker.striking.groups.map(g => sum(g.map(j => u[0] * arms[j][0] + u[1] * arms[j][1]))) };
+}
+
+/** What a push-off does to a walker that stands on no foot: velocity of the point that will strike, rates, and its work. */
+function pushOff(walker, angle) {
+  const { u, along } = pushing(walker, angle), chain = walker.striking, { n } = chain, P = walker.push;
+  if (walker.massless) return { u, velocity: u.map(v => P * v), rates: new Float64Array(n), work: P * P / 2 };
+  const q = Float64Array.of(angle, -angle, -angle).subarray(0, n), M = massMatrix(chain, q), levers = Array.from(q, (_, j) => lever(chain, q, j));
+  const rows = [[1, 0, ...levers.map(w => w[0])], [0, 1, ...levers.map(w => w[1])]];
+  levers.forEach((w, i) => rows.push([...w, ...M.subarray(i * n, i * n + n)]));
+  const given = [...u, ...along], [x, y, ...rates] = solveRows(rows, given.map(v => P * v));
+  return { u, velocity: [x, y], rates, work: P / 2 * sum([x, y, ...rates].map((v, i) => v * given[i])) };
+}
+
 /** State just after heelstrike at a stance angle, from the rates of the old stance and swing leg before it. */
 function strikeHeel(walker, angle, rates) {
   const chain = walker.striking, { n } = chain;
@@ -231,6 +264,7 @@ function strikeHeel(walker, angle, rates) {
     const [x, y] = lever(chain, q, i);
     momentum[i] += x * velocity[0] + y * velocity[1];
   }
+  if (walker.push) pushing(walker, angle).along.forEach((v, i) => { if (!walker.massless || !i) momentum[i] += walker.push * v; });
   const after = solveLast(massMatrix(chain, q), momentum);
   // A trailing knee that was locked meanwhile is released with the rate of the whole leg.
   return Float64Array.from(walker.locks ? [...q, -angle, ...after, after[1]] : [...q, ...after]);

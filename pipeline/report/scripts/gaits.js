@@ -8,8 +8,9 @@ const stateAt = (walker, y) => walker.kneed ? strikeHeel(walker, y[0], [y[1], y[
 /** Section coordinates of a state just after heelstrike: with knees, of the nearest that a heelstrike gives. */
 function sectionOf(walker, x) {
   if (!walker.kneed) return [x[0], x[2], x[3]];
-  const dot = (a, b) => sum(Array.from(a, (v, i) => v * b[i])), rates = x.slice(3);
-  const [u, v] = [[1, 0], [0, 1]].map(unit => strikeHeel(walker, x[0], unit).slice(3)), share = dot(u, v) / dot(u, u);
+  const dot = (a, b) => sum(Array.from(a, (v, i) => v * b[i])), gained = strikeHeel(walker, x[0], [0, 0]).slice(3);
+  const rates = x.slice(3).map((v, i) => v - gained[i]);
+  const [u, v] = [[1, 0], [0, 1]].map(unit => strikeHeel(walker, x[0], unit).slice(3).map((w, i) => w - gained[i])), share = dot(u, v) / dot(u, u);
   const rest = v.map((value, i) => value - share * u[i]), swing = dot(rest, rates) / dot(rest, rest);
   return [x[0], dot(u, rates) / dot(u, u) - share * swing, swing];
 }
@@ -18,8 +19,8 @@ function sectionOf(walker, x) {
 function stateOf(walker, [angle, stance, thigh, shank]) {
   const rates = [stance, thigh, shank ?? thigh].slice(0, walker.kneed ? 3 : 2).map(rate => rate * walker.time);
   if (Number.isFinite(thigh)) return Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
-  const unit = strikeHeel(walker, angle, [1, 0]);
-  return strikeHeel(walker, angle, [rates[0] / unit[unit.length / 2], 0]);
+  const [unit, none] = [[1, 0], [0, 0]].map(before => strikeHeel(walker, angle, before)), k = unit.length / 2;
+  return strikeHeel(walker, angle, [(rates[0] - none[k]) / (unit[k] - none[k]), 0]);
 }
 
 /** Image of section coordinates under a step, or null after a fall. */
@@ -124,7 +125,8 @@ function compliance(chain, q, rows) {
 
 /** Energies lost in a step, in weight times leg, on the eigenvectors of the contact mass matrix and at kneestrike. */
 function lossesOf(walker, step) {
-  const angle = step.end[0], v = landing(walker, angle, step.before), chain = walker.striking;
+  const angle = step.end[0], pushed = walker.push && pushOff(walker, angle).velocity, chain = walker.striking;
+  const v = plus(landing(walker, angle, step.before), pushed || [0, 0]);
   const found = { normal: 0, tangential: 0, kneestrike: 0 };
   if (walker.massless) {
     const toHip = [-walker.l * sin(angle), walker.R + walker.l * cos(angle)];
@@ -205,8 +207,15 @@ function violationsOf(walker, start, step, slope) {
     note(1, -lock(1));
     if (walker.locks && !atKnee) note(7, lock(3));
   };
-  const before = [step.before[1], step.before[0], step.before[0]].slice(0, n);
-  impulse(step.end.subarray(0, n), step.end.subarray(n), before, landing(walker, step.end[0], step.before), false);
+  let before = [step.before[1], step.before[0], step.before[0]].slice(0, n), velocity = landing(walker, step.end[0], step.before);
+  if (walker.push) {
+    const push = pushOff(walker, step.end[0]);
+    before = before.map((rate, i) => rate + (push.rates[i] ?? push.rates[1]));
+    velocity = plus(velocity, push.velocity);
+    note(8, ratio(push.u));
+    note(9, velocity[1]);
+  }
+  impulse(step.end.subarray(0, n), step.end.subarray(n), before, velocity, false);
   if (walker.kneed) {
     const x = step.phases[0].end, y = step.phases[1].samples[0][1];
     impulse(x.subarray(0, 3), [y[2], y[3], y[3]], x.subarray(3), [0, 0], true);
@@ -214,17 +223,17 @@ function violationsOf(walker, start, step, slope) {
   const q = ofLinks(start.subarray(0, n)), rate = ofLinks(start.subarray(n));
   const acceleration = ofLinks(derivative(chain, start, slope).subarray(n));
   const arms = rising(walker).map((arm, j) => turned(arm, q[j])), parts = climbing(walker, q, rate);
-  const velocity = sum(parts), still = abs(velocity) <= 1e-12 * sum(parts.map(abs));
+  const leaving = sum(parts), still = abs(leaving) <= 1e-12 * sum(parts.map(abs));
   const lift = sum(arms.map((arm, j) => arm[0] * acceleration[j] - rate[j] ** 2 * arm[1]));
-  if ((still ? lift : velocity) < 0) {
+  if ((still ? lift : leaving) < 0) {
     const heights = step.phases[0].samples.slice(1).map(([, x]) => footHeight(walker, ofLinks(x.subarray(0, n))));
     const rises = heights.findIndex(height => height >= 0);
     note(5, Math.max(0, ...heights.slice(0, rises < 0 ? undefined : rises).map(height => -height)));
   }
-  if (!still && velocity < 0 && !walker.massless) {
+  if (!still && leaving < 0 && !walker.massless) {
     const [s1, s2, thigh, shank] = arms.map(arm => arm[0]), { striking } = walker;
     const row = striking.n === 3 ? [s1 + s2, thigh, shank] : [s1 + s2, thigh + shank];
-    note(6, -velocity / compliance(striking, start.subarray(0, striking.n), [row])[0][0]);
+    note(6, -leaving / compliance(striking, start.subarray(0, striking.n), [row])[0][0]);
   }
   return VIOLATIONS.filter((_, number) => worst[number] > (walker.keys.violation_limits?.[number] ?? 0));
 }

@@ -46,7 +46,7 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
   row.cells[0].prepend(button, " ");
   row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
-    Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.start[0])) < 1e-3));
+    Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(rank(detail.slope) - rank(wish.slope), Math.log(detail.start[0] / wish.start[0])) < 1e-3));
 }
 
 // Ledger: on a narrow screen claims are folded.

@@ -174,7 +174,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (free || !line || name.length !== 1) return [];
     const lines = family.sort((a, b) => a.at[name] - b.at[name]), up = label === "long" ? 1 : -1;
     // Of another line the gait of nearly that slope whose angle is the larger, or the smaller, as the label says.
-    const far = node => 4 * abs(Math.log(node[0] / slope)) - up * Math.max(-1, Math.min(1, Math.log(node[1] / start[0])));
+    const far = node => 4 * abs(rank(node[0]) - rank(slope)) - up * Math.max(-1, Math.min(1, Math.log(node[1] / start[0])));
     const nodes = lines.map(one => one.branches.flat().reduce((best, node) => far(node) < far(best) ? node : best));
     return [{ name: name[0], values: lines.map(one => one.at[name]), at: lines.indexOf(line), angle: i => nodes[i][1], wish: i => ({ at: lines[i].at, slope: nodes[i][0], start: nodes[i].slice(1) }) }];
   }
