@@ -317,9 +317,7 @@ class Oracle(Stepper):
             rows += [top - hip, low - knee]
             bias += [a, b - c]
         if contact is not None:
-            foot, a = point(SHANK[contact], 2 * contact + 1, self.centre_on_shank)
-            # The lowest point of the arc is at rest.
-            foot[0, SHANK[contact] + 2] += self.radius
+            foot, a = self._rolling(point, contact)
             rows.append(foot)
             bias.append(a)
         for leg in locked:
@@ -328,6 +326,12 @@ class Oracle(Stepper):
             rows.append(lock)
             bias.append(np.zeros(1))
         return np.vstack(rows), np.concatenate(bias)
+
+    def _rolling(self, point, leg):
+        """Row of the lowest point of a leg's arc, which is at rest."""
+        foot, a = point(SHANK[leg], 2 * leg + 1, self.centre_on_shank)
+        foot[0, SHANK[leg] + 2] += self.radius
+        return foot, a
 
     def _solve(self, jac, force, target):
         """Solve M a - J' f = force, J a = target; return a and the constraint forces f."""

@@ -119,12 +119,14 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
 
 
 def violation_limits(study: Study) -> dict[str, float]:
-    """Limit of every violation that the study's walkers may have, by name in the order
-    of their bits.
+    """Limit of every violation up to the last that the study's walkers may have, by name
+    in the order of their bits.
     """
-    limits = {
-        v.name: v.limit
-        for v in VIOLATIONS.values()
+    may_have = [
+        number
+        for number, v in enumerate(VIOLATIONS.values())
         if not all(VARIABLES[name].is_left_out(study.features) for name in v.amounts)
-    }
+    ]
+    every = list(VIOLATIONS.values())[: max(may_have) + 1]
+    limits = {v.name: v.limit for v in every}
     return limits | study.options.get("violation_limits", {})

@@ -34,31 +34,8 @@ def write(file: Any, study: Study) -> None:
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
     for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
-        if key in axes:
-            continue
-        owners = {
-            owner for check in study.checks for owner in check["varied"].get(key, ())
-        }
-        across = tuple(axis for axis in axes if axis in owners)
-        if not across and not any(key in table for table in tables):
-            continue
-        # Tables leave out what their walker is not driven by.
-        values = np.array([float(table.get(key, 0.0)) for table in tables])
-        is_own = study.walker_axis and (across or len(set(values)) > 1)
-        dims = (*(["walker"] if is_own else []), *across)
-        if across:
-            values = np.array(
-                [
-                    _on_grid(w, key, {axis: axes[axis] for axis in across})
-                    for w in study.walkers
-                ]
-            )
-        if not dims:
-            put(file, {key: float(values.ravel()[0])})
-            continue
-        shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
-        about = described(key, study.checks, bool(across))
-        write_variable(file, key, dims, values.reshape(shape), about)
+        if key not in axes:
+            _write_one(file, study, key, axes)
     moved = {
         key
         for check in study.checks
@@ -136,6 +113,30 @@ def _on_grid(
         for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")
     ]
     return of_walkers(walker, key, dict(zip(axes, grid, strict=True)))
+
+
+def _write_one(
+    file: Any, study: Study, key: str, axes: Mapping[str, np.ndarray]
+) -> None:
+    """Write a parameter of the study's walkers along the axes that move it."""
+    tables = [check["table"] for check in study.checks]
+    owners = {owner for check in study.checks for owner in check["varied"].get(key, ())}
+    across = tuple(axis for axis in axes if axis in owners)
+    if not across and not any(key in table for table in tables):
+        return
+    # Tables leave out what their walker is not driven by.
+    values = np.array([float(table.get(key, 0.0)) for table in tables])
+    is_own = study.walker_axis and (across or len(set(values)) > 1)
+    dims = (*(["walker"] if is_own else []), *across)
+    if across:
+        moving = {axis: axes[axis] for axis in across}
+        values = np.array([_on_grid(w, key, moving) for w in study.walkers])
+    if not dims:
+        put(file, {key: float(values.ravel()[0])})
+        return
+    shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
+    about = described(key, study.checks, bool(across))
+    write_variable(file, key, dims, values.reshape(shape), about)
 
 
 def of_walkers(walker: Definition, key: str, changes: Mapping[str, Any]) -> np.ndarray:

@@ -147,9 +147,11 @@ def _coordinates(file: Any) -> Iterator[str]:
             yield f"`{path}` holds values that are not finite."
         elif is_coordinate and len(np.unique(values)) < values.size:
             yield f"`{path}` holds a value twice."
-        elif is_coordinate and name == "slope" and not (
-            slopes.is_slope(values) | slopes.is_level(values)
-        ).all():
+        elif (
+            is_coordinate
+            and name == "slope"
+            and not (slopes.is_slope(values) | slopes.is_level(values)).all()
+        ):
             yield f"`slope` {slopes.BOUND_OF_DRIVEN}."
 
 

@@ -105,7 +105,6 @@ def parse(
 
     way = way if toward is not None else top.at("walker", "toward")
     study = _with_checks(study, named, top, way)
-    rules.check_with_walkers(study, top)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
 
@@ -186,6 +185,7 @@ def _with_checks(
         for name in study.variables
         if name in named or not VARIABLES[name].is_left_out(study.features)
     ]
+    rules.check_with_walkers(study, top)
     return replace(study, variables=tuple(kept))
 
 

@@ -131,7 +131,7 @@ def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyEr
     if level.size and (study.kind != "grid" or "drive" not in study.features):
         yield top.at("axes", "slope").error(
             f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
-            'ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits.'
+            "ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits."
         )
 
 

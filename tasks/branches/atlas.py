@@ -53,8 +53,8 @@ from gaitsweep.tasks.gaits.search import (
 )
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import norm
-from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.drive import Drive
+from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.sameness import ON_BRANCH
 from gaitsweep.tasks.step.several_steps import distance
@@ -435,7 +435,7 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[ndarray, ndarray]]:
     """Anthropomorphic gaits of several lines that the search finds, for each anchor Z
     (c, n) and their lines.
     """
-    slopes = (*ANCHORS, VANISHING)
+    slopes: tuple[float, ...] = (*ANCHORS, VANISHING)
     if problem.drive.at_slope is not None:
         slopes = driven_anchors(problem.drive, problem.walker)
     gaits = search_lines(problem, slopes, _SHARES)

@@ -142,9 +142,10 @@ def _largest_angle(slope: float, linear: SmallAngles) -> float:
     """Angle of steps that lose more energy than a gentle slope gives, and what else
     drives [rad].
 
-    A torque between the thighs gives in a step of angle a what twice as large a slope
-    does over its length; a push-off gives half its square. A foot whose arc is rounder than half the leg rolls more than it strikes: the angle's
-    cube is the slope over the square of what is left of the length (section 4.1).
+    A torque between the thighs gives in a step what twice as large a slope does over its
+    length; a push-off gives half its square. A foot whose arc is rounder than half the
+    leg rolls more than it strikes: the angle's cube is the slope over the square of what
+    is left of the length (section 4.1).
     """
     rolling = max(1.0, _ROUND / linear.length) ** (2 / 3)
     torque = max(linear.torque, 0.0)

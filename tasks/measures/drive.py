@@ -76,20 +76,19 @@ def push_off(walker: Walker, angle: ndarray, impulse: ndarray) -> PushOff:
     direction = -to_contact / np.abs(to_contact)
     if chain.massless:
         # The hip has all the mass.
-        translation = impulse * direction
-        return PushOff(0.5 * impulse**2, direction, translation, 0.0 * q)
+        return PushOff(0.5 * impulse**2, direction, impulse * direction, 0.0 * q)
 
     contact = _contact(chain, q, to_contact)
-    along = [direction.real, direction.imag]
-    along += [(direction.conj() * velocity).real for velocity in contact]
-    groups = [[0], [1], *[[2 + i for i in g] for g in _groups(chain)]]
-    pushed = [total(along[i] for i in g) for g in groups]
+    along = [(direction.conj() * velocity).real for velocity in contact]
+    groups = _groups(chain)
+    of_groups = [total(along[i] for i in g) for g in groups]
+    pushed = [direction.real, direction.imag, *of_groups]
     moved = solve(_free_mass(chain, q), [impulse * each for each in pushed])
 
+    x, y, *rates = moved
     work = 0.5 * impulse * total(a * b for a, b in zip(pushed, moved, strict=True))
-    links = [[rate] * len(g) for rate, g in zip(moved[2:], groups[2:], strict=True)]
-    rates = np.concatenate([np.stack(of_group) for of_group in links])
-    return PushOff(work, direction, moved[0] + 1j * moved[1], rates)
+    of_links = [rate for rate, g in zip(rates, groups, strict=True) for _ in g]
+    return PushOff(work, direction, x + 1j * y, np.stack(of_links))
 
 
 def _groups(chain: Chain) -> list[list[int]]:
@@ -125,6 +124,7 @@ def _free_mass(chain: Chain, q: ndarray) -> list[list[ndarray]]:
         [one, zero, *(lever.real for lever in levers)],
         [zero, one, *(lever.imag for lever in levers)],
     ]
+
     for g, lever in zip(groups, levers, strict=True):
         row = [lever.real, lever.imag]
         row += [total(M[i][j] for i in g for j in h) for h in groups]
@@ -156,9 +156,7 @@ def hip_torque_work(walker: Walker, begin: ndarray, end: ndarray) -> ndarray:
     return np.asarray(bias * 2 * (begin + end))
 
 
-def damping_loss(
-    walker: Walker, motion: list[ndarray], times: ndarray
-) -> ndarray:
+def damping_loss(walker: Walker, motion: list[ndarray], times: ndarray) -> ndarray:
     """Compute the energy lost in the damper between the thighs over a step.
 
     Parameters
@@ -174,14 +172,16 @@ def damping_loss(
     ndarray, shape (n,) [weight leg]
     """
     chain = Chain(walker)
+    damping = 0.0 if chain.massless else chain.hip_damping
     durations = np.diff(times, axis=0, prepend=0.0)
     losses = []
+
     for phase, duration in zip(motion, durations, strict=True):
         links = phase.shape[1] // 2
         opening = phase[:, links + 1] - phase[:, links]
+
         weights = _weights(len(opening))
         lost = total(w * each for w, each in zip(weights, opening**2, strict=True))
-        damping = 0.0 if chain.massless else chain.hip_damping
         losses.append(damping * duration * lost)
     return np.asarray(total(losses))
 
@@ -200,10 +200,12 @@ def _piecewise(samples: int, neighbours: int = 13) -> ndarray:
     weights = np.zeros(samples)
     n = min(neighbours, samples)
     nodes, of_nodes = np.polynomial.legendre.leggauss(n // 2 + 1)
+
     for k in range(samples - 1):
         first = min(max(k - n // 2 + 1, 0), samples - n)
         at = np.arange(first, first + n) - k
         places = (nodes + 1) / 2
+
         for i, own in enumerate(at):
             others = np.delete(at, i)
             shape = np.prod((places[:, None] - others) / (own - others), axis=1)

@@ -311,12 +311,7 @@ def describe(
     }
     measured = _steps(problem, walker, at, slope).measure(want, limits)
     of_gaits = of_all_steps(measured, problem.steps)
-    of_gaits |= travel(
-        walker, slope, of_gaits["step_length"], of_gaits["period"], problem.steps
-    )
-    supplied = work_of_drive(of_gaits)
-    if supplied:
-        of_gaits |= with_drive(walker, of_gaits, sum(supplied.values()), problem.steps)
+    of_gaits |= of_travel(walker, slope, of_gaits, problem.steps)
     if "energy_imbalance" in want:
         of_gaits["energy_imbalance"] = energy_imbalance(
             walker, slope, of_gaits, problem.steps
@@ -352,8 +347,7 @@ def _described_by_drive(
 
     order = np.argsort(np.concatenate(places))
     return {
-        name: np.concatenate([part[name] for part in parts])[order]
-        for name in parts[0]
+        name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]
     }
 
 
@@ -466,11 +460,7 @@ def without_features(names: Sequence[str], features: Sequence[str], n: int) -> A
     -------
     dict of ndarray, shape (n,)
     """
-    lacking = [
-        name
-        for name in names
-        if VARIABLES[name].only_of not in ("", *features)
-    ]
+    lacking = [name for name in names if VARIABLES[name].only_of not in ("", *features)]
     return {name: np.full(n, np.nan) for name in lacking}
 
 
@@ -524,7 +514,7 @@ class Steps:
         dict of ndarray, shape (n,)
             In the walker's units.
         """
-        walker, stride, scale = self.walker, self.stride, self.scale
+        walker, stride = self.walker, self.stride
         time_unit = walker.time_unit
         angle, end = self.y[0], self.y[0][self.after]
         rates = self.state[self.problem.map.start_size // 2 :] / time_unit
@@ -657,30 +647,34 @@ def work_of_drive(measured: Mapping[str, np.ndarray]) -> Arrays:
     return {name: measured[name] for name in names if name in measured}
 
 
-def with_drive(
-    walker: Walker, measured: Mapping[str, np.ndarray], work: np.ndarray, steps: int
+def of_travel(
+    walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int
 ) -> Arrays:
-    """Costs of transport of a walker that is driven by more than gravity.
+    """Return what `kinematics.travel` computes, and the costs of transport of a walker
+    that more than gravity drives.
 
     Parameters
     ----------
     walker : Walker
+    slope : ndarray, shape (n,) [rad]
     measured : mapping
-        The mean step length, and the cost of transport that gravity pays.
-    work : ndarray, shape (n,)
-        What else drives all steps, in the walker's units.
+        The mean step length, the period and what drives all steps, in the walker's
+        units.
     steps : int
 
     Returns
     -------
     dict of ndarray, shape (n,)
     """
-    weight = walker.total_mass * walker.g
-    by_drive = work / (weight * steps * measured["step_length"])
-    return {
-        "cost_of_transport": measured["cost_of_transport"] + by_drive,
-        "mechanical_cost_of_transport": by_drive,
-    }
+    length = measured["step_length"]
+    of_gaits = travel(walker, slope, length, measured["period"], steps)
+    supplied = work_of_drive(measured)
+    if supplied:
+        distance = walker.total_mass * walker.g * steps * length
+        by_drive = total(supplied.values()) / distance
+        of_gaits["cost_of_transport"] = of_gaits["cost_of_transport"] + by_drive
+        of_gaits["mechanical_cost_of_transport"] = by_drive
+    return of_gaits
 
 
 def measured_multipliers(

@@ -14,11 +14,10 @@ from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.measures.gaits import (
     Arrays,
     of_all_steps,
+    of_travel,
     steps_of,
-    with_drive,
-    work_of_drive,
 )
-from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
+from gaitsweep.tasks.measures.kinematics import TRAVEL
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Variables that say how well a gait is known, not what it is.
@@ -110,13 +109,8 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     steps = steps_of(problem, walkers, at.stride, y, scale, at.times, drive)
     measured = of_all_steps(steps.measure(needed), problem.steps)
     if has_travel:
-        length, period = measured["step_length"], measured["period"]
         slope = problem.slopes(drive)
-        measured |= travel(walkers, slope, length, period, problem.steps)
-        supplied = work_of_drive(measured)
-        if supplied:
-            work = sum(supplied.values())
-            measured |= with_drive(walkers, measured, work, problem.steps)
+        measured |= of_travel(walkers, slope, measured, problem.steps)
     if _RADIUS in names:
         measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)
     return {name: np.asarray(measured[name], float) for name in names}

@@ -14,7 +14,11 @@ import numpy as np
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.variables import VARIABLES
 from gaitsweep.tasks.gaits.multipliers import characteristic_errors
-from gaitsweep.tasks.measures.gaits import Arrays, measured_multipliers, without_features
+from gaitsweep.tasks.measures.gaits import (
+    Arrays,
+    measured_multipliers,
+    without_features,
+)
 from gaitsweep.tasks.measures.kinematics import TRAVEL, step_length, travel
 from gaitsweep.tasks.measures.losses import velocity_ratio
 from gaitsweep.tasks.walkers.walker import Walker
@@ -58,7 +62,9 @@ class Smooth:
         rates = _RATES if walker.knees else _RATES[:2]
         optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
         optional = [
-            name for name in optional if VARIABLES[name].only_of in ("", *walker.features)
+            name
+            for name in optional
+            if VARIABLES[name].only_of in ("", *walker.features)
         ]
         entries = (
             [f"{i}{j}" for i in range(m) for j in range(m)]

@@ -451,27 +451,36 @@ def measure(
     """
     chain = Chain(walker)
     n = len(slope)
+    begins = np.vstack([np.zeros((1, n)), times[:-1]])
     parts: list[Arrays] = []
     for k in range(0, max(n, 1), _BLOCK):
         lanes = slice(k, k + _BLOCK)
+        pushed = None if push is None else push.some(lanes)
         with np.errstate(invalid="ignore"):
-            begins = np.vstack([np.zeros((1, n)), times[:-1]])
-            each = zip(motion, begins, times, strict=True)
             phases = [
                 _Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes])
-                for m, b, e in each
+                for m, b, e in zip(motion, begins, times, strict=True)
             ]
-            amounts = _moving(chain, phases, slope[lanes])
-            pushed = None if push is None else push.some(lanes)
-            amounts |= _impacts(chain, phases, impact[:, lanes], pushed)
-            amounts |= _released(chain, phases[0])
-            parts.append(amounts | {"violations": flags(amounts, limits)})
+            amounts = _amounts(chain, phases, impact[:, lanes], slope[lanes], pushed)
+        parts.append(amounts | {"violations": flags(amounts, limits)})
     unit = _units(walker)
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return {
         name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind]
         for name, x in joined.items()
     }
+
+
+def _amounts(
+    chain: Chain,
+    phases: list[_Phase],
+    impact: np.ndarray,
+    slope: np.ndarray,
+    push: PushOff | None,
+) -> Arrays:
+    """Every item of Appendix A, over leg, mass and g."""
+    between = _moving(chain, phases, slope)
+    return between | _impacts(chain, phases, impact, push) | _released(chain, phases[0])
 
 
 def _units(walker: Walker) -> dict[str, float]:

@@ -14,6 +14,7 @@ elementwise operations only: this measures motions that are already known.
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class Chain:
         #: Over mass sqrt(g leg).
         self.push = walker.push_off * walker.time_unit / (weight_leg / walker.g)
         #: Of legs without mass over their inertia, which is that of `K`.
-        unit = 1.0 / weight_leg
+        unit: Any = 1.0 / weight_leg
         unit_of_damping = unit / walker.time_unit
         if self.massless:
             of_leg = [self.K[i, j] for i in (2, 3) for j in (2, 3)]

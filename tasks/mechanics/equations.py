@@ -71,6 +71,10 @@ class Symbols:
             self.S_c = vector("S_c")
             self.C_cc = values["C_cc"]
             self.H = vector("H")
+        self._set_drive(structure, values)
+
+    def _set_drive(self, structure: Structure, values: dict[str, Sym]) -> None:
+        """Set the constants of what drives the walker beside gravity."""
         self.has_hip_torque = structure.has_hip_torque
         if structure.has_hip_torque:
             self.hip_stiffness = values["hip_stiffness"]
@@ -79,8 +83,8 @@ class Symbols:
         self.pushes_off = structure.pushes_off
         if structure.pushes_off:
             self.push = values["push"]
-            if structure.kneed and not structure.locks_trailing_knee:
-                self.knee = vector("knee")
+        if "knee_re" in values:
+            self.knee = Vector(values["knee_re"], values["knee_im"])
 
     def hold(self, value: Sym) -> Sym:
         """An expression of parameters alone, as the flow's own parameter where this is
@@ -164,12 +168,16 @@ class Motion:
         for j, (S, C) in enumerate(links, start=1):
             coupling = self._add_swing(j, S, C)
             self.couplings.append(coupling)
-        if free_knee:
-            self._add_knee()
-        if p.has_hip_torque:
-            self._add_hip_torque()
+        self._add_joints()
         _, last_inertia = links[-1]
         self.last_pivot = p.hold(ONE / last_inertia)
+
+    def _add_joints(self) -> None:
+        """Add the coupling of thigh and shank, and what acts between the thighs."""
+        if len(self.q) == 3:
+            self._add_knee()
+        if self.p.has_hip_torque:
+            self._add_hip_torque()
 
     def _add_stance(self) -> None:
         """The stance leg's own row."""
@@ -274,11 +282,17 @@ class Motion:
             by_q[j][j] = link.by_swing * u[0] + lag - falling[j]
             by_rate[j][0] = link.by_stance * twice[0]
         by_q[0][0] = by_stance
+        self._differentiate_joints(u, by_q, by_rate)
+        return by_q, by_rate
+
+    def _differentiate_joints(
+        self, u: list[Sym], by_q: list[list[Sym]], by_rate: list[list[Sym]]
+    ) -> None:
+        """Add the derivatives of the knee's coupling and of the hip's torque."""
         if len(u) == 3:
             self._differentiate_knee(u, by_q, by_rate)
-        if p.has_hip_torque:
+        if self.p.has_hip_torque:
             self._differentiate_hip_torque(by_q, by_rate)
-        return by_q, by_rate
 
     def _weights(self, factor: Sym) -> list[Sym]:
         """Im(S e^{i(q - slope)}) of every link, times a factor."""

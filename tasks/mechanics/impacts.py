@@ -105,16 +105,23 @@ def heelstrike(
         angles.append(swing_angle)
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
 
-    legs = new.sweep(S).dot(old.hip) + new.hip.dot(old.sweep(S))
+    turned = new.sweep(S)
+    legs = turned.dot(old.hip) + new.hip.dot(old.sweep(S))
     of_stance = (hips + p.eps * legs) * stance_rate
-    of_swing = p.eps * (new.hip.dot(new.sweep(S)) + J) * swing_rate
+    of_swing = p.eps * (new.hip.dot(turned) + J) * swing_rate
     momentum = [of_stance + of_swing]
     for S_j, inertia in swing:
-        momentum.append((old.sweep(S_j).dot(old.hip) + inertia) * stance_rate)
-    if p.pushes_off:
-        gained = _push_off(p, new, old, free_knee)
-        momentum = [a + b for a, b in zip(momentum, gained, strict=True)]
-    return Solver(M)(momentum)
+        carried = old.sweep(S_j).dot(old.hip)
+        momentum.append((carried + inertia) * stance_rate)
+    return Solver(M)(_pushed(momentum, p, new, old))
+
+
+def _pushed(momentum: list[Sym], p: Symbols, new: _Leg, old: _Leg) -> list[Sym]:
+    """Momenta and, where the trailing leg pushes off, what that adds to them."""
+    if not p.pushes_off:
+        return momentum
+    gained = _push_off(p, new, old, len(momentum) == 3)
+    return [a + b for a, b in zip(momentum, gained, strict=True)]
 
 
 def _push_off(p: Symbols, new: _Leg, old: _Leg, free_knee: bool) -> list[Sym]:

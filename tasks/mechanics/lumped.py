@@ -75,12 +75,8 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
     them, in arrays (n,).
     """
     leg = _Leg(walkers, number)
-    # For a massless leg only ratios of the swing leg's constants remain: a unit mass
-    # where the shank's was.
     massless = walkers.massless_legs
-    eps = np.where(massless, leg.zero, leg.one)
-    m_t = np.where(massless, leg.zero, leg.key.m_t / leg.mass)
-    m_s = np.where(massless, leg.one, leg.key.m_s / leg.mass)
+    eps, m_t, m_s = _masses(leg, massless)
     S_b = leg.thigh * m_t + leg.knee * m_s
     S_c = leg.shank * m_s
     if walkers.knees:
@@ -96,6 +92,7 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
 
     S = _aligned(S_b + S_c)
     inertia = C_bb + C_cc + leg.two * H.x
+    of_drive = _of_drive(leg, inertia, massless)
     if walkers.knees:
         swing = {
             "S_b": S_b / inertia,
@@ -106,17 +103,27 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
         }
     else:
         swing = {"S_b": S / inertia, "C_bb": leg.one}
-    of_hip = _of_hip(leg, inertia, massless)
-    speed = _power(leg.key.g * leg.length, leg.one / leg.two)
-    of_push = {"push": leg.key.push_off / (leg.mass * speed), "knee": leg.knee}
-    return _in_parts(_of_stance(leg, S, eps, inertia) | swing | of_hip | of_push)
+    return _in_parts(_of_stance(leg, S, eps, inertia) | swing | of_drive)
 
 
-def _of_hip(leg: _Leg, inertia: PerLane, massless: Marks) -> dict[str, PerLane]:
-    """Constants of what acts between the thighs, over the swing leg's inertia; of legs
-    without mass they are given so.
+def _masses(leg: _Leg, massless: Marks) -> tuple[PerLane, PerLane, PerLane]:
+    """Whether the swing leg acts on the stance leg, and masses of thigh and shank.
+
+    For a massless leg only ratios of the swing leg's constants remain: a unit mass where
+    the shank's was.
+    """
+    eps = np.where(massless, leg.zero, leg.one)
+    m_t = np.where(massless, leg.zero, leg.key.m_t / leg.mass)
+    m_s = np.where(massless, leg.one, leg.key.m_s / leg.mass)
+    return eps, m_t, m_s
+
+
+def _of_drive(leg: _Leg, inertia: PerLane, massless: Marks) -> dict[str, Any]:
+    """Constants of the push-off, and of what acts between the thighs, over the swing
+    leg's inertia: of legs without mass they are given so.
     """
     key = leg.key
+    speed = _power(key.g * leg.length, leg.one / leg.two)
     time = _power(leg.length / key.g, leg.one / leg.two)
     torque = leg.mass * key.g * leg.length * inertia
     torque, time = (np.where(massless, leg.one, unit) for unit in (torque, time))
@@ -124,6 +131,8 @@ def _of_hip(leg: _Leg, inertia: PerLane, massless: Marks) -> dict[str, PerLane]:
         "hip_stiffness": key.hip_stiffness / torque,
         "hip_damping": key.hip_damping / (torque * time),
         "hip_bias": (key.hip_stiffness * key.hip_rest + key.hip_torque) / torque,
+        "push": key.push_off / (leg.mass * speed),
+        "knee": leg.knee,
     }
 
 
@@ -348,7 +357,7 @@ def locked(structure: Structure, parameters: ndarray) -> tuple[Structure, ndarra
     of_knees = slice(8, 8 + 3 + len(_OF_KNEES))
     S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _ = parameters[of_knees]
     inertia = C_bb + C_cc + 2 * H_re
-    of_leg = [S_b_re + S_c_re, S_b_im + S_c_im, inertia]
+    of_leg = np.stack([S_b_re + S_c_re, S_b_im + S_c_im, inertia])
     rows = [parameters[:8], of_leg]
     if structure.has_hip_torque:
         rows.append(parameters[of_knees.stop :][: len(_OF_HIP)])

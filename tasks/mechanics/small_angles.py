@@ -58,50 +58,61 @@ class SmallAngles:
     def __init__(self, walker: Walker):
         constants = lump(walker)
         self.point_foot, self.has_knees = walker.point_foot, walker.knees
-        self.eps, R = constants["eps"], constants["R"]
-        self.length = 1.0 - R
-        stance, *swing = (
-            complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"])
-            for x in _arms(walker)
-        )
-        inertia = [constants["C_bb"]]
-        between = 0.0
-        if walker.knees:
-            inertia.append(constants["C_cc"])
-            between = constants["H_re"]
-
-        rolling = constants["C_aa"] + 2 * R * stance.imag
-        self.locked = _Linear(
-            rolling,
-            R,
-            self.eps,
-            stance,
-            [sum(swing)],
-            [sum(inertia) + 2 * between],
-            0.0,
-        )
-        self.free = _Linear(rolling, R, self.eps, stance, swing, inertia, between)
+        self.eps = constants["eps"]
+        self.length = 1.0 - constants["R"]
+        self.locked, self.free = self._motions(constants)
 
         S, J = self.locked.weights[1], self.locked.M[1, 1]
         self.swing = _swing(S - constants["hip_stiffness"], J)
-        for motion in (self.locked, self.free):
-            motion.add_hip_torque(self.eps, constants)
+        #: Impulse of the push-off, and torque between the thighs that drives.
+        self.push = constants["push"]
+        self.torque = self.eps * constants["hip_bias"]
 
-        # Heelstrike with both legs along the normal (tasks.mechanics.impacts): by both
-        # rates, the angle and 1.
-        momentum = np.zeros((len(self.free.M), 4))
-        momentum[0, :2] = 1 + 2 * self.eps * S, self.eps * (S + J)
-        momentum[1:, 0] = self.free.weights[1:] + [C + between for C in inertia]
+        momentum = self._momentum_before(constants)
         if walker.pushes_off:
             momentum[:, 2:] = self._push_off(constants, walker.frees_trailing_knee)
-        #: Impulse of the push-off, and torque between the thighs that drives.
-        self.push, self.torque = constants["push"], self.eps * constants["hip_bias"]
         rates = self._rates_of(momentum, walker.locks_trailing_knee)
-        self.heelstrike, self.push_off = rates[:, :2], rates[:, 2:]
+        #: Rates just after heelstrike by both rates before it, and by (angle, 1).
+        self.heelstrike = rates[:, :2]
+        self.push_off = rates[:, 2:]
 
-    def _push_off(
-        self, constants: Mapping[str, float], frees_knee: bool
-    ) -> np.ndarray:
+    def _motions(self, constants: Mapping[str, float]) -> tuple[_Linear, _Linear]:
+        """The motion with the knee locked, and with a free one."""
+        stance, *swing = (
+            complex(constants[f"S_{x}_re"], constants[f"S_{x}_im"])
+            for x in ("abc" if self.has_knees else "ab")
+        )
+        inertia = [constants["C_bb"]]
+        between = 0.0
+        if self.has_knees:
+            inertia.append(constants["C_cc"])
+            between = constants["H_re"]
+
+        R = constants["R"]
+        rolling = constants["C_aa"] + 2 * R * stance.imag
+        carried = rolling, R, self.eps, stance
+        whole = sum(inertia) + 2 * between
+        locked = _Linear(*carried, [sum(swing)], [whole], 0.0)
+        free = _Linear(*carried, swing, inertia, between)
+
+        for motion in (locked, free):
+            motion.add_hip_torque(self.eps, constants)
+        return locked, free
+
+    def _momentum_before(self, constants: Mapping[str, float]) -> np.ndarray:
+        """Momenta of the links before heelstrike with both legs along the normal
+        (tasks.mechanics.impacts), by both rates, the angle and 1.
+        """
+        S, J = self.locked.weights[1], self.locked.M[1, 1]
+        between = constants["H_re"] if self.has_knees else 0.0
+        own = np.diag(self.free.M)[1:]
+
+        momentum = np.zeros((len(self.free.M), 4))
+        momentum[0, :2] = 1 + 2 * self.eps * S, self.eps * (S + J)
+        momentum[1:, 0] = self.free.weights[1:] + own + between
+        return momentum
+
+    def _push_off(self, constants: Mapping[str, float], frees_knee: bool) -> np.ndarray:
         """Momenta of the links that the push-off gives, by (angle, 1)."""
         push = constants["push"]
         gained = np.zeros((len(self.free.M), 2))
@@ -362,11 +373,6 @@ def _swing(S: float, J: float) -> float:
     return max(float(np.pi / np.sqrt(square)), _SWINGS[0])
 
 
-def _arms(walker: Walker) -> str:
-    """Letters of the first moments of the stance leg and of the swing links."""
-    return "abc" if walker.knees else "ab"
-
-
 class _Linear:
     """Motion M q'' = G q - D q' - c of some links, with c by (1, slope)."""
 
@@ -429,9 +435,7 @@ class _Linear:
             return self._damped(times)
         # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
         # force.
-        squares, modes = np.linalg.eig(
-            np.linalg.solve(self.M, self.G).astype(complex)
-        )
+        squares, modes = np.linalg.eig(np.linalg.solve(self.M, self.G).astype(complex))
         growth = np.sqrt(squares)[:, None]
         is_free = growth == 0
         own = np.where(is_free, 1, growth)
@@ -443,18 +447,10 @@ class _Linear:
         back = np.linalg.inv(modes)
         force = back @ np.linalg.solve(self.M, self.c)
 
-        def links(of_mode: np.ndarray, source: np.ndarray) -> np.ndarray:
-            return np.einsum("ik,kn,kj->nij", modes, of_mode, source).real
-
-        angles = [links(by_angle, back), links(by_rate, back), links(by_force, force)]
-        rates = [
-            links(squares[:, None] * by_rate, back),
-            links(by_angle, back),
-            links(-by_rate, force),
-        ]
-        return np.concatenate(
-            [np.concatenate(angles, axis=2), np.concatenate(rates, axis=2)], axis=1
-        )
+        by_own = squares[:, None] * by_rate
+        angles = _of_links(modes, (by_angle, back), (by_rate, back), (by_force, force))
+        rates = _of_links(modes, (by_own, back), (by_angle, back), (-by_rate, force))
+        return np.concatenate([angles, rates], axis=1)
 
     def moved(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
         """States by (angle, two rates, 1, slope), shape (2 n, 5), after k times, shape
@@ -465,6 +461,17 @@ class _Linear:
         moved = matvec(by_state, states[:, :, None])
         moved[:, 3:] += motion[:, -2:]
         return moved.transpose(2, 0, 1)
+
+
+def _of_links(modes: np.ndarray, *parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Motion of the links at all times, side by side for each part: what modes make of
+    their sources.
+    """
+    moved = []
+    for of_mode, source in parts:
+        by_time = np.einsum("ik,kn,kj->nij", modes, of_mode, source)
+        moved.append(by_time.real)
+    return np.concatenate(moved, axis=2)
 
 
 def _crossing(times: np.ndarray, values: np.ndarray, is_it: np.ndarray) -> np.ndarray:

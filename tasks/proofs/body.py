@@ -172,15 +172,7 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
     leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
 
     mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
-    drive = None
-    if any(not _is_zero(keys.get(key, 0)) for key in (*_OF_HIP, "push_off")):
-        # That of legs without mass is given over their inertia, g and the leg.
-        length = l + k["R"]
-        torque = arb(1) if heavy else leg_inertia * k["g"] / length
-        time = arb(1) if heavy else (length / k["g"]).sqrt()
-        drive = _drive(k, knee, torque, time)
-    first = Vector(zero, mass * l)
-    second = mass * (l * l + k["R"] ** 2)
+    first, second = _of_stance(mass, l, k["R"])
     if heavy:
         first = first + leg
         second = second + 2 * l * leg.y + leg_inertia
@@ -199,17 +191,33 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
         kneed=kneed,
         point_foot=_is_point_foot(keys, kneed),
         locks_trailing_knee=trailing_knee == "locked",
-        drive=drive,
+        drive=_drive(k, knee, l, None if heavy else leg_inertia),
     )
 
 
-#: Keys of what acts between the thighs.
-_OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
+def _of_stance(mass: arb, l: arb, R: arb) -> tuple[Vector, arb]:
+    """First moment and inertia of a mass at the hip about the stance foot's centre."""
+    return Vector(arb(0), mass * l), mass * (l * l + R**2)
 
 
-def _drive(k: Mapping[str, arb], knee: Vector, torque: arb, time: arb) -> Drive:
-    """What drives a walker, with units of torque and time in which it is given."""
+#: Keys by which a walker is driven.
+_OF_DRIVE = ("push_off", "hip_stiffness", "hip_damping", "hip_torque")
+
+
+def _drive(
+    k: Mapping[str, arb], knee: Vector, l: arb, light: arb | None
+) -> Drive | None:
+    """What drives a walker; None where nothing does. Of legs without mass torques are
+    given over their inertia `light`, g and the leg.
+    """
     none = arb(0)
+    if all(_is_zero(k.get(key, none)) for key in _OF_DRIVE):
+        return None
+    torque = time = arb(1)
+    if light is not None:
+        length = l + k["R"]
+        torque = light * k["g"] / length
+        time = (length / k["g"]).sqrt()
     stiffness = k.get("hip_stiffness", none)
     bias = stiffness * k.get("hip_rest", none) + k.get("hip_torque", none)
     return Drive(

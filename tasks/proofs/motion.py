@@ -290,14 +290,16 @@ class Motion:
 
         rows = [[*q, *w] for q, w in zip(by_q, by_w, strict=True)]
         if slope:
-            for i, row in enumerate(rows):
-                sinking = self.sinking if i == 0 and k == 0 else 0
-                row.append(self.weight[k][i][1] + sinking)
+            self._append_by_slope(k, rows)
         return rows
 
-    def _of_hip(
-        self, drive: Drive, by_q: list[Series], by_w: list[Series]
-    ) -> None:
+    def _append_by_slope(self, k: int, rows: list[list[arb]]) -> None:
+        """Append the derivatives by the slope to those by (q, w)."""
+        for i, row in enumerate(rows):
+            sinking = self.sinking if i == 0 and k == 0 else 0
+            row.append(self.weight[k][i][1] + sinking)
+
+    def _of_hip(self, drive: Drive, by_q: list[Series], by_w: list[Series]) -> None:
         """Add the derivatives of the torque between the thighs."""
         for rows, factor in ((by_q, drive.stiffness), (by_w, drive.damping)):
             rows[1][0] -= factor

@@ -49,7 +49,7 @@ class Drive:
         """Return the structure of a walker, differentiated by the drive."""
         if self.key == SLOPE:
             return structure_of(walker)
-        driven = replace(walker, **{self.key: _ORDINARY * self.unit(walker)})
+        driven = walker.having(self.key, _ORDINARY * self.unit(walker))
         return replace(structure_of(driven), drive=self.key)
 
     def unit(self, walker: Walker) -> float:
@@ -68,7 +68,7 @@ class Drive:
         """Return a walker and the slope [rad] at a value of the drive."""
         if self.at_slope is None:
             return walker, drive
-        return replace(walker, **{self.key: drive * self.unit(walker)}), self.at_slope
+        return walker.having(self.key, drive * self.unit(walker)), self.at_slope
 
     def slopes(self, drive: ndarray) -> ndarray:
         """Return the slopes at values of the drive.
@@ -116,7 +116,10 @@ class Drive:
         return driven
 
     def set_exact(
-        self, constants: dict[str, object], drive: float, number: Callable[[float], object]
+        self,
+        constants: dict[str, object],
+        drive: float,
+        number: Callable[[float], object],
     ) -> None:
         """Set constants of a wider type of number to a value of the drive."""
         if self.key == PUSH_OFF:

@@ -23,7 +23,6 @@ from gaitsweep.tasks.step.iterate import Ended, iterate
 from gaitsweep.tasks.step.problem import EPS, Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 from gaitsweep.tasks.step.symbols import end_of_step, lock_knee, start_of_step
-from gaitsweep.tasks.walkers.walker import Walker
 
 #: Error bounds of a fixed point in doubles from which long double is used, and 128
 #: bits.

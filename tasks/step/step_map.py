@@ -310,7 +310,9 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
-        options = slope and not self.by_push, samples, coarse
+        # Along its motion nothing but the slope or a torque acts.
+        in_motion = slope and not self.by_push
+        options = in_motion, samples, coarse
         start, D = self._begin(y, parameters, slope)
         phase = _Phase(self.structure, start, D, parameters, times[0], m + 1)
         parts = guard = strike = np.empty((0, n))
@@ -319,8 +321,7 @@ class StrideMap:
             end, motion_of_free = _integrate(phase, *options)
             motion.append(motion_of_free)
             state, parts, guard, strike = self._kneestrike(end, parameters)
-            duration = times[1] - times[0]
-            phase = _locked_phase(self.structure, state, options[0], parameters, duration)
+            phase = self._locked_phase(state, in_motion, parameters, times)
         end, motion_of_locked = _integrate(phase, *options)
         motion.append(motion_of_locked)
 
@@ -335,6 +336,17 @@ class StrideMap:
             knee_by_y=strike[angles:].reshape(angles, m, n),
             motion=motion,
         )
+
+    def _locked_phase(
+        self, state: States, slope: bool, parameters: Parameters, times: Times
+    ) -> _Phase:
+        """The phase from kneestrike on, with unit vectors beside the field as
+        directions.
+        """
+        unit = np.eye(4, 3 + slope, -1)[:, :, None]
+        D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
+        straight, of_straight = locked(self.structure, parameters)
+        return _Phase(straight, state, D, of_straight, times[1] - times[0], 4)
 
     def _begin(
         self, y: Sections, parameters: Parameters, slope: bool
@@ -409,17 +421,6 @@ class StrideMap:
             "newton_times": times + matvec(times_by[:, : m + k], newton),
             "closing": np.stack([derivative[m + j, m + j] for j in range(k)]),
         }
-
-
-def _locked_phase(
-    structure: Structure,
-    state: States, slope: bool, parameters: Parameters, duration: PerLane
-) -> _Phase:
-    """The phase from kneestrike on, with unit vectors beside the field as directions."""
-    unit = np.eye(4, 3 + slope, -1)[:, :, None]
-    D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
-    straight, of_straight = locked(structure, parameters)
-    return _Phase(straight, state, D, of_straight, duration, 4)
 
 
 def _integrate(

@@ -9,8 +9,10 @@ import numpy as np
 
 from gaitsweep.tasks.measures.drive import push_off
 from gaitsweep.tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from gaitsweep.tasks.mechanics.arrays import Parameters
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
+from gaitsweep.tasks.step.step_map import Stride
 from gaitsweep.tasks.studies.simulate_steps import Start, Step, begin, take_step
 from gaitsweep.tasks.walkers.walker import WalkerError
 
@@ -69,14 +71,6 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         / units[:, None]
     )
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
-    energy = walker.total_mass * walker.g * walker.leg
-    push = None
-    if problem.structure.pushes_off:
-        impulse = problem.impulses(parameters[0])
-        push = push_off(walker, image[:1], impulse)
-    normal, tangential = heelstrike_losses(
-        walker, image[:1], step.impact * scale, push
-    )
     return {
         "state": image,
         "jacobian": jacobian,
@@ -85,11 +79,27 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         "eigenvectors": vectors,
         "kneestrike_time": float(times[0, 0] * time_unit) if walker.knees else None,
         "heelstrike_time": float(times[-1, 0] * time_unit),
+        **_losses(problem, step, image[:1], parameters),
+    }
+
+
+def _losses(
+    problem: Problem, step: Stride, angle: np.ndarray, parameters: Parameters
+) -> dict[str, float | None]:
+    """Energies lost in the strikes of a step that ends at a stance angle."""
+    walker, (slope, scale) = problem.walker, parameters[:2]
+    push = None
+    if problem.structure.pushes_off:
+        push = push_off(walker, angle, problem.impulses(slope))
+    energy = walker.total_mass * walker.g * walker.leg
+    normal, tangential = heelstrike_losses(walker, angle, step.impact * scale, push)
+    knee = None
+    if walker.knees:
+        knee = float(kneestrike_loss(walker, step.knee * scale)[0] * energy)
+    return {
         "loss_normal": float(normal[0] * energy),
         "loss_tangential": float(tangential[0] * energy),
-        "loss_kneestrike": float(kneestrike_loss(walker, step.knee * scale)[0] * energy)
-        if walker.knees
-        else None,
+        "loss_kneestrike": knee,
     }
 
 

@@ -28,12 +28,12 @@ from gaitsweep.tasks.orbits.initial_states import labelled
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.map_step import map_step
 from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_driven import driven
+from gaitsweep.tasks.studies.solve_driven import searched as searched_driven
 from gaitsweep.tasks.studies.solve_guesses import solve_guesses
 from gaitsweep.tasks.studies.solve_points import atlas, solve_line, spans
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.tuning import untuned
-from gaitsweep.tasks.studies.solve_driven import driven
-from gaitsweep.tasks.studies.solve_driven import searched as searched_driven
 from gaitsweep.tasks.walkers.walker import TRAILING_KNEES, Walker
 
 #: Variables measured for one point: all but proofs.
@@ -100,6 +100,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     request = Request.of({**params, "slope": [params["slope"]], "want": WANT})
+    if request.slope[0] <= 0:
+        return _solve_driven(line, walker_of_line(line), request)
     if request.steps > 1:
         return _solve_cycles(line, request, walker_of_line(line))
     return _solve_steps(line, request, bool(params.get("all")))
@@ -113,8 +115,6 @@ def _solve_steps(
     """
     problem = Problem(walker_of_line(line))
     slope = float(request.slope[0])
-    if slope <= 0:
-        return _solve_driven(line, problem.walker, request)
     branches = atlases.survey(problem, COARSE)
     point = solve_line(line, branches, request)
     found = _converged(point)
@@ -260,8 +260,6 @@ def _solve_cycles(
 ) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
     slope = float(request.slope[0])
-    if slope <= 0:
-        return _solve_driven(line, walker, request)
     arrays = atlas({"line": line, "steps": request.steps}, [])
     point = solve_line(line, atlases.from_arrays(arrays), request)
     gaits = []
@@ -414,8 +412,7 @@ def _columns(walker: Walker) -> list[str]:
     return [
         name
         for name in _COLUMNS
-        if name not in VARIABLES
-        or not VARIABLES[name].is_left_out(walker.features)
+        if name not in VARIABLES or not VARIABLES[name].is_left_out(walker.features)
     ]
 
 

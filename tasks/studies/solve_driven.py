@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -46,7 +45,7 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
     turns = walker.hip_torque > 0 and not walker.massless_leg
     key = HIP_TORQUE if turns and not walker.push_off else PUSH_OFF
     drive = Drive(key, slope)
-    problem = Problem(replace(walker, **{key: 0.0}), steps, drive)
+    problem = Problem(walker.having(key, 0.0), steps, drive)
     return problem, drive.of(walker)
 
 

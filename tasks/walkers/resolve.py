@@ -525,9 +525,10 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `features` (what some variables are of), `multipliers` (their number), `table` (the walker
-        before `set`), `parameters` (the walker with `set`), `varied` (for each key of
-        the walker that `set` moves, the keys of `set` that do), `tuned` (keys that are
+        `si` and `kneed` (bool), `features` (what some variables are of), `multipliers`
+        (their number), `table` (the walker before `set`), `parameters` (the walker with
+        `set`), `varied` (for each key of the walker that `set` moves, the keys of `set`
+        that do), `tuned` (keys that are
         changed so that the walker is tuned), `smooth` (keys of `set` with which gaits
         change smoothly, so that charts may predict them), and of a walker that is or
         may be detuned `way`: the walkers `start` and `end` between which `detuning`

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -366,6 +366,11 @@ class Walker:
     def frees_trailing_knee(self) -> bool:
         """Whether the leg that leaves the ground bends during heelstrike already."""
         return self.knees and not self.locks_trailing_knee
+
+    def having(self, key: str, value: float) -> Walker:
+        """Return the walker with another value of a number."""
+        changes: dict[str, Any] = {key: value}
+        return replace(self, **changes)
 
     @property
     def has_hip_torque(self) -> bool:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from oracle import Oracle
 
 from gaitsweep import gaits, simulate, solve, step_map
 from gaitsweep.tasks.branches import atlas as atlases
@@ -21,8 +20,14 @@ from gaitsweep.tasks.step.problem import Problem, scale_of
 from gaitsweep.tasks.studies.solve_driven import driven
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
+from oracle import Oracle
 
-HIP = {"hip_stiffness": 0.05, "hip_damping": 0.001, "hip_rest": 0.1, "hip_torque": 0.001}
+HIP = {
+    "hip_stiffness": 0.05,
+    "hip_damping": 0.001,
+    "hip_rest": 0.1,
+    "hip_torque": 0.001,
+}
 #: Walkers, what drives them, and slopes on which they walk.
 DRIVEN = [
     ("B", {"push_off": 0.05}, 0.01),
@@ -114,7 +119,8 @@ def test_on_level_ground_the_simplest_walker_is_a_rimless_wheel_that_pushes():
     found = gaits("D", 0.0, push_off=pushes, variables=["stance_angle", "stance_rate"])
     for label in ("long", "short"):
         angle, rate = (
-            found[name].sel(gait=label).values for name in ("stance_angle", "stance_rate")
+            found[name].sel(gait=label).values
+            for name in ("stance_angle", "stance_rate")
         )
         wheel = -np.sin(2 * angle) * pushes / (1 - np.cos(2 * angle))
         np.testing.assert_allclose(rate, wheel, rtol=1e-10)
@@ -167,26 +173,29 @@ def test_branches_over_the_push_and_over_the_slope_meet():
 )
 def test_error_bounds_hold_against_113_bits(name, keys, slope):
     walker = resolve(name, keys)
-    if slope > 0:
-        problem, drive = Problem(walker), slope
-    else:
+    problem, drive = Problem(walker), slope
+    if slope <= 0:
         problem, drive = driven(walker, slope)
     for gait in solve(name, slope, **keys).itertuples():
-        time = walker.time_unit
-        state = np.array([gait.stance_angle, gait.stance_rate * time, gait.thigh_rate * time])
-        y = problem.section_of(state[:, None], np.array([drive]))
-        scale = scale_of(y[0])
-        times = [gait.kneestrike_time, gait.period][-problem.phases :]
-        times = np.array(times)[:, None] / time
-        parameters = problem.parameters(np.array([drive]), scale)
-        stride = problem.map(y / scale, times, parameters, slope=True)
-        start = Start(problem, 0, stride, y[:, 0] / scale, times[:, 0], drive, scale[0])
-        exact = solved(start, 1)
+        angle, period = in_113_bits(problem, drive, gait)
+        assert abs(angle / gait.stance_angle - 1) <= 2 * gait.error_bound
+        assert abs(period / gait.period - 1) <= 2 * gait.error_bound
 
-        off = abs(float(exact.y[0]) * scale[0] / gait.stance_angle - 1)
-        assert off <= 2 * gait.error_bound
-        off = abs(float(exact.times[-1]) * time / gait.period - 1)
-        assert off <= 2 * gait.error_bound
+
+def in_113_bits(problem, drive, gait):
+    """Stance angle and period of a gait solved in 113 bits."""
+    time, at = problem.walker.time_unit, np.array([drive])
+    rates = np.array([gait.stance_rate, gait.thigh_rate]) * time
+    y = problem.section_of(np.array([[gait.stance_angle], *rates[:, None]]), at)
+    scale = scale_of(y[0])
+    times = (
+        np.array([gait.kneestrike_time, gait.period])[-problem.phases :, None] / time
+    )
+
+    stride = problem.map(y / scale, times, problem.parameters(at, scale), slope=True)
+    start = Start(problem, 0, stride, y[:, 0] / scale, times[:, 0], drive, scale[0])
+    exact = solved(start, 1)
+    return float(exact.y[0]) * scale[0], float(exact.times[-1]) * time
 
 
 def test_a_walker_without_these_keys_is_compiled_and_written_as_before():

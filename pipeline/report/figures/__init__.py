@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures import (
     families,
     laws,
     maps,
+    over_key,
     parameters,
     searches,
 )
@@ -43,6 +44,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "locus": branch_curves.locus,
     "bifurcation": bifurcation.bifurcation,
     "heatmap": maps.heatmap,
+    "over_key": over_key.over_key,
     "basin": maps.basin,
     "design": design_maps.design,
     **{name: partial(families.quantity, name) for name in families.QUANTITIES},

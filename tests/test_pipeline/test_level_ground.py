@@ -1,0 +1,109 @@
+"""Studies of level ground, from TOML to page."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import gaitsweep
+from gaitsweep import gaits, solve
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.parse import read
+from gaitsweep.tasks.contract.registry import VIOLATIONS
+
+LEVEL = """
+name = "level"
+walker = "B"
+[axes]
+slope = [-0.001, 0.0, 0.01]
+push_off = [0.05, 0.1, 0.2]
+[want]
+variables = ["stance_angle", "period", "cost_of_transport", "multipliers", "energy", "violations"]
+figures = ["over_key"]
+"""
+
+
+@pytest.fixture(scope="module")
+def level(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("level")
+    (folder / "level.toml").write_text(LEVEL)
+    archive = folder / "level.nc"
+    assert gaitsweep.run(folder / "level.toml", archive=archive) is not None
+    return archive
+
+
+def test_an_archive_of_level_ground_holds_single_solves(level):
+    with xr.open_dataset(level, decode_times=False) as ds:
+        ds = ds.load()
+    assert (
+        np.abs(ds["energy_imbalance"].values[ds["status"].values == 0]) < 1e-12
+    ).all()
+    for slope, push in ((0.0, 0.1), (-0.001, 0.2), (0.01, 0.05)):
+        point = ds.sel(slope=slope, push_off=push)
+        found = solve("B", slope, push_off=push)
+        stored = point["stance_angle"].values[: len(found)]
+        np.testing.assert_array_equal(stored, found["stance_angle"])
+        single = found["push_off_work"]
+        np.testing.assert_allclose(point["push_off_work"].values[: len(found)], single)
+
+
+def test_bits_of_violations_are_named_up_to_those_of_the_push_off(level):
+    with xr.open_dataset(level) as ds:
+        attributes = ds["violations"].attrs
+    names = attributes["flag_meanings"].split()
+    assert names == [*VIOLATIONS]
+    assert attributes["flag_masks"].tolist() == [1 << bit for bit in range(len(names))]
+
+
+def test_a_page_of_level_ground_draws_and_starts_its_gaits(level, tmp_path):
+    gaitsweep.report(level, tmp_path)
+    page = (tmp_path / "level.html").read_text()
+    assert "Gaits over push_off" in page
+    lines = json.loads(re.search(r'id="lines">(.*?)</script>', page, re.S)[1])
+    assert {line["keys"]["push_off"] for line in lines} == {0.05, 0.1, 0.2}
+    assert len(lines[0]["keys"]["violation_limits"]) == 10
+
+
+def test_arrays_of_level_ground_are_the_studys():
+    found = gaits("B", 0.0, push_off=[0.05, 0.1], variables=["stance_angle"])
+    single = [solve("B", 0.0, push_off=push)["stance_angle"][0] for push in (0.05, 0.1)]
+    np.testing.assert_array_equal(found["stance_angle"].sel(gait="long"), single)
+
+
+def test_gravity_scales_no_driven_walker():
+    """Stiffness and impulses do not scale with g: these walkers are not one."""
+    slopes, keys = [0.01], {"hip_stiffness": 0.05}
+    for g in (1.0, 2.0):
+        one = solve("B", 0.01, g=g, **keys)["stance_angle"][0]
+        many = gaits("B", slopes, g=[[1.0], [2.0]], variables=["stance_angle"], **keys)
+        of_g = many["stance_angle"].values[int(g) - 1, 0, 0]
+        assert of_g == pytest.approx(one, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("push_off = [0.05, 0.1, 0.2]", ""),
+        ("R = [0.1, 0.2]", "for passive walkers; got -0.001"),
+        ("push_off = [-0.1, 0.2]", "`push_off` must be >= 0"),
+    ],
+)
+def test_a_study_that_nothing_drives_is_refused(text, said, tmp_path):
+    study = LEVEL.replace("push_off = [0.05, 0.1, 0.2]", text)
+    path = tmp_path / "s.toml"
+    path.write_text(study)
+    if not said:
+        read(path)
+        return
+    with pytest.raises(StudyError, match=re.escape(said)):
+        read(path)
+
+
+def test_a_study_of_branches_has_no_level_ground(tmp_path):
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nkind = "branch"\n[walker]\nbase = "B"\npush_off = 0.1\n'
+    path.write_text(text + "[axes]\nslope = [-0.01, 0.01]\n")
+    with pytest.raises(StudyError, match="grids of walkers"):
+        read(path)
