@@ -74,26 +74,43 @@ def push_off(walker: Walker, angle: ndarray, impulse: ndarray) -> PushOff:
     q = np.stack([angle, angle, -angle, -angle])
     to_contact = np.exp(-1j * angle) * -1j * chain.l - 1j * chain.R
     direction = -to_contact / np.abs(to_contact)
+
     if chain.massless:
         # The hip has all the mass.
-        return PushOff(0.5 * impulse**2, direction, impulse * direction, 0.0 * q)
+        return PushOff(
+            0.5 * impulse**2,
+            direction,
+            impulse * direction,
+            0.0 * q,
+        )
 
-    contact = _contact(chain, q, to_contact)
-    along = [(direction.conj() * velocity).real for velocity in contact]
     groups = _groups(chain)
-    of_groups = [total(along[i] for i in g) for g in groups]
-    pushed = [direction.real, direction.imag, *of_groups]
+    along = _along(chain, q, to_contact, direction)
+    pushed = [direction.real, direction.imag, *along]
     moved = solve(_free_mass(chain, q), [impulse * each for each in pushed])
 
     x, y, *rates = moved
     work = 0.5 * impulse * total(a * b for a, b in zip(pushed, moved, strict=True))
     of_links = [rate for rate, g in zip(rates, groups, strict=True) for _ in g]
+
     return PushOff(work, direction, x + 1j * y, np.stack(of_links))
 
 
 def _groups(chain: Chain) -> list[list[int]]:
     """Links that move as one during the push: the trailing knee follows its rule."""
     return chain.groups(chain.frees_trailing_knee)
+
+
+def _along(
+    chain: Chain, q: ndarray, to_contact: ndarray, direction: ndarray
+) -> list[ndarray]:
+    """Velocities of the trailing contact along a direction at a unit rate of each group
+    of links.
+    """
+    contact = _contact(chain, q, to_contact)
+    along = [(direction.conj() * velocity).real for velocity in contact]
+
+    return [total(along[i] for i in g) for g in _groups(chain)]
 
 
 def _contact(chain: Chain, q: ndarray, to_contact: ndarray) -> list[ndarray]:
@@ -103,6 +120,7 @@ def _contact(chain: Chain, q: ndarray, to_contact: ndarray) -> list[ndarray]:
     shank, thigh, knee, _ = chain.to_foot
     turned = np.exp(1j * q)
     to_knee = knee * turned[2]
+
     return [
         1j * shank * turned[0] - chain.R,
         1j * thigh * turned[1],
@@ -153,6 +171,7 @@ def hip_torque_work(walker: Walker, begin: ndarray, end: ndarray) -> ndarray:
     """
     chain = Chain(walker)
     bias = 0.0 if chain.massless else chain.hip_bias
+
     return np.asarray(bias * 2 * (begin + end))
 
 

@@ -294,21 +294,8 @@ def describe(
     if problem.drive.at_slope is not None:
         return _described_by_drive(problem, at, slope, want, limits)
     stride, walker = at.stride, problem.every_walker
-    code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
-    solved = {
-        "status": code,
-        "reason": np.select(
-            [~at.converged, at.step, at.doubt],
-            [status.NEWTON_LOST, status.SETTLED, status.UNVERIFIED],
-            status.NOT_A_STEP,
-        ),
-        "residual": np.abs(
-            stride.residual / residual_sizes(stride.y, problem.phases)
-        ).max(axis=0),
-        "error_bound": at.bound,
-        "anthropomorphic": ~at.step | (at.leg_passes == 1),
-        "passes": at.leg_passes,
-    }
+    solved = _outcomes(problem, at)
+    code = solved["status"]
     measured = _steps(problem, walker, at, slope).measure(want, limits)
     of_gaits = of_all_steps(measured, problem.steps)
     of_gaits |= of_travel(walker, slope, of_gaits, problem.steps)
@@ -326,6 +313,26 @@ def describe(
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
     return solved
+
+
+def _outcomes(problem: Problem, at: Polished) -> Arrays:
+    """How the gaits were solved, and whether they are steps."""
+    stride = at.stride
+    residual = stride.residual / residual_sizes(stride.y, problem.phases)
+    return {
+        "status": np.where(
+            at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED
+        ),
+        "reason": np.select(
+            [~at.converged, at.step, at.doubt],
+            [status.NEWTON_LOST, status.SETTLED, status.UNVERIFIED],
+            status.NOT_A_STEP,
+        ),
+        "residual": np.abs(residual).max(axis=0),
+        "error_bound": at.bound,
+        "anthropomorphic": ~at.step | (at.leg_passes == 1),
+        "passes": at.leg_passes,
+    }
 
 
 def _described_by_drive(

@@ -101,7 +101,7 @@ def heelstrike(
     swing = [(S, J)]
     angles = [angle, swing_angle]
     if free_knee:
-        swing = [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)]
+        swing = _links(p)
         angles.append(swing_angle)
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
 
@@ -114,6 +114,11 @@ def heelstrike(
         carried = old.sweep(S_j).dot(old.hip)
         momentum.append((carried + inertia) * stance_rate)
     return Solver(M)(_pushed(momentum, p, new, old))
+
+
+def _links(p: Symbols) -> list[tuple[Vector, Sym]]:
+    """First moments of thigh and shank, and inertias with which both turn together."""
+    return [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)]
 
 
 def _pushed(momentum: list[Sym], p: Symbols, new: _Leg, old: _Leg) -> list[Sym]:

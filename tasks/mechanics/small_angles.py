@@ -69,6 +69,7 @@ class SmallAngles:
         self.torque = self.eps * constants["hip_bias"]
 
         momentum = self._momentum_before(constants)
+
         if walker.pushes_off:
             momentum[:, 2:] = self._push_off(constants, walker.frees_trailing_knee)
         rates = self._rates_of(momentum, walker.locks_trailing_knee)
@@ -84,6 +85,7 @@ class SmallAngles:
         )
         inertia = [constants["C_bb"]]
         between = 0.0
+
         if self.has_knees:
             inertia.append(constants["C_cc"])
             between = constants["H_re"]
@@ -110,6 +112,7 @@ class SmallAngles:
         momentum = np.zeros((len(self.free.M), 4))
         momentum[0, :2] = 1 + 2 * self.eps * S, self.eps * (S + J)
         momentum[1:, 0] = self.free.weights[1:] + own + between
+
         return momentum
 
     def _push_off(self, constants: Mapping[str, float], frees_knee: bool) -> np.ndarray:
@@ -117,6 +120,7 @@ class SmallAngles:
         push = constants["push"]
         gained = np.zeros((len(self.free.M), 2))
         gained[0, 0] = -2 * self.length * push
+
         if frees_knee:
             # The knee lies beside the line from the contact to the hip, which leans by
             # the foot's arc.
@@ -136,6 +140,7 @@ class SmallAngles:
         of_leg = thigh + shank
         rates = np.linalg.solve(self.locked.M, [stance, of_leg])
         leg = rates[1]
+
         return np.stack([rates[0], leg, leg])
 
     def exchange_rates(
@@ -156,13 +161,17 @@ class SmallAngles:
             reaches the other's place.
         """
         by_rates, lack = self._exchange(angle, period, slope)
+
         if self.point_foot:
             along = _rates_along(angle)
             return along * lack[0] / total(by_rates[0] * along)
         # By Cramer's rule, since both rates may do the same to all digits where a leg
         # falls fast.
         (a, b), (c, d) = by_rates
-        rates = np.stack([d * lack[0] - b * lack[1], a * lack[1] - c * lack[0]])
+        rates = np.stack(
+            [d * lack[0] - b * lack[1], a * lack[1] - c * lack[0]],
+        )
+
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(rates / (a * d - b * c))
 
@@ -186,6 +195,7 @@ class SmallAngles:
         ndarray, shape (n,) [rad/sqrt(leg/g)]
         """
         by_rates, lack = self._exchange(angle, period, slope)
+
         return (lack[0] - by_rates[0, 1] * swing_rate) / by_rates[0, 0]
 
     def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -216,6 +226,7 @@ class SmallAngles:
         off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
 
         crosses = np.diff(np.sign(off), axis=0) != 0
+
         with np.errstate(invalid="ignore", divide="ignore"):
             roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[
                 :, None
@@ -263,12 +274,14 @@ class SmallAngles:
         first, second = self._knee_returns(angle, rate, ratio * rate)
 
         first = np.where(np.isnan(first), guess, np.minimum(first, latest))
+
         if self._hangs_bent():
             second = _EARLIER * first
         second = np.where(second < latest, second, np.nan)
 
         kneestrike = np.stack([first, second])
         rates = [self._rate_before(time, *asked) for time in kneestrike]
+
         return np.stack(rates), kneestrike
 
     def _rate_before(
@@ -285,6 +298,7 @@ class SmallAngles:
         end = self._kneed_end(kneestrike, period)
         by_angle, by_rate, by_swing_rate, rest, by_slope = end
         reached = by_angle * angle + rest + by_slope * slope
+
         return -(angle + reached) / (by_rate + by_swing_rate * ratio)
 
     def _hangs_bent(self) -> bool:
@@ -292,6 +306,7 @@ class SmallAngles:
         moments = self.free.moments
         _, thigh, shank = moments.tolist()
         between = thigh * shank.conjugate()
+
         return abs(between.imag) > np.tan(_BENT) * abs(between.real)
 
     def _exchange(
@@ -302,7 +317,11 @@ class SmallAngles:
         """
         periods, place = np.unique(period, return_inverse=True)
         motion = self.locked.after(periods)[place, :2].transpose(1, 2, 0)
-        lack = -np.array([angle, -angle]) - matvec(motion, _known(angle, slope))
+        lack = -np.array([angle, -angle]) - matvec(
+            motion,
+            _known(angle, slope),
+        )
+
         return motion[:, 2:4], lack
 
     def _start(self) -> np.ndarray:
@@ -314,6 +333,7 @@ class SmallAngles:
         start[:n, 0] = [1.0, *[-1.0] * (n - 1)]
         start[n:, 1:3] = self.heelstrike
         start[n:, [0, 3]] = self.push_off
+
         return start
 
     def _knee_returns(
@@ -341,6 +361,7 @@ class SmallAngles:
         between = np.where(count == 1, flexion[1:], 0.0)
         overextended = -between.min(axis=0)
         is_shallow = overextended < _SHALLOW * before.max(axis=0)
+
         return first, np.where(is_shallow, second, np.nan)
 
     def _kneed_end(self, kneestrike: np.ndarray, period: np.ndarray) -> np.ndarray:
@@ -358,6 +379,7 @@ class SmallAngles:
         by_locked = self.locked.after(period - kneestrike)[:, 0].T
         end = total(by_locked[:4, None] * locked)
         end[3:] += by_locked[4:]
+
         return end
 
 
@@ -370,6 +392,7 @@ def _swing(S: float, J: float) -> float:
     """
     longest = (np.pi / _SWINGS[1]) ** 2
     square = max(-S / J, S / J / _FALLING**2, longest)
+
     return max(float(np.pi / np.sqrt(square)), _SWINGS[0])
 
 
@@ -391,6 +414,7 @@ class _Linear:
         self.G = np.diag(arms.imag)
         self.M = np.diag([rolling, *inertia])
         self.M[0, 1:], self.M[1:, 0] = eps * self.weights[1:], self.weights[1:]
+
         if len(swing) > 1:
             self.M[1, 2] = self.M[2, 1] = between
         self.D = np.zeros_like(self.M)
@@ -425,6 +449,7 @@ class _Linear:
         rest = np.zeros((2 * n, 2))
         rest[:n] = np.linalg.lstsq(self.G, self.c, rcond=None)[0]
         by_force = rest - moved @ rest
+
         return np.concatenate([moved, by_force], axis=2)
 
     def after(self, times: np.ndarray) -> np.ndarray:
@@ -435,7 +460,9 @@ class _Linear:
             return self._damped(times)
         # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
         # force.
-        squares, modes = np.linalg.eig(np.linalg.solve(self.M, self.G).astype(complex))
+        squares, modes = np.linalg.eig(
+            np.linalg.solve(self.M, self.G).astype(complex),
+        )
         growth = np.sqrt(squares)[:, None]
         is_free = growth == 0
         own = np.where(is_free, 1, growth)
@@ -448,8 +475,19 @@ class _Linear:
         force = back @ np.linalg.solve(self.M, self.c)
 
         by_own = squares[:, None] * by_rate
-        angles = _of_links(modes, (by_angle, back), (by_rate, back), (by_force, force))
-        rates = _of_links(modes, (by_own, back), (by_angle, back), (-by_rate, force))
+        angles = _of_links(
+            modes,
+            (by_angle, back),
+            (by_rate, back),
+            (by_force, force),
+        )
+        rates = _of_links(
+            modes,
+            (by_own, back),
+            (by_angle, back),
+            (-by_rate, force),
+        )
+
         return np.concatenate([angles, rates], axis=1)
 
     def moved(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -460,6 +498,7 @@ class _Linear:
         by_state = motion[:, :-2, None]
         moved = matvec(by_state, states[:, :, None])
         moved[:, 3:] += motion[:, -2:]
+
         return moved.transpose(2, 0, 1)
 
 
@@ -468,6 +507,7 @@ def _of_links(modes: np.ndarray, *parts: tuple[np.ndarray, np.ndarray]) -> np.nd
     their sources.
     """
     moved = []
+
     for of_mode, source in parts:
         by_time = np.einsum("ik,kn,kj->nij", modes, of_mode, source)
         moved.append(by_time.real)
@@ -486,6 +526,7 @@ def _crossing(times: np.ndarray, values: np.ndarray, is_it: np.ndarray) -> np.nd
     with np.errstate(invalid="ignore", divide="ignore"):
         share = before / (before - after)
     time = times[at] + share * times[1]
+
     return np.where(is_it.any(axis=0), time, np.nan)
 
 
@@ -494,6 +535,7 @@ def _known(angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
     shape (6, n).
     """
     none = np.zeros_like(angle)
+
     return np.stack([angle, -angle, none, none, none + 1, slope])
 
 

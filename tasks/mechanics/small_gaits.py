@@ -40,12 +40,15 @@ def small_gaits(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray
     is_aligned = not linear.locked.c[:, 0].any()
     smallest = min(slopes)
     found = []
+
     for slope in slopes:
         if is_aligned and slope != smallest:
             found.append(np.zeros((4, 0)))
             continue
         off = off_rest + slope * off_slope
-        period = np.concatenate([_crossings(periods, off), _pairs(periods, off)])
+        period = np.concatenate(
+            [_crossings(periods, off), _pairs(periods, off)],
+        )
         found.append(_gaits(linear, period, slope))
     return found
 
@@ -69,6 +72,7 @@ def _crossings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     before = y[at]
     after = y[at + 1]
     share = before / (before - after)
+
     return x[at] + share * np.diff(x)[at]
 
 
@@ -93,6 +97,7 @@ def _pairs(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     root = np.sqrt(square[at])
     lower = x[at + 1] - (slant[at] + root) * step
     upper = x[at + 1] - (slant[at] - root) * step
+
     return np.concatenate([lower, upper])
 
 
@@ -104,6 +109,7 @@ def _gaits(linear: SmallAngles, period: np.ndarray, slope: float) -> np.ndarray:
 
     gaits = np.vstack([solved[:, :, 0].T, period])
     gaits[1:3] /= gaits[0]
+
     return gaits
 
 
@@ -131,4 +137,5 @@ def _repetition(
             [0.0, 0.0, 1.0],
         ]
     )
+
     return by_unknown - repeated, end[:, :, 4:]

@@ -63,6 +63,7 @@ class _Turning:
         cos, sin = self.cos[k], self.sin[k]
         x = v.x * cos - v.y * sin
         y = v.x * sin + v.y * cos
+
         return x, y
 
 
@@ -109,6 +110,7 @@ class Motion:
         self.joint: Pair = ([], [])
         self.mass_00: Series = []
         self.inverse = arb_mat(0, 0)
+
         for _ in range(order):
             self.grow()
 
@@ -131,6 +133,7 @@ class Motion:
         apart = [q[i] - q[0] for i in swing]
         self.relative = list(map(_Turning, apart, self.lag))
         self.turnings = [*self.turning, *self.relative]
+
         if self.n == 3:
             self.flexing = [w[2] - w[1]]
             self.bent = _Turning(q[2] - q[1], self.flexing)
@@ -146,6 +149,7 @@ class Motion:
         them.
         """
         k = len(self.a[0])
+
         if k:
             for turning in self.turnings:
                 turning.grow(k)
@@ -159,11 +163,13 @@ class Motion:
             self.inverse = self._leading_masses().inv()
 
         solved = self.inverse * arb_mat(self.n, 1, force)
+
         for i, a in enumerate(solved.entries()):
             self.a[i].append(a)
             self.q[i].append(self.w[i][k] / (k + 1))
             self.w[i].append(a / (k + 1))
         rates = [w[k + 1] for w in self.w]
+
         for lag, rate in zip(self.lag, rates[1:], strict=True):
             lag.append(rate - rates[0])
         if self.n == 3:
@@ -183,6 +189,7 @@ class Motion:
     def _leading_masses(self) -> arb_mat:
         """The mass matrix at the start."""
         links = range(self.n)
+
         return arb_mat([[self._leading(i, j) for j in links] for i in links])
 
     def _geometry(self, k: int) -> None:
@@ -191,6 +198,7 @@ class Motion:
         x, y = self.turning[0].turned(body.stance_first, k)
         _append(self.stance, body.R * x, body.R * y)
         self.mass_00.append(2 * body.R * y)
+
         if k == 0:
             self.mass_00[0] += body.stance_second
         for j, (first, _) in enumerate(self.links):
@@ -211,13 +219,16 @@ class Motion:
         weight = [turning.turned(moment, k) for turning, moment in links]
         self.weight.append(weight)
         stance = -weight[0][0] - (self.rolling if k == 0 else 0)
+
         if self._rolls:
             stance -= product(self.stance[0], squares[0], k)
         force = [stance]
         for j in range(self.n - 1):
             if self.body.heavy:
                 force[0] -= product(self.whole[j][0], squares[j + 1], k)
-            force.append(product(self.hinge[j][0], squares[0], k) - weight[j + 1][0])
+            force.append(
+                product(self.hinge[j][0], squares[0], k) - weight[j + 1][0],
+            )
         if self.n == 3:
             force[1] += product(self.joint[1], squares[2], k)
             force[2] -= product(self.joint[1], squares[1], k)
@@ -230,6 +241,7 @@ class Motion:
         between = self.q[1][k] - self.q[0][k]
         opening = self.w[1][k] - self.w[0][k]
         torque = -drive.stiffness * between - drive.damping * opening
+
         if k == 0:
             torque += drive.bias
         force[1] += torque
@@ -253,6 +265,7 @@ class Motion:
     def masses(self, k: int) -> arb_mat:
         """Coefficient k of the mass matrix, but for entries that are constant."""
         rows = []
+
         for i in range(self.n):
             series = [self.mass(i, j) for j in range(self.n)]
             rows.append([_ZERO if M is None else M[k] for M in series])
@@ -260,6 +273,7 @@ class Motion:
 
     def _leading(self, i: int, j: int) -> arb:
         M = self.mass(i, j)
+
         if M is not None:
             return M[0]
         if i != j:
@@ -274,6 +288,7 @@ class Motion:
         by_q = [[_ZERO] * n for _ in range(n)]
         by_w = [[_ZERO] * n for _ in range(n)]
         by_q[0][0] = -self.weight[k][0][1]
+
         if self._rolls:
             x, y = self.stance
             squared = product(y, self.squares[0], k)
@@ -289,6 +304,7 @@ class Motion:
             self._of_hip(self.body.drive, by_q, by_w)
 
         rows = [[*q, *w] for q, w in zip(by_q, by_w, strict=True)]
+
         if slope:
             self._append_by_slope(k, rows)
         return rows
@@ -376,6 +392,7 @@ class Variation:
         self.masses: list[arb_mat] = []
         self.accelerations: list[arb_mat] = []
         self.columns = start.ncols()
+
         for _ in range(order):
             self.grow()
 
@@ -389,6 +406,7 @@ class Variation:
         self.masses.append(motion.masses(k))
 
         total = self.rows[0] * self.terms[k]
+
         for j in range(1, k + 1):
             total += self.rows[j] * self.terms[k - j]
         if self.by_slope is not None:
@@ -420,6 +438,7 @@ class Variation:
         size = 2 * n + has_slope
         zero = [arb(0)] * size
         rows = []
+
         for i in range(n):
             rates = list(zero)
             rates[n + i] = arb(1)
@@ -427,6 +446,7 @@ class Variation:
         rows += accelerations.tolist()
         rows += [zero] * has_slope
         sizes = [[arb(x.abs_upper()) for x in row] for row in rows]
+
         return (arb_mat(sizes) * h).exp()
 
 
@@ -450,6 +470,7 @@ def velocity(body: Body, slope: arb, state: Sequence[arb]) -> list[arb]:
     list of arb
     """
     motion = Motion(body, slope, state, 1)
+
     return [*state[motion.n :], *(a[0] for a in motion.a)]
 
 
@@ -470,6 +491,7 @@ def evaluate(series: Sequence[Coefficient], t: arb) -> Coefficient:
     arb or arb_mat
     """
     total = series[-1]
+
     for c in series[-2::-1]:
         total = total * t + c
     return total

@@ -126,6 +126,7 @@ class Stride:
     def mapped(self, change: Callable[[np.ndarray], np.ndarray]) -> Stride:
         """Return a stride of changed arrays."""
         changed = copy.copy(self)
+
         for name, values in vars(self).items():
             setattr(changed, name, _changed(values, change))
         return changed
@@ -178,6 +179,7 @@ class StrideMap:
         #: Whether the drive acts in heelstrike alone, not all along as the slope does.
         self.by_push = structure.drive == "push_off"
         self._start = self._compile_start()
+
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
@@ -194,6 +196,7 @@ class StrideMap:
         state = start_of_step(self.structure, p, y)
         gradients = [[hy.diff(value, v) for v in y] for value in state]
         by_push = [hy.diff(value, p.push) for value in state] if self.by_push else []
+
         return self._function(state + flat(gradients) + by_push, [*y, *p.variables])
 
     def _compile_knee(self) -> CompiledFunction:
@@ -209,11 +212,13 @@ class StrideMap:
         x, carried = vector("x", 6), matrix("d", 6, m + 1)
         rates = field(p, x, True)
         D = []
+
         for row, rate in zip(carried, rates, strict=True):
             D.append([*row[:m], rate, row[m]])
         lock = lock_knee(p, x)
         parts = _parts(derivatives_along(lock, x, D), field(p, lock, False))
         outputs = lock + flat(parts) + _at_kneestrike(x, rates, carried)
+
         return self._function(outputs, [*x, *flat(carried), *p.variables])
 
     def _compile_finish(self) -> CompiledFunction:
@@ -232,10 +237,12 @@ class StrideMap:
         D = self._directions(carried, parts, field(p, x, False))
         section = end_of_step(self.structure, p, x)
         section_by = derivatives_along(section, x, D)
+
         if self.by_push:
             for row, value in zip(section_by, section, strict=True):
                 row[-1] = row[-1] + hy.diff(value, p.push)
         outputs = _to_first_order(y, x, D, section, section_by, knee)
+
         return self._function(outputs, variables)
 
     def _directions(
@@ -248,6 +255,7 @@ class StrideMap:
         the phase with a free knee, slope).
         """
         directions = []
+
         for row, rate in zip(carried, rates, strict=True):
             if self.kneed:
                 starts = [ZERO] * (self.m + 1) + [row[3]]
@@ -269,6 +277,7 @@ class StrideMap:
         padded = whole_groups(np.where(lost, 0.0, inputs), LANES)
         result = function(padded)[:, : inputs.shape[1]]
         result[:, lost] = np.nan
+
         return result
 
     def start(self, y: Sections, parameters: Parameters) -> np.ndarray:
@@ -276,6 +285,7 @@ class StrideMap:
         row, shape (start_size (1 + m), n).
         """
         values = self._apply(self._start, np.vstack([y, parameters]))
+
         return values[: self.start_size * (1 + self.m)]
 
     def __call__(
@@ -317,6 +327,7 @@ class StrideMap:
         phase = _Phase(self.structure, start, D, parameters, times[0], m + 1)
         parts = guard = strike = np.empty((0, n))
         motion = []
+
         if self.kneed:
             end, motion_of_free = _integrate(phase, *options)
             motion.append(motion_of_free)
@@ -328,6 +339,7 @@ class StrideMap:
         inputs = np.vstack([y, end, parts, guard, parameters])
         out = self._apply(self._finish, inputs)
         angles = 6 if self.kneed else 0
+
         return Stride(
             **self._by_times(out, times, self._times_by(parts, n)),
             y=y,
@@ -346,6 +358,7 @@ class StrideMap:
         unit = np.eye(4, 3 + slope, -1)[:, :, None]
         D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
         straight, of_straight = locked(self.structure, parameters)
+
         return _Phase(straight, state, D, of_straight, times[1] - times[0], 4)
 
     def _begin(
@@ -358,6 +371,7 @@ class StrideMap:
         size = self.start_size
         values = self._apply(self._start, np.vstack([y, parameters]))
         D = values[size : size * (1 + m)].reshape(size, m, n)
+
         if slope:
             by_drive = values[size * (1 + m) :] if self.by_push else np.zeros((size, n))
             D = np.concatenate([D, by_drive[:, None]], axis=1)
@@ -370,6 +384,7 @@ class StrideMap:
         """
         out = self._apply(self._knee, np.vstack([end, parameters]))
         sizes = np.cumsum([4, 4 * (self.m + 2), self.m + 3])
+
         return np.split(out, sizes)
 
     def _times_by(self, parts: np.ndarray, n: int) -> np.ndarray:
@@ -382,6 +397,7 @@ class StrideMap:
         m, k = self.m, 1 + self.kneed
         times_by = np.zeros((k, m + k + 1, n))
         times_by[-1, m + k - 1] = 1.0
+
         if self.kneed:
             times_by[:, m] = 1.0
             times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
@@ -390,6 +406,7 @@ class StrideMap:
     def _named(self, out: np.ndarray) -> dict[str, np.ndarray]:
         """Rows that the end of a step gives, by their names and in their shapes."""
         named = {}
+
         for name, (place, shape) in rows_of_end(self.m, 1 + self.kneed).items():
             named[name] = out[place].reshape(*shape, out.shape[1])
         return named
@@ -406,6 +423,7 @@ class StrideMap:
             end.pop(name) for name in ("shifts", "moves", "newton")
         )
         derivative = end["derivative"]
+
         if self.kneed:
             # A later kneestrike with the same heelstrike shortens the last phase, and
             # so does all else.
@@ -413,6 +431,7 @@ class StrideMap:
             derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
 
         of_times = [matvec(moves.swapaxes(0, 1), row[: m + k]) for row in times_by]
+
         return {
             **end,
             "times": times + matvec(times_by[:, m : m + k], shifts[:, 0]),
@@ -438,6 +457,7 @@ def _integrate(
 
     rows = np.zeros((size, phase.width, n))
     rows[:, :directions] = final[size:].reshape(-1, size, n).transpose(1, 0, 2)
+
     return np.vstack([final[:size], rows.reshape(-1, n)]), motion
 
 
@@ -459,6 +479,7 @@ def rows_of_end(m: int, k: int) -> dict[str, tuple[slice, tuple[int, ...]]]:
         "impact_by_y": (2, m),
     }
     places = slices([math.prod(shape) for shape in shapes.values()])
+
     return dict(zip(shapes, zip(places, shapes.values(), strict=True), strict=True))
 
 
@@ -483,6 +504,7 @@ def _to_first_order(
     shifts = _shifts(guards, guards_by, m)
     image = _at_strikes(section, section_by, shifts, m)
     impact = _at_strikes(x[2:], D[2:], shifts, m)
+
     return [
         *_values_then_derivatives(image),
         *(row[-1] for row in image),
@@ -498,6 +520,7 @@ def _parts(by_direction: list[list[Sym]], rates: list[Sym]) -> list[list[Sym]]:
     """
     along = [d / rates[0] for d in by_direction[0]]
     parts = [along]
+
     for row, rate in zip(by_direction[1:], rates[1:], strict=True):
         parts.append([d - c * rate for d, c in zip(row, along, strict=True)])
     return parts
@@ -513,6 +536,7 @@ def _at_kneestrike(
     guard_by = [a - b for a, b in zip(carried[1], carried[2], strict=True)]
     by_y = guard_by[:-1]
     strike = [v - rate * guard / closing for v, rate in zip(x, rates, strict=True)]
+
     for row, rate in zip(carried, rates, strict=True):
         strike += [d - rate * g / closing for d, g in zip(row, by_y, strict=False)]
     return [guard, *by_y, closing, guard_by[-1], *strike]
@@ -525,11 +549,13 @@ def _joint_equations(
     and the Newton step, row by row.
     """
     derivative = []
+
     for i, row in enumerate(section_by):
         derivative.append([v - float(i == d) for d, v in enumerate(row)])
     derivative += guards_by
     moves = inverse([[-v for v in row[:-1]] for row in derivative])
     newton = [dot(row, residual) for row in moves]
+
     return [*residual, *flat(derivative), *flat(moves), *newton]
 
 
@@ -538,8 +564,10 @@ def _shifts(guards: list[Sym], guards_by: list[list[Sym]], m: int) -> list[list[
     values, y and the slope; one duration after another.
     """
     shifts: list[list[Sym]] = []
+
     for j, (guard, row) in enumerate(zip(guards, guards_by, strict=True)):
         values = [guard, *row[:m], row[-1]]
+
         for i, earlier in enumerate(shifts):
             values = [v + row[m + i] * e for v, e in zip(values, earlier, strict=True)]
         shifts.append([-v / row[m + j] for v in values])
@@ -553,8 +581,13 @@ def _at_strikes(
     the slope; given at the end of the flow, by y, durations and slope.
     """
     at_strikes = []
+
     for value, row in zip(values, by, strict=True):
-        at_end = zip([value, *row[:m], row[-1]], zip(*shifts, strict=True), strict=True)
+        at_end = zip(
+            [value, *row[:m], row[-1]],
+            zip(*shifts, strict=True),
+            strict=True,
+        )
         at_strikes.append([dot(row[m:-1], shift, start) for start, shift in at_end])
     return at_strikes
 
@@ -568,4 +601,5 @@ def _values_then_derivatives(at_strikes: list[list[Sym]]) -> list[Sym]:
 def stride_map(structure: Structure) -> StrideMap:
     """Return the compiled step map of a structure, one a process."""
     prepare_compiler()
+
     return StrideMap(structure)

@@ -54,6 +54,7 @@ def test_gaits_repeat_in_a_derivation_by_constraints_and_impulses(name, keys, sl
     walker free between them.
     """
     found = solve(name, slope, **keys)
+
     assert len(found)
     oracle = on_the_oracle(name, keys)
 
@@ -62,11 +63,17 @@ def test_gaits_repeat_in_a_derivation_by_constraints_and_impulses(name, keys, sl
         step = oracle.step(gait.stance_angle, rates[: 2 + oracle.knees], slope)
 
         assert step.period == pytest.approx(gait.period, rel=1e-10)
+
         assert step.theta == pytest.approx(gait.stance_angle, rel=1e-9)
         size = max(map(abs, rates))
         np.testing.assert_allclose(step.rates, rates, rtol=0, atol=1e-9 * size)
         lost = step.loss_heelstrike
-        assert lost == pytest.approx(gait.loss_normal + gait.loss_tangential, rel=1e-9)
+
+        assert lost == pytest.approx(
+            gait.loss_normal + gait.loss_tangential,
+            rel=1e-9,
+        )
+
         if "push_off" in keys:
             assert oracle.push_work == pytest.approx(gait.push_off_work, rel=1e-9)
 
@@ -79,6 +86,7 @@ def test_what_is_lost_is_what_is_supplied(name, keys, slope):
     found = solve(name, slope, **keys)
 
     assert (np.abs(found["energy_imbalance"]) < 1e-12).all()
+
     assert (found["error_bound"] < 1e-12).all()
     weight = resolve(name, keys).total_mass * resolve(name, keys).g
     supplied = found["cost_of_transport"] * weight * found["step_length"]
@@ -102,6 +110,7 @@ def test_derivatives_by_the_drive_are_exact(name, keys, w, key):
     exact = evaluate(problem, Z).derivative[..., 0]
 
     h = 1e-5
+
     for column in range(1, len(Z)):
         moved = np.zeros_like(Z)
         moved[column] = h
@@ -116,7 +125,13 @@ def test_on_level_ground_the_simplest_walker_is_a_rimless_wheel_that_pushes():
     of Kuo (2002).
     """
     pushes = np.array([1e-4, 1e-3, 0.02, 0.1])
-    found = gaits("D", 0.0, push_off=pushes, variables=["stance_angle", "stance_rate"])
+    found = gaits(
+        "D",
+        0.0,
+        push_off=pushes,
+        variables=["stance_angle", "stance_rate"],
+    )
+
     for label in ("long", "short"):
         angle, rate = (
             found[name].sel(gait=label).values
@@ -138,19 +153,27 @@ def test_steps_shorten_with_the_root_of_a_vanishing_push(label):
     vanishing slopes.
     """
     pushes = np.array([1e-10, 1.001e-10])
-    found = gaits("D", 0.0, push_off=pushes, variables=["stance_angle", "period"])
+    found = gaits(
+        "D",
+        0.0,
+        push_off=pushes,
+        variables=["stance_angle", "period"],
+    )
     angle = found["stance_angle"].sel(gait=label).values
     exponent = np.diff(np.log(angle)) / np.diff(np.log(pushes))
+
     assert exponent == pytest.approx(0.5, abs=1e-6)
 
     passive = solve("D", 1e-12).set_index("gait").loc[label]
     period = found["period"].sel(gait=label).values[0]
+
     assert period == pytest.approx(passive["period"], rel=1e-7)
 
 
 def test_on_a_slope_a_vanishing_push_leaves_the_passive_gait():
     pushed = solve("B", 0.02, push_off=1e-12)
     passive = solve("B", 0.02)
+
     for name in ("stance_angle", "period", "spectral_radius"):
         np.testing.assert_allclose(pushed[name], passive[name], rtol=1e-9)
 
@@ -174,11 +197,14 @@ def test_branches_over_the_push_and_over_the_slope_meet():
 def test_error_bounds_hold_against_113_bits(name, keys, slope):
     walker = resolve(name, keys)
     problem, drive = Problem(walker), slope
+
     if slope <= 0:
         problem, drive = driven(walker, slope)
     for gait in solve(name, slope, **keys).itertuples():
         angle, period = in_113_bits(problem, drive, gait)
+
         assert abs(angle / gait.stance_angle - 1) <= 2 * gait.error_bound
+
         assert abs(period / gait.period - 1) <= 2 * gait.error_bound
 
 
@@ -192,19 +218,38 @@ def in_113_bits(problem, drive, gait):
         np.array([gait.kneestrike_time, gait.period])[-problem.phases :, None] / time
     )
 
-    stride = problem.map(y / scale, times, problem.parameters(at, scale), slope=True)
-    start = Start(problem, 0, stride, y[:, 0] / scale, times[:, 0], drive, scale[0])
+    stride = problem.map(
+        y / scale,
+        times,
+        problem.parameters(at, scale),
+        slope=True,
+    )
+    start = Start(
+        problem,
+        0,
+        stride,
+        y[:, 0] / scale,
+        times[:, 0],
+        drive,
+        scale[0],
+    )
     exact = solved(start, 1)
+
     return float(exact.y[0]) * scale[0], float(exact.times[-1]) * time
 
 
 def test_a_walker_without_these_keys_is_compiled_and_written_as_before():
     plain = resolve("C")
     zero = resolve("C", dict.fromkeys(("push_off", *HIP), 0.0))
+
     assert zero == plain
+
     assert zero.table() == plain.table()
+
     assert not {"push_off", *HIP} & {*plain.table()}
+
     assert structure_of(zero) == structure_of(plain)
+
     assert not {"push", "hip_bias"} & {*structure_of(plain).constants}
 
 
@@ -218,17 +263,20 @@ def test_the_work_of_a_push_is_what_the_walker_gains():
         work = push_off(walker, angle, impulse).work[0]
         oracle.heelstrike(np.array([-0.3, 0.3, 0.3, 0.0, 0.0, 0.0]))
         unit = walker.total_mass * walker.g * walker.leg
+
         assert work * unit == pytest.approx(oracle.push_work, rel=1e-12)
 
 
 def test_a_spring_makes_the_leg_swing_faster_to_first_order():
     walker = {"hip_stiffness": 0.1}
+
     assert SmallAngles(resolve("B", walker)).swing < SmallAngles(resolve("B")).swing
     free, braked = (
         SmallAngles(resolve("C", {"hip_stiffness": 1.0, "hip_damping": damping}))
         for damping in (0.0, 1e-9)
     )
     times = np.linspace(0, 3, 7)
+
     for motion in ("locked", "free"):
         undamped, damped = (getattr(x, motion).after(times) for x in (free, braked))
         np.testing.assert_allclose(damped, undamped, rtol=0, atol=1e-7)
@@ -236,21 +284,29 @@ def test_a_spring_makes_the_leg_swing_faster_to_first_order():
 
 def test_walking_uphill_is_flown_step_by_step():
     (gait, *_) = solve("D", -0.01, push_off=0.1).itertuples()
+
     assert gait.stable
     state = [gait.stance_angle, gait.stance_rate, gait.thigh_rate]
     flown = simulate("D", -0.01, state, 20, push_off=0.1)
-    np.testing.assert_allclose(flown["stance_angle"], gait.stance_angle, rtol=1e-12)
+    np.testing.assert_allclose(
+        flown["stance_angle"],
+        gait.stance_angle,
+        rtol=1e-12,
+    )
     mapped = step_map("D", -0.01, state, push_off=0.1)
     np.testing.assert_allclose(mapped.state, state, rtol=1e-13)
 
 
 def test_what_nothing_drives_has_no_gait_on_level_ground_and_is_told_why():
     found = solve("D", 0.0)
+
     assert found.empty
+
     assert any("push_off" in sentence for sentence in found.attrs["absent"])
     asked = gaits("D", [0.0, 0.0], push_off=[0.0, 0.05], variables=["period"])
     codes = asked["status"].attrs["flag_meanings"].split()
     refused, walks = asked["status"].sel(gait="long").values.tolist()
+
     assert (codes[refused], codes[walks]) == ("raised", "converged")
 
 

@@ -18,6 +18,7 @@ def variables(links):
     """Angles and rates as symbols."""
     q = [f"q{i}" for i in range(links)]
     rate = [f"v{i}" for i in range(links)]
+
     return list(hy.make_vars(*q)), list(hy.make_vars(*rate))
 
 
@@ -27,6 +28,7 @@ def accelerations_by_lagrange(walker, links):
     kinetic, potential = energies(walker, q, rate, hy.expression(SLOPE))
     equations = hy.lagrangian(kinetic - potential, q, rate)
     accelerations = [right for _, right in equations[links:]]
+
     if walker.has_hip_torque:
         gained = added(kinetic, rate, hip_forces(walker, rate))
         accelerations = [a + b for a, b in zip(accelerations, gained, strict=True)]
@@ -35,6 +37,7 @@ def accelerations_by_lagrange(walker, links):
     time = walker.time_unit
     states = STATES[: 2 * links].copy()
     states[links:] /= time
+
     return function(states) * time**2
 
 
@@ -42,6 +45,7 @@ def added(kinetic, rate, forces):
     """Accelerations that generalised forces add, by the mass matrix of an energy."""
     momenta = [hy.diff(kinetic, v) for v in rate]
     matrix = [[hy.diff(momentum, v) for v in rate] for momentum in momenta]
+
     return Solver(matrix)(forces)
 
 
@@ -57,6 +61,7 @@ def accelerations_as_integrated(walker, links):
     known = {"slope": SLOPE, "scale": 1.0, **lump(walker)}
     lanes = STATES.shape[1]
     parameters = [np.full(lanes, known[name]) for name in structure.parameters]
+
     return function(np.vstack([STATES[: 2 * links], *parameters]))
 
 
@@ -80,4 +85,9 @@ def test_the_motion_that_is_integrated_is_that_of_the_energies(name, changes, li
     integrated = accelerations_as_integrated(walker, links)
 
     largest = np.abs(by_lagrange).max()
-    np.testing.assert_allclose(integrated, by_lagrange, rtol=0, atol=1e-12 * largest)
+    np.testing.assert_allclose(
+        integrated,
+        by_lagrange,
+        rtol=0,
+        atol=1e-12 * largest,
+    )

@@ -23,6 +23,7 @@ def over_key(source: Source) -> Sketch | None:
     colour for each of its slopes and values of other axes.
     """
     key = _longest_key(source)
+
     if key is None:
         return None
     sketch = Sketch("over_key", 350)
@@ -37,13 +38,22 @@ def over_key(source: Source) -> Sketch | None:
             if known.empty:
                 continue
             whole = curve.reset_index(drop=True)
-            draw_gait(axes, whole, str(gait), ink, number, key, "stance_angle")
+            draw_gait(
+                axes,
+                whole,
+                str(gait),
+                ink,
+                number,
+                key,
+                "stance_angle",
+            )
             _mark(sketch, known, f"{gait} step · {name}", key, number)
             sketch.pieces.append(known.assign(line=name))
     if not sketch.pieces:
         return None
 
     sketch.gait_keys()
+
     return sketch.finish(
         lines=names,
         inks=colours,
@@ -67,16 +77,23 @@ def _mark(
 def _longest_key(source: Source) -> str | None:
     """The longest axis of numbers that is no slope, of more values than one."""
     grid = source.grid
+
     if not {"stance_angle", "spectral_radius"} <= set(grid.variables):
         return None
     keys = [axis for axis in source.axes if axis not in ("slope", "walker")]
     lengths = {axis: grid.sizes[axis] for axis in keys if grid.sizes[axis] > 1}
-    return max(lengths, key=lambda axis: lengths[axis], default=None)
+
+    return max(
+        lengths,
+        key=lambda axis: lengths[axis],
+        default=None,
+    )
 
 
 def _count(source: Source, key: str) -> int:
     """How many lines over a key the grid holds."""
     others = [size for axis, size in source.grid.sizes.items() if axis in source.axes]
+
     return int(np.prod(others)) // source.grid.sizes[key]
 
 
@@ -86,6 +103,7 @@ def _lines(source: Source, key: str) -> Iterator[tuple[str, pd.DataFrame]]:
     """
     grid = source.grid
     others = [axis for axis in source.axes if axis != key]
+
     for place in itertools.product(*(range(grid.sizes[axis]) for axis in others)):
         at = dict(zip(others, place, strict=True))
         here = grid.isel(at)
@@ -105,4 +123,5 @@ def _command(source: Source, values: dict[str, Any], key: str, value: float) -> 
     """The command that solves the gaits of a point."""
     at = {axis: v for axis, v in values.items() if axis != "slope"}
     line = {"walker": str(at.pop("walker", source.walker)), **at, key: value}
+
     return f"{source.command(line)} --slope {float(values['slope'])!r}"
