@@ -147,6 +147,20 @@ def test_half_the_square_of_the_push_pays_for_the_collision_of_massless_legs():
     np.testing.assert_allclose(found["loss_normal"], 0.05**2 / 2, rtol=1e-10)
 
 
+def test_pushing_off_costs_a_fourth():
+    """Kuo (2002): the collision after a push-off takes a fourth of that before one, for
+    steps of one length.
+    """
+    names = ["step_length", "cost_of_transport"]
+    pushed = gaits("D", 0.0, push_off=np.geomspace(1e-4, 1e-2, 60), variables=names)
+    down = gaits("D", [1e-5, 1e-4], variables=names)
+    for label in ("long", "short"):
+        length, cost = (pushed[name].sel(gait=label).values for name in names)
+        longer, dearer = (down[name].sel(gait=label).values for name in names)
+        same = np.interp(np.log(longer), np.log(length), np.log(cost))
+        np.testing.assert_allclose(dearer / np.exp(same), 4, rtol=3e-3)
+
+
 @pytest.mark.parametrize("label", ["long", "short"])
 def test_steps_shorten_with_the_root_of_a_vanishing_push(label):
     """The periods are those at which legs exchange places at equal rates, as on
