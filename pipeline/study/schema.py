@@ -164,7 +164,7 @@ def _key(name: str) -> Schema:
     """The number that a key of a walker, or an axis, holds."""
     about = {"description": (_of_walkers("MEANINGS") | fields.EXTRA_AXES)[name]}
     if name == "slope":
-        return about | Slope().schema
+        return about | Slope(may_be_level=True).schema
     if name == "foot_mass_ratio":
         low, high = dispatch.resolve("gaitsweep.tasks.walkers.resolve:FOOT_MASS_RATIOS")
         return about | Number(low, high, without_high=True).schema

@@ -93,15 +93,22 @@ class Number(Value):
 
 
 class Slope(Number):
-    """A slope of the ground."""
+    """A slope of the ground; that of driven walkers `may_be_level`, or lead uphill."""
 
-    def __init__(self) -> None:
-        super().__init__(*SLOPES, without_high=True, unit=" rad")
+    def __init__(self, may_be_level: bool = False) -> None:
+        low, high = SLOPES
+        super().__init__(
+            -high if may_be_level else low,
+            high,
+            without_low=may_be_level,
+            without_high=True,
+            unit=" rad",
+        )
 
     def read(self, value: Any, place: Location) -> float:
         """Check a slope, which may be meant in degrees."""
         number = place.number(value)
-        slopes.check(number, place)
+        slopes.check(number, place, self.without_low)
         return number
 
 

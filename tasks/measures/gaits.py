@@ -643,13 +643,13 @@ def energy_imbalance(
     drop = (
         walker.total_mass * walker.g * steps * measured["step_length"] * np.sin(slope)
     )
-    supplied = [drop, *work_of_drive(measured).values()]
+    supplied = [drop, *_supplied(measured).values()]
     sizes = sum(np.abs(work) for work in supplied)
     return np.asarray((losses - sum(supplied)) / sizes)
 
 
-def work_of_drive(measured: Mapping[str, np.ndarray]) -> Arrays:
-    """Return the work that drives a walker beside gravity, as far as it is measured."""
+def _supplied(measured: Mapping[str, np.ndarray]) -> Arrays:
+    """The work that drives a walker beside gravity, as far as it is measured."""
     names = "push_off_work", "hip_torque_work"
     return {name: measured[name] for name in names if name in measured}
 
@@ -675,7 +675,7 @@ def of_travel(
     """
     length = measured["step_length"]
     of_gaits = travel(walker, slope, length, measured["period"], steps)
-    supplied = work_of_drive(measured)
+    supplied = _supplied(measured)
     if supplied:
         distance = walker.total_mass * walker.g * steps * length
         by_drive = total(supplied.values()) / distance

@@ -152,7 +152,12 @@ def test_pushing_off_costs_a_fourth():
     steps of one length.
     """
     names = ["step_length", "cost_of_transport"]
-    pushed = gaits("D", 0.0, push_off=np.geomspace(1e-4, 1e-2, 60), variables=names)
+    pushed = gaits(
+        "D",
+        0.0,
+        push_off=np.geomspace(1e-4, 1e-2, 60),
+        variables=names,
+    )
     down = gaits("D", [1e-5, 1e-4], variables=names)
     for label in ("long", "short"):
         length, cost = (pushed[name].sel(gait=label).values for name in names)
