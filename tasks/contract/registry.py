@@ -94,6 +94,7 @@ TASKS = {
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
+        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 1),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
         ),
