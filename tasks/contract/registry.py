@@ -213,6 +213,7 @@ CALLS = {
     "check_states": "gaitsweep.tasks.studies.check_states:check_states",
     "verdicts": "gaitsweep.tasks.studies.check_states:verdicts",
     "convention": "gaitsweep.tasks.walkers.conventions:columns",
+    "written_in": "gaitsweep.tasks.walkers.conventions:written_in",
     "prove": "gaitsweep.tasks.studies.prove_gaits:prove_one",
     "prove_stored": "gaitsweep.tasks.proofs.records:prove_stored",
     "certificates": "gaitsweep.tasks.ledger.write_certificates:names",
