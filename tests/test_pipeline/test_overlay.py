@@ -340,7 +340,7 @@ def test_bounds_of_measured_variables_follow_from_that_of_the_gait():
     the multipliers; none is known of the others.
     """
     line = {"walker": "D", "set": {}}
-    names = ("stance_angle", "period", "stance_rate", "speed", "step_length")
+    names = ("stance_angle", "period", "thigh_rate", "speed", "step_length")
     names += ("spectral_radius", "scuff_depth")
     values = {name: np.array([0.2]) for name in names}
     found = solve_measured.measured(
@@ -351,10 +351,26 @@ def test_bounds_of_measured_variables_follow_from_that_of_the_gait():
     bound = float(gait["error_bound"])
     largest = float(max(abs(gait["stance_rate"]), abs(gait["thigh_rate"])))
     assert columns["stance_angle_error"] == bound * columns["stance_angle"]
-    assert columns["stance_rate_error"] == bound * largest
+    assert columns["thigh_rate_error"] == bound * largest
+    assert largest > 1.05 * abs(columns["thigh_rate"])
     assert columns["speed_error"] == 2 * bound * columns["speed"]
     assert columns["spectral_radius_error"] == float(gait["multiplier_error_bound"])
     assert np.isnan(columns["scuff_depth_error"]) and columns["scuff_depth"] > 0
+
+
+@pytest.mark.parametrize("named", ["long", "short"])
+def test_a_measurement_that_names_its_gait_is_compared_with_it(named):
+    near = solved("D", 0.009)
+    found = solve_measured.measured(
+        {
+            "lines": [{"walker": "D", "set": {}}],
+            "slope": [0.009],
+            "gait": [named],
+            "values": {"stance_angle": np.array([near["stance_angle"]])},
+        },
+        [],
+    )
+    assert found["measured_gaits/gait"].tolist() == [named]
 
 
 def test_a_branch_study_compares_between_folds(tmp_path):
