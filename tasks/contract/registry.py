@@ -223,6 +223,7 @@ CALLS = {
     "walkers": "gaitsweep.tasks.walkers.describe:describe",
     "tune": "gaitsweep.tasks.walkers.tuning:tune",
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
+    "why_no_key": "gaitsweep.tasks.walkers.resolve:why_no_key",
     "check_walker": "gaitsweep.tasks.walkers.resolve:check",
     "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
     "search_words": "gaitsweep.tasks.studies.solve_points:search_words",
