@@ -52,6 +52,7 @@ TREE = {
         "studies",
         "archive",
         "your-own-walker",
+        "conventions",
         "cluster",
     ],
     "Gallery": [

@@ -1,6 +1,8 @@
-"""Writes the tables of fields and options into studies.md: `python docs/tables.py`.
+"""Writes the tables of fields and options into studies.md, and of gaits into
+conventions.md: `python docs/tables.py`.
 
-A table stands below a comment that names it, as `<!-- options of grid -->`.
+A table stands below a comment that names it, as `<!-- options of grid -->` or `<!-- D in
+garcia -->`.
 """
 
 import json
@@ -8,11 +10,14 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from gaitsweep.pipeline.cli import reference
 from gaitsweep.pipeline.study import fields
 from gaitsweep.pipeline.study.fields import Field
 
-PAGE = Path(__file__).with_name("studies.md")
-_PLACE = re.compile(r"(<!-- (\w[\w ]*) -->\n)(?:\|.*\n)*")
+PAGES = [Path(__file__).with_name(name) for name in ("studies.md", "conventions.md")]
+_PLACE = re.compile(r"(<!-- (\w[\w -]*) -->\n)(?:\|.*\n)*")
+#: A table of a walker's gaits in a convention.
+_OF_GAITS = re.compile(r"([\w-]+) in (\w+)")
 
 
 def _tables() -> dict[str, Mapping[str, Field]]:
@@ -49,15 +54,28 @@ def _lines(table: Mapping[str, Field]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |"
 
 
+def _gaits(walker: str, convention: str) -> Iterator[str]:
+    """A table of a walker's reference gaits."""
+    rows, _ = reference.gaits(convention, walker)
+    names = [name for name in rows[0] if name not in ("name", "walker")]
+    yield f"| {' | '.join(f'`{name}`' for name in names)} |"
+    yield "|---" * len(names) + "|"
+    for row in rows:
+        yield f"| {' | '.join(row[name] for name in names)} |"
+
+
 def filled(text: str) -> str:
-    """A page with its tables as the fields are now."""
+    """A page with its tables as the fields and the gaits are now."""
     tables = _tables()
 
     def table(place: re.Match[str]) -> str:
-        return place[1] + "".join(f"{line}\n" for line in _lines(tables[place[2]]))
+        of_gaits = _OF_GAITS.fullmatch(place[2])
+        lines = _gaits(*of_gaits.groups()) if of_gaits else _lines(tables[place[2]])
+        return place[1] + "".join(f"{line}\n" for line in lines)
 
     return _PLACE.sub(table, text)
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -89,8 +89,9 @@ def test_the_paper_is_cited_alike_everywhere():
     )
 
 
-def test_the_tables_of_studies_are_those_of_their_fields():
-    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["studies", "conventions"])
+def test_tables_are_those_of_the_fields_and_the_reference_gaits(name):
+    page = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     filled = runpy.run_path(str(ROOT / "docs" / "tables.py"))["filled"]
     assert filled(page) == page
 

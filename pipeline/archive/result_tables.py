@@ -345,6 +345,10 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
             **measured,
             "long_name": f"standard error of the measured {measured['long_name']}",
         }
+    if group == "measured_gaits" and name.endswith("_error"):
+        computed = _attributes(plan, group, name.removesuffix("_error"))
+        meaning = computed["long_name"]
+        return {**computed, "long_name": f"bound on the error of the {meaning}"}
     study = plan.study
     kind, meaning = meaning_of(name, group)
     if name == "detuning":

@@ -89,6 +89,10 @@ def setting(text: str) -> tuple[str, float | bool | str]:
         raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
     if key in ("toward", "trailing_knee"):
         return key, value
+    if value.lstrip().startswith("["):
+        raise ArgumentTypeError(
+            f"`{key}` must be one number, that of both legs; got {value}"
+        )
     return key, {"true": True, "false": False}[value] if value in (
         "true",
         "false",

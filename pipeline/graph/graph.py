@@ -187,10 +187,11 @@ class Graph:
         for name in self.study_tasks:
             layer = self.layers[name]
             params = layers.study_params(self.study, name)
-            inputs = [keys[need] for need in layer.needs if need in keys]
-            keys[name] = task_key(
-                layer.task, params, [below, *self.study.gaits, *inputs]
-            )
+            read: list[str] = []
+            if layer.needs:
+                inputs = [keys[need] for need in layer.needs if need in keys]
+                read = [below, *self.study.gaits, *inputs]
+            keys[name] = task_key(layer.task, params, read)
         return keys
 
     def node(self, name: str, line: int | None = None) -> Node:

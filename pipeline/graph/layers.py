@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.grid.method import Method, variables
+from gaitsweep.pipeline.study import overlay
 from gaitsweep.pipeline.study.model import Study, about
 from gaitsweep.tasks.contract.registry import (
     GAITS,
@@ -54,6 +55,8 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
                 add(read, _over_lines(read))
     for name in study.fits:
         add(name, False)
+    if study.overlay:
+        add("measured", False)
     if study.claims and "claims" in TASKS:
         # Claims read the main results of the study, its points or the tables of its
         # task, and their atlas.
@@ -170,6 +173,8 @@ def _window(study: Study) -> dict[str, float]:
 
 def study_params(study: Study, name: str) -> dict[str, Any]:
     """Parameters of a task over the whole study."""
+    if name == "measured":
+        return _measured_params(study)
     lines = enumerate(study.lines_at(np.arange(study.lines)))
     params: dict[str, Any] = {
         "lines": [{**line, "name": study.name_of(number)} for number, line in lines]
@@ -177,3 +182,15 @@ def study_params(study: Study, name: str) -> dict[str, Any]:
     if name == "claims":
         params["ids"] = list(study.claims)
     return params
+
+
+def _measured_params(study: Study) -> dict[str, Any]:
+    """Parameters of the gaits at the points of the user's measurements."""
+    points = overlay.points(study)
+    measures = {
+        name: VARIABLES[name].version
+        for name in points["values"]
+        if VARIABLES[name].measure
+    }
+    labels = study.gaits if study.kind == "grid" else GAITS
+    return {**points, "gaits": labels, "steps": study.steps, "measures": measures}

@@ -23,6 +23,8 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     """
     graph, store = plan.graph, plan.store
     needs = graph.layers[name].needs
+    if not needs:
+        return
     per_line = [
         need for need in needs if need != "points" and graph.layers[need].per_line
     ]

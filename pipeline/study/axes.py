@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.fields import RANGE, axis_names, value_of
 from gaitsweep.pipeline.study.files import other
-from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Axis, Definition
 
 _MAX_DIGITS = 15  # decimals of a linear axis
@@ -43,7 +44,11 @@ def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
             raise location.error(
                 f"`{key}` holds a text and is no axis: it stands in the table of a walker"
             )
-    location.check_names(value, axis_names(), "key")
+    known = axis_names()
+    for key in value:
+        if key not in known and (why := ask("why_no_key", {"key": key})):
+            raise location.error(f"`{clip(str(key))}` is no axis: {why}")
+    location.check_names(value, known, "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
 

@@ -4,13 +4,14 @@
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from gaitsweep.pipeline.study import files, units
 from gaitsweep.pipeline.study.location import Location, clip
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Axis, Lines, Study
 from gaitsweep.tasks.contract.registry import GAITS, SI_UNITS, VARIABLES
 
 Columns = dict[str, np.ndarray]
@@ -73,6 +74,40 @@ def read(name: str, study: Study, location: Location) -> Columns:
         )
     location.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
+
+
+def points(study: Study) -> dict[str, Any]:
+    """The points at which a study's measurements were made, and their values.
+
+    Returns
+    -------
+    dict
+        `lines`, their walkers and keys, `slope` [rad] and `gait`, of n measurements
+        each, NaN or empty where the file does not say it; `values`, ndarray, shape
+        (n,), of each measured variable by name.
+    """
+    rows = study.overlay
+    n = len(next(iter(rows.values())))
+    axes = {axis.name: _along(axis, rows, n) for axis in study.axes}
+    slope = axes.pop("slope")
+    numbers = np.zeros(n, int)
+    if "walker" in rows:
+        numbers = np.array([study.names.index(name) for name in rows["walker"]])
+
+    lines = Lines([study.walkers[k] for k in numbers.tolist()], axes)
+    return {
+        "lines": list(lines),
+        "slope": slope,
+        "gait": rows.get("gait", np.full(n, "")).tolist(),
+        "values": {name: rows[name] for name in rows if name in VARIABLES},
+    }
+
+
+def _along(axis: Axis, rows: Mapping[str, np.ndarray], n: int) -> np.ndarray:
+    """Values of an axis at n measurements."""
+    if axis.name in rows:
+        return rows[axis.name]
+    return np.full(n, axis.values[0] if len(axis) == 1 else np.nan)
 
 
 def _columns(

@@ -6,10 +6,11 @@ as accurate as Newton's method leaves them in doubles, some 1e-13.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.gaits.labels import places
@@ -29,6 +30,9 @@ _MAX_STEPS_ALONG, _LONGEST = 20, 0.5
 _REACHED = 1e-8
 #: How far branches curve over a step along them, at most, in units of its square.
 _CURVED = 10.0
+#: Points of a branch from node to node, to which sections are compared first, and by how
+#: much its polynomials may be off.
+_POINTS_BETWEEN, _INEXACT = 8, 1e-3
 #: Coordinates beyond which the way along a branch is lost.
 _MOST = 60.0
 
@@ -167,28 +171,49 @@ def nearest_on_branches(
     target = np.vstack([np.log(y[:1]), y[1:] / y[0]])
     found = []
     for branch in branches:
-        nodes = branch.Z[:, _nearest_nodes(branch, target)]
-        along = _Along(problem, target, nodes, within)
-        ended = iterate(along, y.shape[1], _MAX_STEPS_ALONG)
-        lanes = np.flatnonzero(ended == Ended.CONVERGED)
+        points, near = _nearest_points(branch, target, within)
+        some = problem.some(near)
+        along = _Along(some, target[:, near], points[:, near], within[near])
+        ended = iterate(along, len(near), _MAX_STEPS_ALONG)
+        reached = np.flatnonzero(ended == Ended.CONVERGED)
+
+        lanes = near[reached]
         slope = np.full(y.shape[1], np.nan)
         gaits = Gaits.none(y.shape[1])
-        w, q = along.Z[:-1, lanes], along.Z[-1, lanes]
+        w, q = along.Z[:-1, reached], along.Z[-1, reached]
         slope[lanes] = np.exp(q)
         gaits.put(lanes, described(problem, w, q))
         found.append((slope, gaits))
     return found
 
 
-def _nearest_nodes(branch: Branch, target: np.ndarray) -> np.ndarray:
-    """Numbers of the nodes nearest to sections (m, n) in similarity coordinates."""
-    nearest = np.zeros(target.shape[1], int)
-    least = np.full(target.shape[1], np.inf)
-    for node, point in enumerate(branch.Z[: len(target)].T):
-        distance = np.abs(target - point[:, None]).max(axis=0)
-        is_nearer = distance < least
-        nearest[is_nearer], least[is_nearer] = node, distance[is_nearer]
-    return nearest
+def _nearest_points(
+    branch: Branch, target: np.ndarray, within: PerLane
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m + phases + 1, n) of a branch's polynomials nearest to sections (m, n) in
+    similarity coordinates, and the numbers of the sections that may be of interest.
+    """
+    m = len(target)
+    points = np.hstack([*_between_nodes(branch)])
+    apart = np.abs(np.diff(points[:m], axis=1)).max(axis=0)
+    after = np.append(apart, 0.0)
+    before = np.append(0.0, apart)
+    spacing = np.maximum(before, after)
+
+    tree = cKDTree(points[:m].T)
+    distance, nearest = tree.query(target.T, p=np.inf)
+    largest = np.abs(target).max(axis=0)
+    allowed = within * largest + spacing[nearest] + _INEXACT
+    return points[:, nearest], np.flatnonzero(distance <= allowed)
+
+
+def _between_nodes(branch: Branch) -> Iterator[np.ndarray]:
+    """Nodes of each piece of a branch, and points between them."""
+    for first, last in branch.pieces():
+        nodes = np.arange(first, last + 1)
+        places = np.linspace(first, last, _POINTS_BETWEEN * (last - first) + 1)
+        q = np.interp(places, nodes, branch.q[nodes])
+        yield branch.on_piece(first, last, q)[0]
 
 
 @dataclass

@@ -94,6 +94,7 @@ TASKS = {
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
+        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 1),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
         ),
@@ -212,6 +213,7 @@ CALLS = {
     "check_states": "gaitsweep.tasks.studies.check_states:check_states",
     "verdicts": "gaitsweep.tasks.studies.check_states:verdicts",
     "convention": "gaitsweep.tasks.walkers.conventions:columns",
+    "written_in": "gaitsweep.tasks.walkers.conventions:written_in",
     "prove": "gaitsweep.tasks.studies.prove_gaits:prove_one",
     "prove_stored": "gaitsweep.tasks.proofs.records:prove_stored",
     "certificates": "gaitsweep.tasks.ledger.write_certificates:names",
@@ -221,6 +223,7 @@ CALLS = {
     "walkers": "gaitsweep.tasks.walkers.describe:describe",
     "tune": "gaitsweep.tasks.walkers.tuning:tune",
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
+    "why_no_key": "gaitsweep.tasks.walkers.resolve:why_no_key",
     "check_walker": "gaitsweep.tasks.walkers.resolve:check",
     "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
     "search_words": "gaitsweep.tasks.studies.solve_points:search_words",

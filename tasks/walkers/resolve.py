@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -32,6 +33,23 @@ _SETTABLE = (*NUMBERS, "knees", "trailing_knee", *_DERIVED, "slope")
 #: Feet weigh at least the first, and less than the second, share of a walker's mass.
 FOOT_MASS_RATIOS = 0.0, 0.5
 
+
+#: Keys by which somebody asks for a leg that differs from the other, or for a wheel, and
+#: what is said of them.
+_ASKED_FOR = {
+    re.compile(pattern): why
+    for pattern, why in (
+        (
+            r"legs?_?\d?|(.*_)?(left|right|inner|outer|stance|swing)(_.*)?"
+            r"|[lwmrcR](_[ts])?_?[12]",
+            "both legs are equal, and a key is that of either",
+        ),
+        (
+            r"(n_?|number_of_)?spokes?",
+            "a wheel is no walker with two legs; docs/physics.md has its step",
+        ),
+    )
+}
 
 #: Keys that a leg of one link has as one of two has them.
 _WITH_ONE_LINK = ("R", "m_h", "g", *OF_DRIVE, "knees", "units")
@@ -185,7 +203,22 @@ def _check_names(
                 if near
                 else f"keys: {', '.join(k for k in others if k != 'slope')}"
             )
-            raise WalkerError(key, values[key], f"is not a walker key ({hint})")
+            said = "; ".join(filter(None, [why_no_key({"key": key}), hint]))
+            raise WalkerError(key, values[key], f"is not a walker key ({said})")
+
+
+def why_no_key(params: Mapping[str, Any]) -> str:
+    """Say why there is no such key as somebody asks for; empty if nothing is known.
+
+    Parameters
+    ----------
+    params : mapping
+        `key`, the name that is no key.
+    """
+    for pattern, why in _ASKED_FOR.items():
+        if pattern.fullmatch(str(params["key"])):
+            return why
+    return ""
 
 
 def resolve(

@@ -60,6 +60,8 @@ def check_number(key: str, value: object) -> None:
     WalkerError
         If it is not.
     """
+    if isinstance(value, list | tuple) and len(value) == 2:
+        raise WalkerError(key, repr(value), "must be one number, that of both legs")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise WalkerError(key, repr(value), "must be a number")
     if value != value or (abs(value) == math.inf and key != "m_t"):

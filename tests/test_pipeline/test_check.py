@@ -326,6 +326,128 @@ def test_ten_thousand_states_take_five_seconds():
     assert max(middle - begin, end - middle) < 5
 
 
+def test_an_angle_of_the_swing_leg_that_is_none_is_told():
+    angle, *rates = gait_of("D", 0.009)
+    row = judged(
+        {
+            "stance_angle": angle,
+            "thigh_angle": np.nan,
+            "stance_rate": rates[0],
+            "thigh_rate": rates[1],
+        },
+        "D",
+        0.009,
+    )
+    assert row["verdict"] == "not_a_number"
+
+
+def test_both_angles_from_the_vertical_are_told(compass):
+    angle, *rates = gait_of(compass, SLOPE)
+    turned = {"stance_angle": angle - SLOPE, "thigh_angle": -angle - SLOPE}
+    table = {**turned, "stance_rate": rates[0], "thigh_rate": rates[1]}
+    assert judged(table, compass)["verdict"] == "from_vertical"
+
+
+def test_a_state_that_falls_on_its_way_says_so(compass):
+    table = {
+        "stance_angle": 0.3,
+        "thigh_angle": -0.1,
+        "stance_rate": 3.0,
+        "thigh_rate": 3.0,
+    }
+    row = judged(table | {"thigh_angle": -0.4}, compass)
+    said = "Flown on, the walker has no heelstrike: "
+    assert row["verdict"] == "none" and row["flown"]
+    assert row["reason"].startswith(said) and len(row["reason"]) > len(said) + 5
+
+
+def test_few_digits_in_all_rows_excuse_no_more_than_a_hundredth():
+    row = judged([[0.2, -0.2, -0.2]], "D", 0.009)
+    assert row["verdict"] == "near" and 0.05 < row["distance"] < 0.1
+
+
+def test_a_gait_in_the_middle_of_a_step_is_called_so_though_flight_adds_to_its_error():
+    start = gait_of("D", 0.009)
+    motion = gaitsweep.simulate("D", 0.009, start, 1, motion=True)
+    k = 36
+    stance, thigh, when = (
+        motion[name].values[0, 0] for name in ("theta_st", "theta_th", "time")
+    )
+    h = when[k + 1] - when[k]
+    rates = [
+        (8 * (x[k + 1] - x[k - 1]) - (x[k + 2] - x[k - 2])) / (12 * h)
+        for x in (stance, thigh)
+    ]
+    names = ("stance_angle", "thigh_angle", "stance_rate", "thigh_rate")
+    table = dict(zip(names, (stance[k], thigh[k], *rates), strict=True))
+    distance = judged(table, "D", 0.009, tolerance=1e-2)["distance"]
+    row = judged(table, "D", 0.009, tolerance=distance / 4)
+    assert row["verdict"] == "gait" and row["flown"]
+    assert row["reason"] == "A gait, in the middle of a step."
+    assert judged(table, "D", 0.009, tolerance=distance / 40)["verdict"] != "gait"
+
+
+@pytest.mark.parametrize("legs", ["old", "mirrored", "new"])
+def test_a_state_before_heelstrike_is_told_by_either_legs_name(legs):
+    names = [*NAMES, "heelstrike_rate_ratio"]
+    found = gaitsweep.gaits("D", 0.009, variables=names).sel(gait="long")
+    angle, after, _, ratio = (float(found[name]) for name in names)
+    # The foot without mass takes nothing of the hip's velocity along the new leg.
+    old = after / np.cos(2 * angle)
+    swing = old + ratio * abs(old)
+    state = {
+        "old": [-angle, old, swing],
+        "mirrored": [angle, old, swing],
+        "new": [angle, swing, old],
+    }
+    assert judged([state[legs]], "D", 0.009)["verdict"] == "before_heelstrike"
+
+
+def test_rates_of_the_walker_read_as_scaled_are_told(compass):
+    row = judged([gait_of(compass, SLOPE)], compass, rates="scaled")
+    assert row["verdict"] == "rates_in_units"
+
+
+@pytest.mark.parametrize("order", [(1, 2, 0), (2, 0, 1)])
+def test_columns_in_any_order_are_told(compass, order):
+    state = gait_of(compass, SLOPE)[list(order)]
+    assert judged([state], compass)["verdict"] == "columns_exchanged"
+
+
+def test_a_gait_of_a_walker_with_another_unit_of_time_is_told():
+    """Rates are taken as they are: the walker's second is the other's unit of time."""
+    row = judged([gait_of("A", 0.009)], "E", 0.009)
+    assert (row["verdict"], row["walker"]) == ("walker", "A")
+
+
+def test_a_walker_whose_unit_of_time_is_one_has_no_fault_of_units():
+    state = gait_of("D", 0.009) * [1 + 1.5e-6, 1, 1]
+    assert judged([state], "D", 0.009)["verdict"] == "near"
+
+
+def test_what_is_half_as_large_again_is_near_to_none(compass):
+    angle, *rates = gait_of(compass, SLOPE)
+    row = judged([[1.5 * angle, *rates]], compass)
+    assert row["verdict"] == "none" and 0.1 < row["distance"] < 1
+
+
+def test_a_gait_of_one_step_claimed_to_take_two_is_told():
+    row = judged([gait_of("D", 0.009)], "D", 0.009, steps=2)
+    assert (row["verdict"], row["steps"], row["is_gait"]) == ("period", 1, False)
+
+
+def test_ten_thousand_rows_of_noise_take_no_longer():
+    """States that are near no branch are not followed along it."""
+    random = np.random.default_rng(1)
+    angle = random.uniform(0.05, 0.5, 10_000)
+    rates = random.uniform(-0.5, 0.5, (2, 10_000))
+    table = dict(zip(NAMES, (angle, *rates), strict=True))
+    begin = time.process_time()
+    checked = gaitsweep.check(table, "B", 0.009)
+    assert time.process_time() - begin < 4
+    assert set(checked["verdict"]) <= {"none", "near"}
+
+
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "states.csv"

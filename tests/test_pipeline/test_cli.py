@@ -244,6 +244,10 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             "Argument --set: `R` must be a number; got abc (gaitsweep solve --help).",
         ),
         (
+            ["solve", "--walker", "D", "--slope", "0.01", "--set", "m_t=[1,2]"],
+            "Argument --set: `m_t` must be one number, that of both legs; got [1,2] (gaitsweep solve --help).",
+        ),
+        (
             ["solve", "--walker", "D", "--slope", "0.01", "--limit", "scuff=x"],
             "Argument --limit: `scuff` must be a number; got x (gaitsweep solve --help).",
         ),

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from gaitsweep.pipeline import gaits
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import StudyError
@@ -17,6 +18,7 @@ from gaitsweep.pipeline.report import html_tables, pages
 from gaitsweep.pipeline.report.figures import measured
 from gaitsweep.pipeline.report.source import read as read_archive
 from gaitsweep.pipeline.study import parse
+from gaitsweep.tasks.studies import solve_measured
 
 STUDY = """name = "own"
 walker = "{walker}"
@@ -181,18 +183,19 @@ def test_residuals_are_those_from_the_nearest_gait_or_the_one_named(archive):
     left = measured.residuals(read_archive(archive))
     period = left[left["variable"] == "period (s)"].set_index("slope")
     assert list(period.index) == [0.025, 0.036, 0.09]
-    # The period of figure 3's gait, 0.756985 s, is known: the interpolation leaves less
-    # than 1e-4.
-    assert abs(period.loc[0.036, "residual"]) < 1e-4
+    # The period of figure 3's gait has proved digits.
+    proved = 0.7569820059513526958
+    assert period.loc[0.036, "residual"] == pytest.approx(0.756985 - proved, abs=1e-13)
     assert period.loc[0.025, "residual"] == pytest.approx(
         0.83 - period.loc[0.025, "computed"]
     )
     assert period.loc[0.025, "over_error"] == pytest.approx(
         period.loc[0.025, "residual"] / 0.02
     )
-    assert np.isnan(period.loc[0.09, "computed"]) and np.isnan(
-        period.loc[0.09, "residual"]
-    )
+    assert list(period["gait"]) == ["long", "long", ""]
+    assert np.isnan(period.loc[0.09, "computed"])
+    assert np.isnan(period.loc[0.09, "residual"])
+    assert period.loc[0.09, "reason"].startswith("No long gait at this slope")
     assert len(left) == 5
 
 
@@ -217,6 +220,12 @@ def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     )
 
 
+def solved(walker, slope, gait="long", **keys):
+    """The gait of a label at one point, solved by itself."""
+    found = gaits(walker, slope, **keys).sel(gait=gait)
+    return {name: float(found[name]) for name in ("stance_angle", "period", "speed")}
+
+
 def _archived(tmp_path, study, measurements):
     """Archive of a study with these measurements."""
     (tmp_path / "s.toml").write_text(study + '[figures.overlay]\nfile = "m.csv"\n')
@@ -239,7 +248,7 @@ def _archived(tmp_path, study, measurements):
     return path
 
 
-def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_computed_value(
+def test_a_measurement_between_the_values_of_an_axis_is_compared_with_a_gait_there(
     tmp_path,
 ):
     study = (
@@ -252,11 +261,116 @@ def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_compute
         tmp_path, study, heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n"
     )
     left = measured.residuals(read_archive(path))
-    assert left["foot_mass_ratio"].tolist() == [0.01, 0.015] and left[
-        "computed"
-    ].isna().tolist() == [False, True]
+    assert left["foot_mass_ratio"].tolist() == [0.01, 0.015]
+    between = solved("E", 0.002, foot_mass_ratio=0.015)
+    assert abs(left["computed"][1] - between["stance_angle"]) < 1e-13
     pages.write([_archived(tmp_path, study, heading + "0.002,0.01,,\n")], tmp_path)
     assert "own measurements" in (tmp_path / "s.html").read_text()
+
+
+def test_residuals_of_published_gaits_are_those_of_their_own_digits(tmp_path):
+    """Gaits between the slopes of a study, printed with nine digits, differ from those
+    computed there by less than these digits.
+    """
+    slopes = np.array([0.0029003, 0.00712345, 0.0131])
+    rows = [solved("E", slope) for slope in slopes]
+    text = "".join(
+        f"{slope},{row['stance_angle']:.9f},{row['period']:.9f},{row['speed']:.9f}\n"
+        for slope, row in zip(slopes, rows, strict=True)
+    )
+    study = (
+        'name = "s"\nwalker = "E"\n[axes]\nslope = { from = 0.002, to = 0.02, n = 9 }\n'
+    )
+    path = _archived(
+        tmp_path, study, "slope [rad],stance_angle [rad],period,speed\n" + text
+    )
+
+    left = measured.residuals(read_archive(path))
+    assert (left["residual"].abs() <= 0.6e-9).all()
+    assert len(left) == 9 and "reason" not in left
+    with xr.open_dataset(path, group="measured_gaits") as computed:
+        for name in ("stance_angle", "period", "speed"):
+            alone = np.array([row[name] for row in rows])
+            bound = computed[f"{name}_error"].values
+            assert (bound < 1e-12).all() and (bound > 0).all()
+            assert (np.abs(computed[name].values - alone) <= 2 * bound).all()
+    assert (left["error"] > 0).all() and left["over_error"].isna().all()
+
+
+def test_gaits_of_two_steps_are_compared_at_their_own_slopes(tmp_path):
+    study = (
+        'name = "s"\nwalker = "D"\n[axes]\nslope = [0.0155, 0.0165]\n'
+        "[options]\nsteps = 2\n"
+    )
+    gait = gaits("D", 0.0161, steps=2).sel(gait="long")
+    angle, period = float(gait["stance_angle"]), float(gait["period"])
+    heading = "slope [rad],stance_angle [rad],period\n"
+    path = _archived(tmp_path, study, f"{heading}0.0161,{angle:.9f},{period:.9f}\n")
+    left = measured.residuals(read_archive(path))
+    assert (left["residual"].abs() <= 0.6e-9).all()
+
+
+def test_a_measurement_without_a_gait_says_why(tmp_path):
+    study = (
+        'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nm_h = [0.0, 0.5]\n'
+    )
+    rows = (
+        "0.9,0,0.1\n",
+        ",0,0.1\n",
+        "0.001,,0.1\n",
+        "0.001,-1,0.1\n",
+        "0.001,0,0.1\n",
+    )
+    heading = "slope [rad],m_h,stance_angle [rad]\n"
+    path = _archived(tmp_path, study, heading + "".join(rows))
+
+    left = measured.residuals(read_archive(path))
+    assert left["reason"].tolist() == [
+        "`slope` must lie in [1e-18, 0.5) rad; got 0.9.",
+        "`slope` is not given.",
+        "`m_h` is not given.",
+        "`m_h` must be >= 0; got -1.0.",
+        "",
+    ]
+    assert left["computed"].isna().tolist() == [True, True, True, True, False]
+
+
+def test_bounds_of_measured_variables_follow_from_that_of_the_gait():
+    """The angle, the period and what is made of them, the rates over the largest one,
+    the multipliers; none is known of the others.
+    """
+    line = {"walker": "D", "set": {}}
+    names = ("stance_angle", "period", "thigh_rate", "speed", "step_length")
+    names += ("spectral_radius", "scuff_depth")
+    values = {name: np.array([0.2]) for name in names}
+    found = solve_measured.measured(
+        {"lines": [line], "slope": [0.009], "gait": ["long"], "values": values}, []
+    )
+    columns = {name.split("/")[1]: column[0] for name, column in found.items()}
+    gait = gaits("D", 0.009).sel(gait="long")
+    bound = float(gait["error_bound"])
+    largest = float(max(abs(gait["stance_rate"]), abs(gait["thigh_rate"])))
+    assert columns["stance_angle_error"] == bound * columns["stance_angle"]
+    assert columns["thigh_rate_error"] == bound * largest
+    assert largest > 1.05 * abs(columns["thigh_rate"])
+    assert columns["speed_error"] == 2 * bound * columns["speed"]
+    assert columns["spectral_radius_error"] == float(gait["multiplier_error_bound"])
+    assert np.isnan(columns["scuff_depth_error"]) and columns["scuff_depth"] > 0
+
+
+@pytest.mark.parametrize("named", ["long", "short"])
+def test_a_measurement_that_names_its_gait_is_compared_with_it(named):
+    near = solved("D", 0.009)
+    found = solve_measured.measured(
+        {
+            "lines": [{"walker": "D", "set": {}}],
+            "slope": [0.009],
+            "gait": [named],
+            "values": {"stance_angle": np.array([near["stance_angle"]])},
+        },
+        [],
+    )
+    assert found["measured_gaits/gait"].tolist() == [named]
 
 
 def test_a_branch_study_compares_between_folds(tmp_path):
@@ -301,9 +415,10 @@ def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
         heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n",
     )
     left = measured.residuals(read_archive(path))
-    assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left[
-        "measured"
-    ].tolist() == [0.128, 0.126, 0.127]
+    assert left["foot_mass_ratio"].tolist() == [1e-9, 2e-9, 0.0]
+    for ratio, computed in zip(left["foot_mass_ratio"], left["computed"], strict=True):
+        gait = solved("E", 0.002, foot_mass_ratio=ratio)
+        assert abs(computed - gait["stance_angle"]) < 1e-14
 
 
 def test_rows_that_a_page_leaves_out_are_counted(monkeypatch):

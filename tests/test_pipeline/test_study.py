@@ -70,6 +70,7 @@ WRONG = {
         "foot_mass_ratio = [0.1, 0.2, 0.1]": "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = 0.1": "`foot_mass_ratio` must be a list, or a table of from, to, n and spacing; got 0.1"
         " (s.toml, axes.foot_mass_ratio).",
+        "m_left = [1, 2]": "`m_left` is no axis: both legs are equal, and a key is that of either (s.toml, axes).",
         "slopes = [0.1]": "Unknown key `slopes`, did you mean `slope`? (s.toml, axes).",
         "foot_mass_ratio = { from = 0.1, to = 0.05, n = 3 }": "`from` must be less than `to` = 0.05; got 0.1 (s.toml, axes.foot_mass_ratio.from).",
         'foot_mass_ratio = { from = 0, to = 0.1, n = 3, spacing = "log" }': "`from` must be > 0 for log spacing; got 0.0 (s.toml, axes.foot_mass_ratio.from).",

@@ -29,6 +29,7 @@ from gaitsweep.tasks.walkers.resolve import (
     owned,
     resolve,
     resolve_many,
+    why_no_key,
 )
 from gaitsweep.tasks.walkers.statics import is_tuned, nearest, statics
 from gaitsweep.tasks.walkers.tuning import tune, untuned
@@ -690,7 +691,7 @@ def test_numbers_that_no_walker_can_have_are_told_by_the_key_that_holds_them(
         ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
         (
             {"knees": False, "l": 1.0, "c": 0.5, "m_inner": 1.0},
-            r"`m_inner` is not a walker key \(keys: l, c, r, m, w, R",
+            r"`m_inner` is not a walker key \(both legs are equal, .*; keys: l, c, r, m, w",
         ),
         (
             {"knees": False, "l": 1.0, "m": 0.5},
@@ -936,6 +937,26 @@ def test_light_legs_off_their_line_are_not_taken_for_tuned():
     walker = resolve("E", {"foot_mass_ratio": 1e-9, "w_s": 1e-8})
     exact = -2e-9 * 1e-8 / 2  # a foot's share of the whole mass times its offset
     assert lump(walker)["S_a_re"] == pytest.approx(exact, rel=1e-6, abs=0)
+
+
+@pytest.mark.parametrize(
+    "key", ["m_left", "right", "l2", "m_t1", "leg2", "legs", "R_inner", "swing_leg"]
+)
+def test_who_asks_for_two_legs_or_a_wheel_is_told(key):
+    asked = {"key": key}
+    assert why_no_key(asked) == "both legs are equal, and a key is that of either"
+    said = rf"`{key}` is not a walker key \(both legs are equal, and a key is that"
+    with pytest.raises(WalkerError, match=said):
+        resolve("D", {key: 1.0})
+    assert why_no_key({"key": "n_spokes"}).startswith("a wheel is no walker")
+    for other in ("m_q", "length", "trail", "c_tt"):
+        assert why_no_key({"key": other}) == ""
+
+
+@pytest.mark.parametrize("value", [[1.0, 1.1], (1.0, 1.1)])
+def test_two_numbers_are_no_value_of_both_legs(value):
+    with pytest.raises(WalkerError, match="`m` must be one number, that of both legs"):
+        from_table({"knees": False, "l": 1.0, "c": 0.5, "m": value})
 
 
 def test_no_units_are_consistent_ones():

@@ -1,8 +1,8 @@
 """The user's own measurements: drawn on the figures of their variables, and compared
-with the curves.
+with the gaits at their slopes and keys.
 """
 
-import itertools
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -64,65 +64,52 @@ def draw(
 
 
 def residuals(source: Source) -> pd.DataFrame:
-    """Compare every measurement with the curve at its slope.
+    """Compare every measurement with the gait at its slope and keys.
 
     Returns
     -------
     DataFrame
         The coordinates of each measurement, `variable` with its unit, `measured`,
-        `computed` (NaN where no curve has those coordinates), `residual`, its `error`
-        and the residual `over_error`. Curves are interpolated linearly; of several
-        gaits the nearest is taken, unless the measurement names one.
+        `computed` (NaN where there is no gait, for the `reason`), `residual`, its
+        `error` (the standard error of the measurement, if there is one, and the bound
+        of the computed value) and the residual `over_error`, where there is a standard
+        error. Of several gaits the nearest is taken, unless the measurement names one.
     """
-    frame, parts = table(source), []
-    units, places = (
-        frame.attrs.get("units", {}),
-        dict.fromkeys(("walker", *source.axes, "slope", "gait")),
-    )
-    lines = [
-        (rows_at(frame, line.at, _SAME), list(line.curves(*variables(source))))
-        for line in source.lines
-    ]
-    compared = [part.index for part, _ in lines]
-    # Measurements between the values of an axis are on no line; they are listed without
-    # a computed value.
-    lines.append((frame.drop(np.concatenate(compared)) if compared else frame, []))
-    for variable, (rows, curves) in itertools.product(variables(source), lines):
-        rows = rows.dropna(subset=variable)
-        parts.append(
-            rows[[c for c in places if c in rows]].assign(
-                variable=with_unit(
-                    spaced(variable), print_units(units.get(variable, ""))
-                ),
-                measured=rows[variable],
-                computed=np.array(
-                    [_nearest(curves, variable, row) for _, row in rows.iterrows()],
-                    float,
-                ),
-                residual=lambda known: known["measured"] - known["computed"],
-                error=rows.get(f"{variable}_error", np.nan),
-                over_error=lambda known: (known["residual"] / known["error"]).where(
-                    known["error"] > 0
-                ),
-            )
-        )
+    frame = table(source)
+    units = frame.attrs.get("units", {})
+    parts = [_compared(source, name, units) for name in variables(source)]
     answer = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+    if "reason" in answer and not answer["reason"].any():
+        answer = answer.drop(columns="reason")
+
     answer.attrs = {"units": {c: u for c, u in units.items() if c in answer}}
     return answer
 
 
-def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series) -> float:
-    """The computed value nearest to a measured one among the gaits at its slope; NaN if
-    there is none.
-    """
-    computed = []
-    for curve in curves:
-        wanted = str(row.get("gait", "") or "")
-        part = curve if not wanted else curve[curve["gait"] == wanted]
-        if variable not in part:
-            continue
-        part = part.dropna(subset=[variable]).sort_values("slope")
-        slope = float(row.get("slope", part["slope"].iloc[0] if len(part) else np.nan))
-        if len(part) and part["slope"].iloc[0] <= slope <= part["slope"].iloc[-1]:
-            computed.append(float(np.interp(slope, part["slope"], part[variable])))
-    return min(computed, key=lambda y: abs(y - row[variable])) if computed else np.nan
+def _compared(source: Source, variable: str, units: Mapping[str, str]) -> pd.DataFrame:
+    """Measurements of a variable beside what is computed."""
+    known = table(source)
+    gaits = source.tables.get("measured_gaits", pd.DataFrame(index=known.index))
+    has_value = known[variable].notna()
+    known, gaits = known[has_value], gaits[has_value]
+
+    nothing = pd.Series(np.nan, known.index)
+    measured, computed = known[variable], gaits.get(variable, nothing)
+    deviation = known.get(f"{variable}_error", nothing)
+    bound = gaits.get(f"{variable}_error", nothing)
+    residual = measured - computed
+    error = deviation.fillna(0.0) + bound.fillna(0.0)
+
+    places = dict.fromkeys(("walker", *source.axes, "slope"))
+    named = with_unit(spaced(variable), print_units(units.get(variable, "")))
+    words = pd.Series("", known.index)
+    return known[[place for place in places if place in known]].assign(
+        gait=gaits.get("gait", words),
+        variable=named,
+        measured=measured,
+        computed=computed,
+        residual=residual,
+        error=error.where(deviation.notna() | bound.notna()),
+        over_error=(residual / error).where(deviation > 0),
+        reason=gaits.get("reason", words),
+    )
