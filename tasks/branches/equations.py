@@ -46,6 +46,7 @@ from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences by Z, and by keys over their ranges.
 DIFFERENCE = 1e-5
@@ -84,6 +85,8 @@ class Keys:
         special ones stay parameters.
     difference : float
         Step of the central differences, over the range.
+    walkers_at : callable, optional
+        The walkers at values of all keys, shape (k, n), which makes many at once.
     """
 
     names: tuple[str, ...]
@@ -92,6 +95,7 @@ class Keys:
     high: tuple[float, ...]
     ordinary: tuple[float, ...]
     difference: float = DIFFERENCE
+    walkers_at: Callable[[ndarray], WalkerArray] | None = None
 
     @classmethod
     def of_one(
@@ -162,6 +166,8 @@ class Keys:
 
     def _of_values(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n); NaN where there is no such walker."""
+        if self.walkers_at is not None:
+            return Lanes(self.walkers_at(values), self.structure)
         walkers, missing = [], []
         for number, each in enumerate(values.T.tolist()):
             try:

@@ -10,34 +10,12 @@ import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.measures.names import measures as measures
 
-#: Variables that say how well a gait is known, not what it is.
-_OF_THE_SOLVE = (
-    "residual",
-    "error_bound",
-    "multiplier_error_bound",
-    "energy_imbalance",
-)
 #: Measured of the step map's derivative.
 _RADIUS = "spectral_radius"
-
-
-def measures(walker: Walker) -> list[str]:
-    """Return the names of the measures of a walker whose value may be asked for."""
-    return [
-        name
-        for name, about in VARIABLES.items()
-        if about.dims == ("gait",)
-        and about.dtype == "f8"
-        and about.group != "proofs"
-        and name not in _OF_THE_SOLVE
-        and (walker.knees or not about.is_of_knees)
-        and (walker.locks_trailing_knee or not about.is_of_locked_knee)
-    ]
 
 
 def level(name: str, value: float) -> Condition:
@@ -93,8 +71,9 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     -------
     dict of ndarray, shape (n,) [the walker's units]
     """
-    problem, slope = at.problem, np.exp(at.q)
+    problem = at.problem
     walkers = problem.every_walker
+    slope = np.exp(at.q)
     has_travel = any(name in TRAVEL for name in names)
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
     if has_travel:
@@ -105,7 +84,8 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     steps = steps_of(problem, walkers, at.stride, y, scale, at.times, slope)
     measured = of_all_steps(steps.measure(needed), problem.steps)
     if has_travel:
-        length, period = measured["step_length"], measured["period"]
+        length = measured["step_length"]
+        period = measured["period"]
         measured |= travel(walkers, slope, length, period, problem.steps)
     if _RADIUS in names:
         measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)

@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures import (
     families,
     laws,
     maps,
+    optima,
     parameters,
     searches,
 )
@@ -52,6 +53,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "census": searches.census,
     "cascade": searches.cascade,
     "curves": searches.curves,
+    "optimum": optima.optimum,
 }
 
 
