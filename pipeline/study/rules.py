@@ -14,6 +14,8 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.registry import NEEDED_KINDS, OVER_LINES
 
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
+#: Most free keys of an optimum.
+_MOST_FREE = 8
 #: Largest grid; anything above is taken for a mistake.
 MAX_POINTS = 10**12
 
@@ -89,8 +91,10 @@ def _optima_are_of_something(study: Study, top: Location) -> Iterator[StudyError
     if len(objectives) != 1:
         yield place.error("An optimum needs either `minimise` or `maximise`")
         return
-    if not options["free"]:
-        yield place.error("An optimum needs keys that are `free`, with their ranges")
+    if not 1 <= len(options["free"]) <= _MOST_FREE:
+        yield place.error(
+            f"An optimum needs 1 to {_MOST_FREE} keys that are `free`, with their ranges"
+        )
     axes = [axis.name for axis in study.line_axes]
     for key in options["free"]:
         if key in axes:
@@ -120,6 +124,8 @@ def _optima_are_not_fixed(study: Study, top: Location) -> Iterator[StudyError]:
             yield own.error(
                 "Stable gaits have less than 1; `stable = false` allows more"
             )
+    if len(options["tradeoff"]) > 1:
+        yield place.at("tradeoff").error("The objective is traded for one measure")
     if objective in options["tradeoff"]:
         yield place.at("tradeoff").error(f"`{objective}` is what is best")
     if not {"long", "short"} & set(study.gaits):

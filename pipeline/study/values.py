@@ -405,23 +405,18 @@ class Table(Value):
     known: Known
     of: Value
     called: tuple[str, str]
-    least: int = 0
-    most: int = 1 << 16
 
     def read(self, value: Any, place: Location) -> dict[str, Any]:
         """Check values."""
         if not isinstance(value, Mapping):
             raise place.wrong(f"must be a {self.words}", value)
         place.check_names(value, self.known(), self.called[1])
-        if len(value) > self.most:
-            raise place.wrong(f"must hold {self.most} at most", value)
         return {name: self.of.read(own, place.at(name)) for name, own in value.items()}
 
     @property
     def schema(self) -> Schema:
         """A table of these values."""
-        every = table(dict.fromkeys(self.known(), self.of.schema))
-        return {**every, "maxProperties": self.most}
+        return table(dict.fromkeys(self.known(), self.of.schema))
 
     @property
     def words(self) -> str:

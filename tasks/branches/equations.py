@@ -86,7 +86,8 @@ class Keys:
     difference : float
         Step of the central differences, over the range.
     walkers_at : callable, optional
-        The walkers at values of all keys, shape (k, n), which makes many at once.
+        The walkers at values of all keys, shape (k, n), of which the first is valid:
+        beyond the ranges their formulas go on, of which measures have derivatives too.
     """
 
     names: tuple[str, ...]
@@ -155,6 +156,8 @@ class Keys:
         linearly.
         """
         values = x * self.scale[:, None]
+        if self.walkers_at is not None:
+            return Lanes(self.walkers_at(values), self.structure)
         different, lane = np.unique(values, axis=1, return_inverse=True)
         inner = self._within(different)
 
@@ -166,8 +169,6 @@ class Keys:
 
     def _of_values(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n); NaN where there is no such walker."""
-        if self.walkers_at is not None:
-            return Lanes(self.walkers_at(values), self.structure)
         walkers, missing = [], []
         for number, each in enumerate(values.T.tolist()):
             try:

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import walks
-from gaitsweep.tasks.branches.equations import Equations, slope_error, solve
+from gaitsweep.tasks.branches.equations import Equations, Keys, slope_error, solve
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
@@ -33,8 +33,8 @@ _MISSED = 10.0
 _SAME, _NEAR, _ON_CIRCLE = 1e-7, 1e-4, 1 + 1e-4
 #: Part of the gradient that is not balanced where iterations stopped before an optimum.
 _STATIONARY = 1e-4
-#: Derivatives that are rounding.
-_NO_CHANGE = 1e-8
+#: Derivatives that are rounding, and distances from an end over the range.
+_NO_CHANGE, _ROUNDING = 1e-8, 1e-10
 
 
 def optimum(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -93,7 +93,7 @@ class _Verified:
     slope : float [rad]
     walker : Walker
     values : dict of float
-        Its measures, by name, in the walker's units.
+        Its measures and the free keys, by name, in the walker's units.
     error_bound, slope_error : float
         Of the gait at its slope, NaN where it is the last one before a fold or an end;
         and of the slope, where a special point sets it.
@@ -117,6 +117,7 @@ class _Verification:
     ----------
     question : Question
     found : Optimum
+    keys : dict of float
     walker : Walker
     problem : Problem
     Z : ndarray, shape (c, 1)
@@ -130,8 +131,9 @@ class _Verification:
         assert keys is not None
         self.question, self.found = question, found
         self.Z, self.x = programme.equations.split(found.X[:, None])
-        values = keys.values(self.x)[:, 0].tolist()
-        self.walker = keys.walker_at(*values)
+        values = _without_rounding(keys, keys.values(self.x)[:, 0])
+        self.keys = dict(zip(keys.names, values.tolist(), strict=True))
+        self.walker = keys.walker_at(*self.keys.values())
         self.problem = Problem(self.walker)
 
     def verified(self) -> _Verified | str:
@@ -184,7 +186,18 @@ class _Verification:
         w = self.Z if self.question.window is not None else self.Z[:-1]
         X = np.concatenate([w[:, 0], self.x[:, 0]])
         slope = float(np.exp(self.Z[-1, 0]))
+        values |= self.keys
         return _Verified(X, slope, self.walker, values, bound, slope_bound)
+
+
+def _without_rounding(keys: Keys, values: ndarray) -> ndarray:
+    """Values of keys (k,), those that are an end of their range but for rounding moved
+    there.
+    """
+    for ends in (np.array(keys.low), np.array(keys.high)):
+        is_there = np.abs(values - ends) < _ROUNDING * keys.scale
+        values = np.where(is_there, ends, values)
+    return values
 
 
 def _special(question: Question, found: Optimum) -> str:
@@ -310,7 +323,7 @@ def _check_keys(programme: Programme, guesses: Sequence[Gait]) -> None:
 
     for key, change in zip(keys.names, changes, strict=True):
         if change < _NO_CHANGE:
-            why = "changes neither gaits nor what is asked of them"
+            why = "must be keys that change gaits or what is asked of them"
             raise WalkerError("free", key, why)
 
 
