@@ -242,10 +242,15 @@ class _Search:
             self.verified.append(self._verify(end))
         _check_keys(self.programme, guesses)
 
-        gaits = [k for k, each in enumerate(self.verified) if not isinstance(each, str)]
-        finished = [k for k in gaits if self._is_finished(k)]
+        gaits = [
+            start
+            for start, gait in enumerate(self.verified)
+            if isinstance(gait, _Verified)
+        ]
+        finished = [start for start in gaits if self._is_finished(start)]
         if gaits:
-            self.best = min(finished or gaits, key=lambda k: self.ends[k].value)
+            best_first = sorted(finished or gaits, key=lambda k: self.ends[k].value)
+            self.best = best_first[0]
 
     def _promising(self, candidates: Sequence[Coordinates]) -> list[Gait]:
         """One of each start's gaits, which miss constraints by little and are good."""
