@@ -10,6 +10,7 @@ import pytest
 import gaitsweep
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.studies.optimise_walker import optimum
 from gaitsweep.tasks.studies.pose_optimum import Box, Question, candidates
 from gaitsweep.tasks.walkers.walker import WalkerError
@@ -132,6 +133,17 @@ def test_all_starts_lead_to_one_optimum_whose_limits_are_named(fastest):
         abs=1e-8,
     )
     assert best["stationarity"][0] < 1e-6
+
+
+def test_the_fastest_gait_is_that_of_the_map_of_designs(fastest):
+    best = {name: values[0] for name, values in fastest["optimum"].items()}
+    keys = {name: np.array([best[name]]) for name in ("R", "m_h")}
+    line = {"walker": "B", "set": keys}
+
+    mapped = design({"line": line, "slope": np.array(WINDOW)}, [])
+
+    speed = mapped["design/fastest_stable_speed"][0]
+    assert best["speed"] == pytest.approx(speed, rel=1e-10)
 
 
 def test_the_largest_stable_slope_is_the_flip_of_its_walker():

@@ -131,7 +131,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
 def _optimal_lines(source: Source) -> list[dict[str, Any]]:
     """The walkers of optima, each a line without branches that shows its gait."""
     optima, walkers = (
-        source.table("optimum", *START[:4]),
+        source.table("optimum", *START[:4], "error_bound"),
         source.table("optimal_walkers"),
     )
     if optima is None or walkers is None:
@@ -141,6 +141,8 @@ def _optimal_lines(source: Source) -> list[dict[str, Any]]:
     for place in range(min(len(optima), _MAX_LINES)):
         gait = optima.iloc[[place]]
         at = source.line_of(gait) | {key: float(gait[key].iloc[0]) for key in free}
+        # A gait at a fold is found from its whole state alone, which its mark has.
+        is_regular = bool(np.isfinite(gait["error_bound"].iloc[0]))
         own = walkers.iloc[place].to_dict()
         keys = parameters(source, {**at, **own})
         lines.append(
@@ -151,7 +153,7 @@ def _optimal_lines(source: Source) -> list[dict[str, Any]]:
                 "command": source.command(at),
                 "ink": VARIABLES[LINE],
                 "called": "",
-                "first": _address(at, gait.iloc[0]),
+                "first": _address(at, gait.iloc[0]) if is_regular else "",
                 "branches": [_nodes(gait, 1, keys.get("knees", False))],
             }
         )
