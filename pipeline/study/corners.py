@@ -42,6 +42,8 @@ def check_walkers(
             raise place.error(str(error)) from error
         if study.kind == "curve":
             _check_curve(study, candidate, values, top.at("options"))
+        if study.kind == "optimum":
+            _check_optimum(study, candidate, values, top.at("options"))
         checks[number] = check
     return tuple(checks.values())
 
@@ -138,3 +140,19 @@ def _check_curve(
             raise location.at(end if end in study.options else "key").error(
                 sentence
             ) from error
+
+
+def _check_optimum(
+    study: Study, walker: Definition, values: dict[str, float], location: Location
+) -> None:
+    """Check a walker at the corners of the ranges of its free keys, and that its gaits
+    have the measures that are named.
+    """
+    line = {"walker": walker, "set": values}
+    try:
+        dispatch.call("check_optimum", {**line, "options": dict(study.options)})
+    except ValueError as error:
+        key = getattr(error, "key", "")
+        raise location.at(key if key in study.options else "free").error(
+            str(error)
+        ) from error

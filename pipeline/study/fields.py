@@ -17,13 +17,15 @@ from gaitsweep.pipeline.study.model import Limits
 from gaitsweep.pipeline.study.values import (
     Composite,
     Either,
-    Levels,
+    Flag,
     Memory,
     Names,
     Number,
+    Numbers,
     OneOf,
     Range,
     Slope,
+    Table,
     Text,
     Value,
     ViolationLimits,
@@ -32,7 +34,13 @@ from gaitsweep.pipeline.study.values import (
 )
 from gaitsweep.tasks.contract import accuracy as accuracies
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import FOLLOWED, GAITS, MAX_STEPS, VARIABLES
+from gaitsweep.tasks.contract.registry import (
+    FOLLOWED,
+    GAITS,
+    MAX_STEPS,
+    VARIABLES,
+    VIOLATIONS,
+)
 
 #: Largest axis; anything above is taken for a mistake.
 MAX_VALUES = 10_000_000
@@ -83,6 +91,11 @@ def _keys_of_walkers() -> tuple[str, ...]:
     return tuple(name for name in axis_names() if name != "slope")
 
 
+def _objectives() -> tuple[str, ...]:
+    """Names of what may be least or largest: variables, the slope and keys."""
+    return (*VARIABLES, *axis_names())
+
+
 #: Limits above which violations are flagged.
 VIOLATION_LIMITS = ViolationLimits()
 _COUNT = Whole(_MAX_COUNT)
@@ -125,7 +138,13 @@ _VALUES: dict[str, Value] = {
     "key": OneOf(_keys_of_walkers, "a key of a walker"),
     "keys": Names(_keys_of_walkers, "keys of a walker"),
     "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED)),
-    "levels": Levels(),
+    "levels": Table(lambda: VARIABLES, Number(), ("values", "variable")),
+    "flag": Flag(),
+    "objective": OneOf(_objectives, "a variable, `slope` or a free key"),
+    "ranges of keys": Table(_keys_of_walkers, Range(), ("ranges", "key")),
+    "ranges": Table(lambda: VARIABLES, Range(or_equal=True), ("ranges", "variable")),
+    "values": Table(lambda: VARIABLES, Numbers(), ("values", "variable")),
+    "violations": Names(lambda: (*VIOLATIONS, "all"), "names of violations, or `all`"),
     "limits": VIOLATION_LIMITS,
     "walker": Composite("name, file, table, or list of names"),
     "axes": Composite("table of axes"),

@@ -15,6 +15,8 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.registry import NEEDED_KINDS, OVER_LINES
 
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
+#: Most free keys of an optimum.
+_MOST_FREE = 8
 #: Largest grid; anything above is taken for a mistake.
 MAX_POINTS = 10**12
 
@@ -96,6 +98,56 @@ def _curves_are_of_something(study: Study, top: Location) -> Iterator[StudyError
             )
 
 
+def _optima_are_of_something(study: Study, top: Location) -> Iterator[StudyError]:
+    """An optimum is of one objective over free keys, which nothing else sets."""
+    if study.kind != "optimum":
+        return
+    options, place = registry.options("optimum", study.options), top.at("options")
+    objectives = [options[name] for name in ("minimise", "maximise") if options[name]]
+    if len(objectives) != 1:
+        yield place.error("An optimum needs either `minimise` or `maximise`")
+        return
+    if not 1 <= len(options["free"]) <= _MOST_FREE:
+        yield place.error(
+            f"An optimum needs 1 to {_MOST_FREE} keys that are `free`, with their ranges"
+        )
+    axes = [axis.name for axis in study.line_axes]
+    for key in options["free"]:
+        if key in axes:
+            yield place.at("free", key).error(
+                f"`{key}` is free, and an axis sets it too"
+            )
+    (objective,) = objectives
+    if objective in axes or (objective == "slope" and len(study.slope) == 1):
+        yield place.error(f"`{objective}` is what is best, and its axis fixes it")
+
+
+def _optima_are_not_fixed(study: Study, top: Location) -> Iterator[StudyError]:
+    """No constraint of an optimum contradicts another or fixes the objective."""
+    if study.kind != "optimum":
+        return
+    options, place = registry.options("optimum", study.options), top.at("options")
+    objective = options["minimise"] or options["maximise"]
+    for name, (low, high) in options["within"].items():
+        own = place.at("within", name)
+        if name == objective and low == high:
+            yield own.error(f"`{name}` is what is best, and this fixes it")
+        if name in options["tradeoff"]:
+            yield own.error(
+                f"`{name}` has the values of `tradeoff`, and this range too"
+            )
+        if name == "spectral_radius" and options["stable"] and low >= 1:
+            yield own.error(
+                "Stable gaits have less than 1; `stable = false` allows more"
+            )
+    if len(options["tradeoff"]) > 1:
+        yield place.at("tradeoff").error("The objective is traded for one measure")
+    if objective in options["tradeoff"]:
+        yield place.at("tradeoff").error(f"`{objective}` is what is best")
+    if not {"long", "short"} & set(study.gaits):
+        yield top.at("gaits").error("The gaits of an optimum are `long` or `short`")
+
+
 def _ground_needs_a_slope(study: Study, top: Location) -> Iterator[StudyError]:
     """Steps of the ground are survived at a slope."""
     if study.kind == "design":
@@ -172,6 +224,8 @@ RULES: tuple[Rule, ...] = (
     _adaptive_slopes_follow_branches,
     _curves_have_a_range,
     _curves_are_of_something,
+    _optima_are_of_something,
+    _optima_are_not_fixed,
     _ground_needs_a_slope,
     _the_transition_is_of_short_gaits,
     _a_grid_has_a_size,

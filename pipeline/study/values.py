@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.location import LARGEST, Location
-from gaitsweep.tasks.contract.registry import SLOPES, VARIABLES, VIOLATIONS
+from gaitsweep.tasks.contract.registry import SLOPES, VIOLATIONS
 
 #: JSON Schema, draft 2020-12.
 Schema: TypeAlias = dict[str, Any]
@@ -134,6 +134,27 @@ class Whole(Value):
         return f"whole number from {self.low} to {self.high:,}"
 
 
+class Numbers(Value):
+    """A list of numbers, each once."""
+
+    words = "list of different numbers"
+
+    def read(self, value: Any, place: Location) -> list[float]:
+        """Check a list of numbers."""
+        if not isinstance(value, list) or not value:
+            raise place.wrong(f"must be a {self.words}", value)
+        numbers = [place.number(each) for each in value]
+        if len(set(numbers)) < len(numbers):
+            raise place.wrong(f"must be a {self.words}", value)
+        return numbers
+
+    @property
+    def schema(self) -> Schema:
+        """An array of different numbers."""
+        numbers = {"type": "array", "minItems": 1, "items": Number().schema}
+        return {**numbers, "uniqueItems": True}
+
+
 @dataclass(frozen=True)
 class Wholes(Value):
     """A list of whole numbers."""
@@ -159,18 +180,28 @@ class Wholes(Value):
         return f"list of whole numbers from {self.of.low} to {self.of.high:,}"
 
 
+@dataclass(frozen=True)
 class Range(Value):
-    """Two increasing numbers."""
+    """Two increasing numbers, or equal ones where these are allowed."""
 
-    words = "two increasing numbers"
+    or_equal: bool = False
 
     def read(self, value: Any, place: Location) -> list[float]:
-        """Check two increasing numbers."""
+        """Check two numbers."""
         if isinstance(value, list) and len(value) == 2:
             low, high = (place.number(each) for each in value)
-            if low < high:
+            if low < high or (low == high and self.or_equal):
                 return [low, high]
         raise place.wrong(f"must be {self.words}", value)
+
+    @property
+    def words(self) -> str:
+        """Two numbers in their order."""
+        return (
+            "two numbers that do not fall"
+            if self.or_equal
+            else "two increasing numbers"
+        )
 
     @property
     def schema(self) -> Schema:
@@ -320,6 +351,23 @@ class Memory(Value):
         return f"{default >> 30} GiB"
 
 
+class Flag(Value):
+    """Whether something holds."""
+
+    words = "true or false"
+
+    def read(self, value: Any, place: Location) -> bool:
+        """Check a flag."""
+        if not isinstance(value, bool):
+            raise place.wrong(f"must be {self.words}", value)
+        return value
+
+    @property
+    def schema(self) -> Schema:
+        """A boolean."""
+        return {"type": "boolean"}
+
+
 class ViolationLimits(Value):
     """Limits above which violations are flagged, by the names of violations."""
 
@@ -355,26 +403,33 @@ class ViolationLimits(Value):
         return table(limits)
 
 
-class Levels(Value):
-    """Values of variables of a gait that hold one number."""
+@dataclass(frozen=True)
+class Table(Value):
+    """Values of one kind by names, all of which are known: `called` what the values and
+    the names are.
+    """
 
-    words = "table of values by the names of variables"
-    _value = Number()
+    known: Known
+    of: Value
+    called: tuple[str, str]
 
-    def read(self, value: Any, place: Location) -> dict[str, float]:
+    def read(self, value: Any, place: Location) -> dict[str, Any]:
         """Check values."""
         if not isinstance(value, Mapping):
             raise place.wrong(f"must be a {self.words}", value)
-        place.check_names(value, VARIABLES, "variable")
-        return {
-            name: self._value.read(number, place.at(name))
-            for name, number in value.items()
-        }
+        place.check_names(value, self.known(), self.called[1])
+        return {name: self.of.read(own, place.at(name)) for name, own in value.items()}
 
     @property
     def schema(self) -> Schema:
-        """A table of numbers."""
-        return table(dict.fromkeys(VARIABLES, self._value.schema))
+        """A table of these values."""
+        return table(dict.fromkeys(self.known(), self.of.schema))
+
+    @property
+    def words(self) -> str:
+        """A table of what its values are called."""
+        values, names = self.called
+        return f"table of {values} by the names of {names}s"
 
 
 @dataclass(frozen=True)

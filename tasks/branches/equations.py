@@ -46,6 +46,7 @@ from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences by Z, and by keys over their ranges.
 DIFFERENCE = 1e-5
@@ -84,6 +85,9 @@ class Keys:
         special ones stay parameters.
     difference : float
         Step of the central differences, over the range.
+    walkers_at : callable, optional
+        The walkers at values of all keys, shape (k, n), of which the first is valid:
+        beyond the ranges their formulas go on, of which measures have derivatives too.
     """
 
     names: tuple[str, ...]
@@ -92,6 +96,7 @@ class Keys:
     high: tuple[float, ...]
     ordinary: tuple[float, ...]
     difference: float = DIFFERENCE
+    walkers_at: Callable[[ndarray], WalkerArray] | None = None
 
     @classmethod
     def of_one(
@@ -151,6 +156,8 @@ class Keys:
         linearly.
         """
         values = x * self.scale[:, None]
+        if self.walkers_at is not None:
+            return Lanes(self.walkers_at(values), self.structure)
         different, lane = np.unique(values, axis=1, return_inverse=True)
         inner = self._within(different)
 

@@ -93,6 +93,7 @@ TASKS = {
             "curve", "gaitsweep.tasks.studies.follow_curves:curve", 20, needs=("atlas",)
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
+        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 1),
         Task(
@@ -175,7 +176,9 @@ OF_ONE_STEP = (
 
 #: Figures and fits that need a study of one kind, and what reads tasks over lines,
 #: which designs have not.
-NEEDED_KINDS = {name: name for name in ("basin", "design", "census", "cascade")}
+NEEDED_KINDS = {
+    name: name for name in ("basin", "design", "census", "cascade", "optimum")
+}
 NEEDED_KINDS |= {
     "locus": "branch",
     "bifurcation": "orbit",
@@ -225,6 +228,7 @@ CALLS = {
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
     "why_no_key": "gaitsweep.tasks.walkers.resolve:why_no_key",
     "check_walker": "gaitsweep.tasks.walkers.resolve:check",
+    "check_optimum": "gaitsweep.tasks.studies.check_optimum:check",
     "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
     "search_words": "gaitsweep.tasks.studies.solve_points:search_words",
 }

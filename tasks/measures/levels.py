@@ -10,7 +10,6 @@ import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.measures.gaits import (
     Arrays,
     of_all_steps,
@@ -18,30 +17,10 @@ from gaitsweep.tasks.measures.gaits import (
     steps_of,
 )
 from gaitsweep.tasks.measures.kinematics import TRAVEL
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.measures.names import measures as measures
 
-#: Variables that say how well a gait is known, not what it is.
-_OF_THE_SOLVE = (
-    "residual",
-    "error_bound",
-    "multiplier_error_bound",
-    "energy_imbalance",
-)
 #: Measured of the step map's derivative.
 _RADIUS = "spectral_radius"
-
-
-def measures(walker: Walker) -> list[str]:
-    """Return the names of the measures of a walker whose value may be asked for."""
-    return [
-        name
-        for name, about in VARIABLES.items()
-        if about.dims == ("gait",)
-        and about.dtype == "f8"
-        and about.group != "proofs"
-        and name not in _OF_THE_SOLVE
-        and about.only_of in ("", *walker.features)
-    ]
 
 
 def level(name: str, value: float) -> Condition:

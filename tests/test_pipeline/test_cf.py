@@ -78,6 +78,15 @@ STUDIES = {
             "kinds": ["flip"],
         },
     },
+    "optimum": {
+        "walker": "E",
+        "axes": {"slope": [0.005, 0.05]},
+        "options": {
+            "maximise": "froude_speed",
+            "free": {"foot_mass_ratio": [0.04, 0.06]},
+            "starts": 2,
+        },
+    },
     "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
 }
 

@@ -220,6 +220,31 @@ MORE = [
     },
     {
         **_E,
+        "kind": "optimum",
+        "axes": _WINDOW,
+        "options": {
+            "minimise": "cost_of_transport",
+            "free": {"R": [0.0, 0.2], "m_h": [0, 0.1]},
+            "stable": False,
+            "within": {"speed": [0.1, 0.1]},
+            "without": ["friction"],
+            "tradeoff": {"period": [2.0, 3.0]},
+            "starts": 4,
+        },
+        "want": {"figures": ["optimum"]},
+    },
+    {
+        **_E,
+        "kind": "optimum",
+        "axes": _WINDOW,
+        "options": {
+            "maximise": "slope",
+            "free": {"R": [0.0, 0.2]},
+            "violation_limits": {"friction": 0.5},
+        },
+    },
+    {
+        **_E,
         "kind": "design",
         "axes": {**_WINDOW, "m_h": [0, 0.1]},
         "options": {"at_slope": 0.01, "at_speed": 0.1, "ground": 0.05},

@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures import (
     families,
     laws,
     maps,
+    optima,
     over_key,
     parameters,
     searches,
@@ -54,6 +55,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "census": searches.census,
     "cascade": searches.cascade,
     "curves": searches.curves,
+    "optimum": optima.optimum,
 }
 
 

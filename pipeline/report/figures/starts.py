@@ -125,7 +125,39 @@ def lines(source: Source) -> list[dict[str, Any]]:
                     "branches": [own for own in nodes if own],
                 }
             )
-    return found
+    return [*found, *_optimal_lines(source)]
+
+
+def _optimal_lines(source: Source) -> list[dict[str, Any]]:
+    """The walkers of optima, each a line without branches that shows its gait."""
+    optima, walkers = (
+        source.table("optimum", *START[:4], "error_bound"),
+        source.table("optimal_walkers"),
+    )
+    if optima is None or walkers is None:
+        return []
+    free = [key for key in source.given("options", "free") or {} if key in optima]
+    lines = []
+    for place in range(min(len(optima), _MAX_LINES)):
+        gait = optima.iloc[[place]]
+        at = source.line_of(gait) | {key: float(gait[key].iloc[0]) for key in free}
+        # A gait at a fold is found from its whole state alone, which its mark has.
+        is_regular = bool(np.isfinite(gait["error_bound"].iloc[0]))
+        own = walkers.iloc[place].to_dict()
+        keys = parameters(source, {**at, **own})
+        lines.append(
+            {
+                "name": axis_values(at),
+                "at": at,
+                "keys": keys,
+                "command": source.command(at),
+                "ink": VARIABLES[LINE],
+                "called": "",
+                "first": _address(at, gait.iloc[0]) if is_regular else "",
+                "branches": [_nodes(gait, 1, keys.get("knees", False))],
+            }
+        )
+    return [line for line in lines if line["keys"]]
 
 
 def _chosen_lines(source: Source) -> list[tuple[Line, list[pd.DataFrame]]]:

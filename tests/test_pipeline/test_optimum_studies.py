@@ -1,0 +1,159 @@
+"""Studies of kind optimum: what is refused, what is archived, and the page."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+import gaitsweep
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.parse import parse
+
+FREE = {"R": [0.1, 0.3]}
+FASTEST = {"maximise": "froude_speed", "free": FREE, "starts": 2}
+
+
+def study(options, walker="A", axes=None, **more):
+    axes = axes or {"slope": [0.01, 0.04]}
+    about = {"name": "best", "kind": "optimum", "walker": walker}
+    return {**about, "axes": axes, "options": options, **more}
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        (
+            study({"free": FREE}),
+            "An optimum needs either `minimise` or `maximise` (options).",
+        ),
+        (
+            study({**FASTEST, "minimise": "slope"}),
+            "An optimum needs either `minimise` or `maximise` (options).",
+        ),
+        (
+            study({"maximise": "speed"}),
+            "An optimum needs 1 to 8 keys that are `free`, with their ranges (options).",
+        ),
+        (
+            study({"maximise": "sped", "free": FREE}),
+            "Unknown name `sped`, did you mean `speed`? (options.maximise).",
+        ),
+        (
+            study({"maximise": "kneestrike_time", "free": FREE}),
+            "`maximise` must be a measure of its gaits: ",
+        ),
+        (
+            study(FASTEST, axes={"slope": [0.01], "R": [0.1, 0.2]}),
+            "`R` is free, and an axis sets it too (options.free.R).",
+        ),
+        (
+            study({"minimise": "slope", "free": FREE}, axes={"slope": [0.01]}),
+            "`slope` is what is best, and its axis fixes it (options).",
+        ),
+        (
+            study({**FASTEST, "free": {"R": [0.3, 0.1]}}),
+            "`R` must be two increasing numbers; got [0.3, 0.1] (options.free.R).",
+        ),
+        (
+            study({**FASTEST, "free": {"R": [-0.1, 0.3]}}),
+            "`R` must be >= 0; got -0.1 (options.free).",
+        ),
+        (
+            study({**FASTEST, "free": {"R": [0.1, 0.3], "eps_T": [0.0, 2.5]}}, "C"),
+            "`eps_T` must lie in (-pi/2, pi/2) rad; got 2.5 (options.free).",
+        ),
+        (
+            study({**FASTEST, "free": {"detuning": [0, 1], "w_t": [-0.1, 0.1]}}),
+            "`w_t` is set by `detuning`, which owns ",
+        ),
+        (
+            study({**FASTEST, "within": {"speed": [0.4, 0.3]}}),
+            "`speed` must be two numbers that do not fall; got [0.4, 0.3]"
+            " (options.within.speed).",
+        ),
+        (
+            study({**FASTEST, "within": {"froude_speed": [0.2, 0.2]}}),
+            "`froude_speed` is what is best, and this fixes it"
+            " (options.within.froude_speed).",
+        ),
+        (
+            study({**FASTEST, "within": {"spectral_radius": [1.5, 2]}}),
+            "Stable gaits have less than 1; `stable = false` allows more"
+            " (options.within.spectral_radius).",
+        ),
+        (
+            study({**FASTEST, "without": ["scuffs"]}),
+            "Unknown name `scuffs`, did you mean `scuff`? (options.without).",
+        ),
+        (
+            study({**FASTEST, "tradeoff": {"speed": [0.3, 0.3]}}),
+            "`speed` must be a list of different numbers; got [0.3, 0.3]"
+            " (options.tradeoff.speed).",
+        ),
+        (
+            study({**FASTEST, "tradeoff": {"speed": [0.3], "period": [0.7]}}),
+            "The objective is traded for one measure (options.tradeoff).",
+        ),
+        (
+            study({**FASTEST, "stable": 1}),
+            "`stable` must be true or false; got 1 (options.stable).",
+        ),
+        (
+            study(FASTEST, gaits=["other1"]),
+            "The gaits of an optimum are `long` or `short` (gaits).",
+        ),
+    ],
+)
+def test_what_no_optimum_can_be_asked_is_refused_in_one_line(asked, sentence):
+    with pytest.raises(StudyError) as error:
+        parse(asked, "", Path("s.toml"))
+
+    told = str(error.value).replace("s.toml, ", "")
+    assert "\n" not in told
+    assert told.startswith(sentence), told
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    path = tmp_path_factory.mktemp("optimum") / "best.nc"
+    asked = study(FASTEST, axes={"slope": [0.01, 0.04], "m_h": [0, 1]})
+    asked["want"] = {"figures": ["optimum"]}
+    gaitsweep.run(asked, archive=path, jobs=1, quiet=True)
+    return path
+
+
+def test_a_mapping_runs_and_each_line_has_its_optimum(archive):
+    best = xr.load_dataset(archive, group="optimum")
+    walkers = xr.load_dataset(archive, group="optimal_walkers")
+
+    assert best["m_h"].values.tolist() == [0, 1]
+    assert (best["spectral_radius"] <= 1 + 1e-6).all()
+    assert ((best["R"] >= 0.1) & (best["R"] <= 0.3)).all()
+    assert best["error_bound"].attrs["units"] == "1"
+    assert best["speed"].attrs["units"] == "m s-1"
+    assert set(walkers) >= {"l_t", "R", "m_h", "c_s"}
+
+
+def test_the_page_walks_the_optimum_and_shows_the_ways(archive, tmp_path):
+    page = gaitsweep.report(archive, tmp_path).read_text(encoding="utf-8")
+
+    lines = json.loads(re.search(r'id="lines">(.*?)</script>', page)[1])
+    optima = [line for line in lines if "R" in line["at"]]
+    assert len(optima) == 2 and all(line["branches"][0] for line in optima)
+    assert {line["keys"]["R"] for line in optima} == {
+        line["at"]["R"] for line in optima
+    }
+    assert "Optimum: largest v/√(gl)" in page
+    assert "What limits the optimum" in page
+
+
+def test_where_nothing_is_stable_the_line_says_so(tmp_path):
+    asked = study(FASTEST, axes={"slope": [0.3, 0.4]})
+
+    found = gaitsweep.run(asked, archive=tmp_path / "none.nc", jobs=1, quiet=True)
+
+    assert found["status"].item() == "no_gait"
+    reason = str(found["reason"].item())
+    assert reason.startswith("No stable gait within the ranges and limits was found")
