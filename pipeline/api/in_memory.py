@@ -31,7 +31,7 @@ from gaitsweep.pipeline.store.record import (
 )
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.broadcast import broadcast
-from gaitsweep.pipeline.study.model import Axis, Definition, Study
+from gaitsweep.pipeline.study.model import Axis, Definition, Study, line_of
 from gaitsweep.tasks.contract.accuracy import always, is_converted
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
@@ -78,7 +78,10 @@ class _Line:
     @property
     def study(self) -> Study:
         """A study of this line alone."""
-        keys = {key: np.array([value]) for key, value in self.line["set"].items()}
+        values = {**self.line["set"], "slope": self.line.get("slope")}
+        keys = {
+            key: np.array([value]) for key, value in values.items() if value is not None
+        }
         return _over(self._base, self.slopes, keys, self.check)
 
 
@@ -88,9 +91,9 @@ def _over(
     keys: Mapping[str, np.ndarray],
     check: dict[str, Any],
 ) -> Study:
-    """A study without axes, over slopes and keys."""
+    """A study without axes, over slopes, or values of a measure, and keys."""
     axes = (
-        Axis("slope", slope),
+        Axis(base.along, slope),
         *(Axis(name, values) for name, values in keys.items()),
     )
     return replace(base, axes=axes, checks=(check,))
@@ -103,6 +106,7 @@ def gaits(
     steps: int,
     accuracy: float = 0.0,
     limits: Mapping[str, float] | None = None,
+    at: Mapping[str, Any] | None = None,
 ) -> xr.Dataset:
     """Solve the gaits of a walker at every point of a grid.
 
@@ -120,6 +124,9 @@ def gaits(
         Largest error bound wanted; 0 for as good as doubles give.
     limits : mapping, optional
         Limits of violations that are not the registry's.
+    at : mapping, optional
+        What gaits are sought at, as `Study.at` has it; `arguments` then hold values of
+        the measure, and no slope if that is varied.
 
     Returns
     -------
@@ -132,21 +139,22 @@ def gaits(
         If the arguments do not broadcast, or no point has a slope and a walker that can
         be.
     """
-    base = _base(walker, wanted, steps, accuracy, limits or {})
+    base = _base(walker, wanted, steps, accuracy, limits or {}, at or {})
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines, unsolvable = _checked(base, flat, arrays)
 
     # An argument that is nowhere right is a mistake, not a result.
-    slope = flat["slope"]
+    slope = flat[base.along]
+    wrong = _wrong_slopes(base, slope)
     if len(slope) and not any(len(line.at) for line in lines):
-        if unsolvable:
-            raise unsolvable[0][1]
+        if unsolvable or base.at:
+            raise [*unsolvable, *wrong][0][1]
         slopes.check(float(slope[0]))
-    unsolvable += _wrong_slopes(slope)
+    unsolvable += wrong
 
     answers = [line.check for line in lines]
-    varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
+    varying = {name: a for name, a in arrays.items() if a.ndim or name == base.along}
     coordinates = {
         name: values.assign_attrs(attributes.of_axis(name, answers[:1]))
         for name, values in varying.items()
@@ -169,6 +177,7 @@ def _base(
     steps: int,
     accuracy: float,
     limits: Mapping[str, float],
+    at: Mapping[str, Any],
 ) -> Study:
     """The study of all points, without axes."""
     others = tuple(name for name in always(accuracy) if name not in wanted)
@@ -178,6 +187,8 @@ def _base(
         options["steps"] = steps
     if limits:
         options["violation_limits"] = limits
+    if at:
+        options["at"] = at
     return Study(
         "",
         "",
@@ -197,14 +208,14 @@ def _checked(
     """Lines of the grid at their slopes, and the points of those whose walker cannot
     be, with why.
     """
-    slope = flat["slope"]
-    is_slope = slopes.is_slope(slope)
+    slope = flat[base.along]
+    is_slope = _can_be(base, slope)
     lines: list[_Line] = []
     unsolvable: list[tuple[np.ndarray, StudyError]] = []
     for line, every in _lines(base, flat, arrays):
         at = every[is_slope[every]]
         try:
-            check = dispatch.ask("check_walker", line)
+            check = _check(base, line, slope[at])
         except StudyError as error:
             unsolvable.append((at, error))
         else:
@@ -212,12 +223,30 @@ def _checked(
     return lines, unsolvable
 
 
-def _wrong_slopes(slope: np.ndarray) -> list[tuple[np.ndarray, StudyError]]:
-    """The points whose slope is none, with why."""
-    wrong = np.flatnonzero(~slopes.is_slope(slope))
+def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
+    """Whether slopes, or values of a measure, can be asked for, shape (n,)."""
+    return np.asarray(np.isfinite(slope) if base.at else slopes.is_slope(slope))
+
+
+def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, Any]:
+    """What `tasks` reports of the walker of a line, with the keys that are varied."""
+    if "slope" in line:
+        slopes.check(line["slope"])
+    name = "check_target" if base.at else "check_walker"
+    asked = {**line, **base.at, "values": slope}
+    check: dict[str, Any] = dispatch.ask(name, asked)
+    return check
+
+
+def _wrong_slopes(
+    base: Study, slope: np.ndarray
+) -> list[tuple[np.ndarray, StudyError]]:
+    """The points whose slope, or value of a measure, is none, with why."""
+    wrong = np.flatnonzero(~_can_be(base, slope))
     values, which = np.unique(slope[wrong], return_inverse=True)
+    bound = "must be finite" if base.at else slopes.BOUND
     return [
-        (wrong[which == k], StudyError(f"`slope` {slopes.BOUND}; got {value!r}."))
+        (wrong[which == k], StudyError(f"`{base.along}` {bound}; got {value!r}."))
         for k, value in enumerate(values.tolist())
     ]
 
@@ -250,12 +279,12 @@ def _lines(
 
     Those that differ only in a `g` that can be are one where gaits are converted.
     """
-    n = len(flat["slope"])
+    n = len(flat[base.along])
     (walker,) = base.walkers
-    varying = [name for name, a in arrays.items() if name != "slope" and a.ndim]
-    if "g" in varying and is_converted(base.variables, base.accuracy):
+    varying = [name for name, a in arrays.items() if name != base.along and a.ndim]
+    if "g" in varying and _is_converted(base):
         flat = {**flat, "g": _one_for_all(flat["g"])}
-    fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
+    fixed = {name: a[0].item() for name, a in flat.items() if n and name != base.along}
     number = np.zeros(n, int)
     if varying:
         groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(
@@ -264,16 +293,13 @@ def _lines(
         number = groups.ngroup().to_numpy()
     order = np.argsort(number, kind="stable")
     for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
-        yield (
-            {
-                "walker": walker,
-                "set": {
-                    **fixed,
-                    **{name: flat[name][at[0]].item() for name in varying},
-                },
-            },
-            at,
-        )
+        own = {name: flat[name][at[0]].item() for name in varying}
+        yield line_of(walker, {**fixed, **own}), at
+
+
+def _is_converted(base: Study) -> bool:
+    """Whether gaits of walkers that differ in units are one to the solver."""
+    return not base.at and is_converted(base.variables, base.accuracy)
 
 
 def _one_for_all(g: np.ndarray) -> np.ndarray:
@@ -294,6 +320,7 @@ def _constants(
     ).table()
     others = {*_owners(checks, varying), *varying}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
+    others |= {key for check in checks for key in check.get("sought", ())}
     shared = {key: value for key, value in constants.items() if key not in others}
     return shared | parameters.exact_offsets(others, [table])
 
@@ -408,7 +435,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
     """Solve the points of lines, those that differ only in units once, and convert
     them.
     """
-    if not is_converted(base.variables, base.accuracy):
+    if not _is_converted(base):
         yield from _solve(base, lines)
         return
 
@@ -550,7 +577,8 @@ def _dataset(
         )
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], study))
+        about = attributes.of_variable(VARIABLES[name], study)
+        variables[study.archived(name)] = (dims, values, about)
     coords = {
         **grid.coords,
         "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS),

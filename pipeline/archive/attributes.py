@@ -15,6 +15,7 @@ from gaitsweep.pipeline.study.ways import ends
 from gaitsweep.tasks.contract.registry import (
     PROVED,
     VARIABLES,
+    VARIED,
     VIOLATIONS,
     Variable,
 )
@@ -52,6 +53,9 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as
     JSON, by what `tasks` reports of each walker.
     """
+    if name in VARIABLES:
+        measure = VARIABLES[name]
+        return units.described(measure.long_name, measure.kind, checks)
     about = {
         "long_name": EXTRA_AXES.get(name, f"walker's {name}"),
         "units": units.axis_units(name, checks),
@@ -97,6 +101,9 @@ def over_steps(long_name: str, steps: int) -> str:
 
 def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
     """CF attributes of a variable of a study."""
+    if variable.name == VARIED:
+        about = of_axis(str(study.at["vary"]), study.checks)
+        return about | {"ancillary_variables": "status reason"}
     attrs = units.described(
         over_steps(variable.long_name, study.steps), variable.kind, study.checks
     )

@@ -150,7 +150,7 @@ class PointWriter:
         for name in names:
             description = VARIABLES[name]
             variable = file.createVariable(
-                name,
+                self.study.archived(name),
                 self.sentences.dtype if name == "reason" else description.dtype,
                 (*self.grid.sizes, *description.dims),
                 **layout.FILTERS,
@@ -174,8 +174,9 @@ class PointWriter:
                     pieces = self._pieces(chunk.shape, head, payload)
                 for (name, g), piece in pieces.items():
                     corner = (*start, g, *([0] if has_multipliers(name) else []))
-                    write(name, corner, piece.data)
-                    self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
+                    archived = self.study.archived(name)
+                    write(archived, corner, piece.data)
+                    self.sums[archived] += layout.chunk_checksum(piece.checksum, corner)
 
     def _pieces(
         self, shape: Shape, head: Head, payload: memoryview

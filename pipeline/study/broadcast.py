@@ -194,7 +194,8 @@ def _named(
 ) -> xr.DataArray:
     """A DataArray whose only dimensions are those along which the value varies."""
     if isinstance(value, xr.DataArray):
-        clash = [str(d) for d in (*value.dims, *value.coords) if d in _RESERVED]
+        others = {*_RESERVED} - {name}
+        clash = [str(d) for d in (*value.dims, *value.coords) if d in others]
         if clash:
             raise StudyError(
                 f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use."

@@ -32,7 +32,13 @@ from gaitsweep.pipeline.study.values import (
 )
 from gaitsweep.tasks.contract import accuracy as accuracies
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import FOLLOWED, GAITS, MAX_STEPS, VARIABLES
+from gaitsweep.tasks.contract.registry import (
+    FOLLOWED,
+    GAITS,
+    MAX_STEPS,
+    OF_TARGETS,
+    VARIABLES,
+)
 
 #: Largest axis; anything above is taken for a mistake.
 MAX_VALUES = 10_000_000
@@ -68,7 +74,12 @@ class Accuracy(Number):
 
 def groups() -> list[str]:
     """Names of the groups of variables."""
-    return sorted({v.group for v in VARIABLES.values()} - {""})
+    return sorted({v.group for v in VARIABLES.values()} - {"", OF_TARGETS})
+
+
+def _nameable() -> list[str]:
+    """Names of the variables that a study may want."""
+    return [v.name for v in VARIABLES.values() if v.group != OF_TARGETS]
 
 
 def axis_names() -> tuple[str, ...]:
@@ -97,7 +108,7 @@ _VALUES: dict[str, Value] = {
     "accuracy": Accuracy(),
     "gaits": Names(lambda: GAITS, least=1),
     "variables": Names(
-        lambda: (*VARIABLES, *groups()),
+        lambda: (*_nameable(), *groups()),
         least=1,
         others=lambda: extensions.names("measures"),
     ),
@@ -127,6 +138,8 @@ _VALUES: dict[str, Value] = {
     "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED)),
     "levels": Levels(),
     "limits": VIOLATION_LIMITS,
+    "varied": OneOf(axis_names, "`slope`, or a key of a walker"),
+    "target": Composite("table of a measure and what is varied"),
     "walker": Composite("name, file, table, or list of names"),
     "axes": Composite("table of axes"),
     "table": Composite("table"),
@@ -167,6 +180,8 @@ def value_of(
 
 #: Fields of a study, of its tables, of axes that are no lists, and of measurements.
 STUDY, WANT, RANGE, OVERLAY = map(_fields, ("study", "want", "range", "overlay"))
+#: Fields of `at`, besides the measure.
+AT = _fields("at")
 LIMITS = _fields("limits", vars(Limits()))
 #: Options of each kind of study.
 OPTIONS: dict[str, dict[str, Field]] = {

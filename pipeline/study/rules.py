@@ -133,6 +133,32 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
         )
 
 
+def _targets_are_of_gaits_of_a_grid(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """Gaits of one step are sought at values of a measure, in place of a grid's slopes."""
+    if not study.at:
+        return
+    if study.kind != "grid":
+        yield top.at("at").error(
+            f"`at` is of the gaits of a grid; this study is a `{study.kind}`"
+        )
+    if study.steps > 1:
+        yield top.at("options", "steps").error(
+            f"`at` is of gaits of one step, and `steps` is {study.steps}"
+        )
+    for key, name in _wanted(study, "fits", "figures", "claims"):
+        if name in registry.READS or key != "figures":
+            yield top.at("want", key).error(
+                f"`{name}` is of gaits at slopes, and `at` seeks them at values"
+            )
+    for name in ("proved", "proved_radius"):
+        if name in study.variables:
+            yield top.at("want", "variables").error(
+                f"`{name}` is of gaits at slopes, and `at` seeks them at values"
+            )
+
+
 def _wanted(study: Study, *keys: str) -> Iterator[tuple[str, str]]:
     """Names in some fields of what a study wants, each after its field."""
     for key in keys:
@@ -151,4 +177,5 @@ RULES: tuple[Rule, ...] = (
     _a_grid_has_a_size,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
+    _targets_are_of_gaits_of_a_grid,
 )

@@ -90,7 +90,7 @@ def solve_at(
     vary : str
         `slope`, or a key of the walker.
     between : sequence of float, optional
-        Least and largest value of what is varied; a key needs it.
+        Least and largest value of what is varied.
     slope : float, optional [rad]
         Where a key is varied.
     keys, limits, tuned
@@ -121,9 +121,9 @@ def solve_at(
         for end in between or ():
             slopes.check(end, Location("", "between"))
     else:
-        if slope is None or between is None:
+        if slope is None:
             place = Location("", "vary")
-            raise place.wrong("needs `slope` and `between`, as a key is varied", vary)
+            raise place.wrong("needs `slope`, as a key is varied", vary)
         slopes.check(slope)
         params["slope"] = slope
     if between is not None:

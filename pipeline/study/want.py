@@ -10,13 +10,23 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.plot import Plot
 from gaitsweep.tasks.contract import accuracy as accuracies
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import COSTLY, FIGURES, READS, VARIABLES
+from gaitsweep.tasks.contract.registry import (
+    COSTLY,
+    FIGURES,
+    READS,
+    VARIABLES,
+    VARIED,
+)
 
 
 def read(
-    table: Mapping[str, Any], accuracy: float, location: Location
+    table: Mapping[str, Any],
+    accuracy: float,
+    location: Location,
+    at: Mapping[str, Any] | None = None,
 ) -> dict[str, tuple[str, ...]]:
-    """What a study wants, by the fields of its table `want`.
+    """What a study wants, by the fields of its table `want`; `at` is what its gaits are
+    sought at.
 
     Raises
     ------
@@ -24,7 +34,7 @@ def read(
         If a name is unknown.
     """
     given, place = table.get("variables"), location.at("variables")
-    wanted = {"variables": variables(given, place, accuracy)}
+    wanted = {"variables": of_targets(variables(given, place, accuracy), at)}
     for key in ("fits", "figures", "claims"):
         wanted[key] = tuple(value_of(WANT, key, table, location))
 
@@ -67,6 +77,15 @@ def variables(
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)
     return wanted
+
+
+def of_targets(names: tuple[str, ...], at: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """Names of variables with what is varied, and without the measure that is an axis,
+    where gaits are sought at its values.
+    """
+    if not at:
+        return names
+    return (*(name for name in names if name != at["measure"]), VARIED)
 
 
 def _unasked(accuracy: float) -> tuple[str, ...]:

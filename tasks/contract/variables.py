@@ -132,7 +132,11 @@ VIOLATIONS = {
 PROVED = {"not_attempted": 0, "proved": 1, "not_proved": 2}
 
 #: Groups of variables that cost much: only a study that names them has them.
-COSTLY = ("violations", "proofs")
+COSTLY = ("violations", "proofs", "targets")
+#: The group of what only gaits at values of a measure have, which no study names.
+OF_TARGETS = "targets"
+#: The variable that holds what is varied so that gaits have wanted values.
+VARIED = "varied"
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")

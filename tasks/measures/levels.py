@@ -10,7 +10,7 @@ import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.contract.registry import VARIABLES
+from gaitsweep.tasks.contract.registry import OF_TARGETS, VARIABLES
 from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
 from gaitsweep.tasks.walkers.walker import Walker
@@ -33,22 +33,22 @@ def measures(walker: Walker) -> list[str]:
         for name, about in VARIABLES.items()
         if about.dims == ("gait",)
         and about.dtype == "f8"
-        and about.group != "proofs"
+        and about.group not in ("proofs", OF_TARGETS)
         and name not in _OF_THE_SOLVE
         and (walker.knees or not about.is_of_knees)
         and (walker.locks_trailing_knee or not about.is_of_locked_knee)
     ]
 
 
-def level(name: str, value: float) -> Condition:
+def level(name: str, value: float | np.ndarray) -> Condition:
     """Return the condition that a measure has a value.
 
     Parameters
     ----------
     name : str
         Of `measures`.
-    value : float
-        In the walker's units.
+    value : float or ndarray, shape (n,)
+        In the walker's units; an array has that of each lane.
 
     Notes
     -----
