@@ -29,7 +29,7 @@ from gaitsweep.pipeline.store.record import (
     joined,
     sentence_number,
 )
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import broadcast
 from gaitsweep.pipeline.study.model import Axis, Definition, Study, line_of
 from gaitsweep.tasks.contract.accuracy import always, is_converted
@@ -570,30 +570,44 @@ def _dataset(
         _CHARACTERS,
     )
     for name in (v for v in VARIABLES if v in points.values):
-        values = (
-            points.values[name]
-            if name != "reason"
-            else sentences.renumbered(points.values[name])
-        )
+        values = points.values[name]
+        if name == "reason":
+            values = sentences.renumbered(values)
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
         about = attributes.of_variable(VARIABLES[name], study)
         variables[study.archived(name)] = (dims, values, about)
-    coords = {
-        **grid.coords,
-        "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS),
-    }
-    multipliers = [
-        a.shape[-1] for name, a in points.values.items() if has_multipliers(name)
-    ]
-    if multipliers:
-        coords["multiplier"] = (
-            "multiplier",
-            np.arange(multipliers[0], dtype=np.int32),
-            attributes.MULTIPLIER,
-        )
+
+    coords: dict[Any, Any] = {**grid.coords}
+    coords |= _inner_coordinates(points)
+    if "key" in coords:
+        variables["key_units"] = _key_units(study)
     return xr.Dataset(
         variables,
         {**coords, **coordinates},
         {**attributes.of_dataset(study), **constants},
     )
+
+
+def _inner_coordinates(points: Points) -> dict[str, Any]:
+    """Coordinates of the dimensions that come after those of the grid."""
+    coordinates: dict[str, Any] = {
+        "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS)
+    }
+    multipliers = [
+        a.shape[-1] for name, a in points.values.items() if has_multipliers(name)
+    ]
+    if multipliers:
+        numbers = np.arange(multipliers[0], dtype=np.int32)
+        coordinates["multiplier"] = "multiplier", numbers, attributes.MULTIPLIER
+    if any("key" in VARIABLES[name].dims for name in points.values):
+        keys = np.array(attributes.differentiated())
+        coordinates["key"] = "key", keys, attributes.KEY, _CHARACTERS
+    return coordinates
+
+
+def _key_units(study: Study) -> Any:
+    """Units of the keys by which measures are differentiated."""
+    keys = attributes.differentiated()
+    of_keys = np.array([units.axis_units(key, study.checks) for key in keys])
+    return "key", of_keys, attributes.KEY_UNITS, _CHARACTERS

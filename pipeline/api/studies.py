@@ -25,6 +25,7 @@ from gaitsweep.pipeline.study import (
     files,
     model,
     parse,
+    rules,
     single_point,
     target,
     toml,
@@ -311,10 +312,7 @@ def gaits(
     wanted = want.variables(
         None if names is None else list(names), Location("", "variables"), bound
     )
-    if steps > 1 and {"proved", "proved_radius"} & set(wanted):
-        raise Location("", "variables").error(
-            "Proofs are of gaits of one step: `proofs` needs `steps` = 1"
-        )
+    _check_of_one_step(wanted, steps)
     place = Location("", "violation_limits")
     limits = VIOLATION_LIMITS.read(violation_limits or {}, place)
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
@@ -325,6 +323,15 @@ def gaits(
     asked |= keys
     found = in_memory.gaits(walker, wanted, asked, steps, bound, limits, sought)
     return _along_first(found, asked)
+
+
+def _check_of_one_step(wanted: Sequence[str], steps: int) -> None:
+    """Check that of gaits of several steps nothing is wanted that is of one."""
+    for name in wanted if steps > 1 else ():
+        if rules.is_of_one_step(name):
+            raise Location("", "variables").error(
+                f"`{name}` is of gaits of one step, and `steps` is {steps}"
+            )
 
 
 def _along_first(found: xr.Dataset, asked: Mapping[str, Any]) -> xr.Dataset:

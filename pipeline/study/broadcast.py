@@ -21,7 +21,10 @@ Values: TypeAlias = (
     float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | xr.DataArray
 )
 #: Dimensions and coordinates of results, which no argument may use.
-_RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
+_RESERVED = (
+    *("gait", "multiplier", "key", "key_units", "reason_index", "reason_text"),
+    *VARIABLES,
+)
 
 
 def definition(walker: object) -> Definition:

@@ -37,6 +37,7 @@ from gaitsweep.tasks.contract.registry import (
     GAITS,
     MAX_STEPS,
     OF_TARGETS,
+    SENSITIVITIES,
     VARIABLES,
 )
 
@@ -74,12 +75,14 @@ class Accuracy(Number):
 
 def groups() -> list[str]:
     """Names of the groups of variables."""
-    return sorted({v.group for v in VARIABLES.values()} - {"", OF_TARGETS})
+    own = {v.group for v in VARIABLES.values()} - {"", OF_TARGETS}
+    return sorted({*own, SENSITIVITIES})
 
 
 def _nameable() -> list[str]:
     """Names of the variables that a study may want."""
-    return [v.name for v in VARIABLES.values() if v.group != OF_TARGETS]
+    hidden = OF_TARGETS, SENSITIVITIES
+    return [v.name for v in VARIABLES.values() if v.group not in hidden]
 
 
 def axis_names() -> tuple[str, ...]:

@@ -11,7 +11,12 @@ from gaitsweep.pipeline.study.fields import WANT
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import NEEDED_KINDS, OVER_LINES
+from gaitsweep.tasks.contract.registry import (
+    NEEDED_KINDS,
+    OVER_LINES,
+    SENSITIVITIES,
+    VARIABLES,
+)
 
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
 #: Largest grid; anything above is taken for a mistake.
@@ -123,7 +128,7 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
     if study.steps == 1:
         return
     for key, name in _wanted(study, *WANT):
-        if name in registry.OF_ONE_STEP or key == "claims":
+        if is_of_one_step(name) or key == "claims":
             yield top.at("want", key).error(
                 f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
             )
@@ -157,6 +162,13 @@ def _targets_are_of_gaits_of_a_grid(
             yield top.at("want", "variables").error(
                 f"`{name}` is of gaits at slopes, and `at` seeks them at values"
             )
+
+
+def is_of_one_step(name: str) -> bool:
+    """Whether something that may be wanted is known of gaits of one step only."""
+    about = VARIABLES.get(name)
+    is_derivative = about is not None and about.group == SENSITIVITIES
+    return is_derivative or name in registry.OF_ONE_STEP
 
 
 def _wanted(study: Study, *keys: str) -> Iterator[tuple[str, str]]:

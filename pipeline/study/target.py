@@ -8,7 +8,7 @@ from typing import Any
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.fields import AT, value_of
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.contract.registry import OF_TARGETS, VARIABLES
+from gaitsweep.tasks.contract.registry import OF_TARGETS, SENSITIVITIES, VARIABLES
 
 
 def read(
@@ -82,4 +82,5 @@ def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:
 
 def measures() -> list[str]:
     """Return the names of variables of which a value may be sought."""
-    return [v.name for v in VARIABLES.values() if v.group != OF_TARGETS]
+    hidden = OF_TARGETS, SENSITIVITIES
+    return [v.name for v in VARIABLES.values() if v.group not in hidden]

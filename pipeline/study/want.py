@@ -14,8 +14,10 @@ from gaitsweep.tasks.contract.registry import (
     COSTLY,
     FIGURES,
     READS,
+    SENSITIVITIES,
     VARIABLES,
     VARIED,
+    derivatives,
 )
 
 
@@ -72,8 +74,22 @@ def variables(
         location.blamed(registry.admit, given)
 
     names = WANT["variables"].value.read(value, location)
+    if names == [SENSITIVITIES]:
+        names += _unasked(accuracy)
     requested = {*names, *accuracies.always(accuracy)}
-    wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+    own = [
+        v.name
+        for v in VARIABLES.values()
+        if {v.name, v.group} & requested and v.group != SENSITIVITIES
+    ]
+    if SENSITIVITIES in requested:
+        requested |= {*own, *derivatives(own)}
+        registry.admit(requested)
+    wanted = tuple(
+        v.name
+        for v in VARIABLES.values()
+        if v.name in requested or v.group in requested - {SENSITIVITIES}
+    )
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)
     return wanted

@@ -17,10 +17,12 @@ from gaitsweep.tasks.contract.options import OPTIONS as OPTIONS
 from gaitsweep.tasks.contract.options import Option as Option
 from gaitsweep.tasks.contract.options import options as options
 from gaitsweep.tasks.contract.variables import ALWAYS as ALWAYS
+from gaitsweep.tasks.contract.variables import BY_KEY as BY_KEY
 from gaitsweep.tasks.contract.variables import COSTLY as COSTLY
 from gaitsweep.tasks.contract.variables import GAITS as GAITS
 from gaitsweep.tasks.contract.variables import OF_TARGETS as OF_TARGETS
 from gaitsweep.tasks.contract.variables import PROVED as PROVED
+from gaitsweep.tasks.contract.variables import SENSITIVITIES as SENSITIVITIES
 from gaitsweep.tasks.contract.variables import SI_UNITS as SI_UNITS
 from gaitsweep.tasks.contract.variables import STATUSES as STATUSES
 from gaitsweep.tasks.contract.variables import VARIABLES as VARIABLES
@@ -28,6 +30,8 @@ from gaitsweep.tasks.contract.variables import VARIED as VARIED
 from gaitsweep.tasks.contract.variables import VIOLATIONS as VIOLATIONS
 from gaitsweep.tasks.contract.variables import Variable as Variable
 from gaitsweep.tasks.contract.variables import admit as admit
+from gaitsweep.tasks.contract.variables import derivatives as derivatives
+from gaitsweep.tasks.contract.variables import is_measure as is_measure
 
 #: Slopes that can be asked for [rad], the first included: branches are followed down to
 #: it.

@@ -10,18 +10,11 @@ import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.contract.registry import OF_TARGETS, VARIABLES
+from gaitsweep.tasks.contract.registry import VARIABLES, is_measure
 from gaitsweep.tasks.measures.gaits import Arrays, of_all_steps, steps_of
 from gaitsweep.tasks.measures.kinematics import TRAVEL, travel
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Variables that say how well a gait is known, not what it is.
-_OF_THE_SOLVE = (
-    "residual",
-    "error_bound",
-    "multiplier_error_bound",
-    "energy_imbalance",
-)
 #: Measured of the step map's derivative.
 _RADIUS = "spectral_radius"
 
@@ -31,10 +24,7 @@ def measures(walker: Walker) -> list[str]:
     return [
         name
         for name, about in VARIABLES.items()
-        if about.dims == ("gait",)
-        and about.dtype == "f8"
-        and about.group not in ("proofs", OF_TARGETS)
-        and name not in _OF_THE_SOLVE
+        if is_measure(name)
         and (walker.knees or not about.is_of_knees)
         and (walker.locks_trailing_knee or not about.is_of_locked_knee)
     ]

@@ -161,6 +161,7 @@ class Sampled:
         sizes = np.abs(self.values[np.isfinite(self.values)])
         return float(sizes.max(initial=0.0))
 
+    @np.errstate(invalid="ignore")
     def reached(
         self, low: float, high: float, label: str = ""
     ) -> tuple[float, float] | None:

@@ -76,7 +76,7 @@ def distance_of_singles(walker, measure, slope, values):
     "count",
     [
         40,
-        pytest.param(1000, marks=pytest.mark.soak),
+        pytest.param(1000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)]),
     ],
     ids=["some", "many"],
 )

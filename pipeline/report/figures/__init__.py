@@ -21,6 +21,7 @@ from gaitsweep.pipeline.report.figures import (
     laws,
     maps,
     parameters,
+    ranking,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -49,6 +50,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "measured": families.measurements,
     "lyapunov": bifurcation.lyapunov,
     "exponents": laws.exponents,
+    "sensitivities": ranking.sensitivities,
     "census": searches.census,
     "cascade": searches.cascade,
     "curves": searches.curves,
