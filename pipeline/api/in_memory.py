@@ -2,7 +2,7 @@
 this process by the loop of a run.
 """
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,9 +29,9 @@ from gaitsweep.pipeline.store.record import (
     joined,
     sentence_number,
 )
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import broadcast
-from gaitsweep.pipeline.study.model import Axis, Definition, Study
+from gaitsweep.pipeline.study.model import Axis, Definition, Study, line_of
 from gaitsweep.tasks.contract.accuracy import always, is_converted
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
@@ -78,7 +78,10 @@ class _Line:
     @property
     def study(self) -> Study:
         """A study of this line alone."""
-        keys = {key: np.array([value]) for key, value in self.line["set"].items()}
+        values = {**self.line["set"], "slope": self.line.get("slope")}
+        keys = {
+            key: np.array([value]) for key, value in values.items() if value is not None
+        }
         return _over(self._base, self.slopes, keys, self.check)
 
 
@@ -88,9 +91,9 @@ def _over(
     keys: Mapping[str, np.ndarray],
     check: dict[str, Any],
 ) -> Study:
-    """A study without axes, over slopes and keys."""
+    """A study without axes, over slopes, or values of a measure, and keys."""
     axes = (
-        Axis("slope", slope),
+        Axis(base.along, slope),
         *(Axis(name, values) for name, values in keys.items()),
     )
     return replace(base, axes=axes, checks=(check,))
@@ -103,6 +106,8 @@ def gaits(
     steps: int,
     accuracy: float = 0.0,
     limits: Mapping[str, float] | None = None,
+    at: Mapping[str, Any] | None = None,
+    named: Collection[str] = (),
 ) -> xr.Dataset:
     """Solve the gaits of a walker at every point of a grid.
 
@@ -120,6 +125,11 @@ def gaits(
         Largest error bound wanted; 0 for as good as doubles give.
     limits : mapping, optional
         Limits of violations that are not the registry's.
+    at : mapping, optional
+        What gaits are sought at, as `Study.at` has it; `arguments` then hold values of
+        the measure, and no slope if that is varied.
+    named : collection of str
+        Variables that are kept whatever the walkers have.
 
     Returns
     -------
@@ -132,21 +142,22 @@ def gaits(
         If the arguments do not broadcast, or no point has a slope and a walker that can
         be.
     """
-    base = _base(walker, wanted, steps, accuracy, limits or {})
+    base = _base(walker, wanted, steps, accuracy, limits or {}, at or {})
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines, unsolvable = _checked(base, flat, arrays)
 
     # An argument that is nowhere right is a mistake, not a result.
-    slope = flat["slope"]
+    slope = flat[base.along]
+    wrong = _wrong_slopes(base, slope)
     if len(slope) and not any(len(line.at) for line in lines):
-        if unsolvable:
-            raise unsolvable[0][1]
+        if unsolvable or base.at:
+            raise [*unsolvable, *wrong][0][1]
         slopes.check(float(slope[0]))
-    unsolvable += _wrong_slopes(slope, [line.at for line in lines])
+    unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
 
     answers = [line.check for line in lines]
-    varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
+    varying = {name: a for name, a in arrays.items() if a.ndim or name == base.along}
     coordinates = {
         name: values.assign_attrs(attributes.of_axis(name, answers[:1]))
         for name, values in varying.items()
@@ -159,7 +170,13 @@ def gaits(
     lines = [line for line in lines if len(line.at)]
     found = _solve_in_units(base, lines, flat)
     points = _in_order(found, unsolvable, base.variables, multipliers)
-    study = replace(base, checks=tuple(answers[:1]))
+    features = {name for check in answers for name in check["features"]}
+    kept = [
+        name
+        for name in base.variables
+        if name in named or not VARIABLES[name].is_left_out(features)
+    ]
+    study = replace(base, checks=tuple(answers[:1]), variables=tuple(kept))
     return _dataset(points, grid[0], coordinates, moved, constants, study)
 
 
@@ -169,6 +186,7 @@ def _base(
     steps: int,
     accuracy: float,
     limits: Mapping[str, float],
+    at: Mapping[str, Any],
 ) -> Study:
     """The study of all points, without axes."""
     others = tuple(name for name in always(accuracy) if name not in wanted)
@@ -178,6 +196,8 @@ def _base(
         options["steps"] = steps
     if limits:
         options["violation_limits"] = limits
+    if at:
+        options["at"] = at
     return Study(
         "",
         "",
@@ -197,14 +217,14 @@ def _checked(
     """Lines of the grid at their slopes, and the points of those whose walker cannot
     be, with why.
     """
-    slope = flat["slope"]
-    is_slope = slopes.is_slope(slope)
-    is_level = slopes.is_level(slope)
+    slope = flat[base.along]
+    is_slope = _can_be(base, slope)
+    is_level = slopes.is_level(slope) & (not base.at)
     lines: list[_Line] = []
     unsolvable: list[tuple[np.ndarray, StudyError]] = []
     for line, every in _lines(base, flat, arrays):
         try:
-            check = dispatch.ask("check_walker", line)
+            check = _check(base, line, slope[every[is_slope[every]]])
         except StudyError as error:
             unsolvable.append((every[is_slope[every]], error))
         else:
@@ -213,19 +233,35 @@ def _checked(
     return lines, unsolvable
 
 
+def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
+    """Whether slopes, or values of a measure, can be asked for, shape (n,)."""
+    return np.asarray(np.isfinite(slope) if base.at else slopes.is_slope(slope))
+
+
+def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, Any]:
+    """What `tasks` reports of the walker of a line, with the keys that are varied."""
+    if "slope" in line:
+        slopes.check(line["slope"])
+    name = "check_target" if base.at else "check_walker"
+    asked = {**line, **base.at, "values": slope}
+    check: dict[str, Any] = dispatch.ask(name, asked)
+    return check
+
+
 def _wrong_slopes(
-    slope: np.ndarray, asked: Sequence[np.ndarray]
+    base: Study, slope: np.ndarray, asked: Sequence[np.ndarray] = ()
 ) -> list[tuple[np.ndarray, StudyError]]:
-    """The points whose slope is none, or none of their walkers', beside those that can
-    be asked for, with why.
+    """The points whose slope, or value of a measure, is none, or none of their walkers',
+    beside those that can be asked for, with why.
     """
-    is_wrong = ~slopes.is_slope(slope)
+    is_wrong = ~_can_be(base, slope)
     for at in asked:
         is_wrong[at] = False
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
+    bound = "must be finite" if base.at else slopes.BOUND
     return [
-        (wrong[which == k], StudyError(f"`slope` {slopes.BOUND}; got {value!r}."))
+        (wrong[which == k], StudyError(f"`{base.along}` {bound}; got {value!r}."))
         for k, value in enumerate(values.tolist())
     ]
 
@@ -258,13 +294,12 @@ def _lines(
 
     Those that differ only in a `g` that can be are one where gaits are converted.
     """
-    n = len(flat["slope"])
+    n = len(flat[base.along])
     (walker,) = base.walkers
-    varying = [name for name, a in arrays.items() if name != "slope" and a.ndim]
-    may_convert = is_converted(base.variables, base.accuracy)
-    if "g" in varying and may_convert and _is_passive(walker, flat):
+    varying = [name for name, a in arrays.items() if name != base.along and a.ndim]
+    if "g" in varying and _is_converted(base) and _is_passive(walker, flat):
         flat = {**flat, "g": _one_for_all(flat["g"])}
-    fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
+    fixed = {name: a[0].item() for name, a in flat.items() if n and name != base.along}
     number = np.zeros(n, int)
     if varying:
         groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(
@@ -273,16 +308,13 @@ def _lines(
         number = groups.ngroup().to_numpy()
     order = np.argsort(number, kind="stable")
     for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
-        yield (
-            {
-                "walker": walker,
-                "set": {
-                    **fixed,
-                    **{name: flat[name][at[0]].item() for name in varying},
-                },
-            },
-            at,
-        )
+        own = {name: flat[name][at[0]].item() for name in varying}
+        yield line_of(walker, {**fixed, **own}), at
+
+
+def _is_converted(base: Study) -> bool:
+    """Whether gaits of walkers that differ in units are one to the solver."""
+    return not base.at and is_converted(base.variables, base.accuracy)
 
 
 def _is_passive(walker: Definition, flat: Arrays) -> bool:
@@ -312,6 +344,7 @@ def _constants(
     ).table()
     others = {*_owners(checks, varying), *varying}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
+    others |= {key for check in checks for key in check.get("sought", ())}
     shared = {key: value for key, value in constants.items() if key not in others}
     return shared | parameters.exact_offsets(others, [table])
 
@@ -426,7 +459,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
     """Solve the points of lines, those that differ only in units once, and convert
     them.
     """
-    if not is_converted(base.variables, base.accuracy):
+    if not _is_converted(base):
         yield from _solve(base, lines)
         return
 
@@ -561,29 +594,44 @@ def _dataset(
         _CHARACTERS,
     )
     for name in (v for v in VARIABLES if v in points.values):
-        values = (
-            points.values[name]
-            if name != "reason"
-            else sentences.renumbered(points.values[name])
-        )
+        values = points.values[name]
+        if name == "reason":
+            values = sentences.renumbered(values)
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], study))
-    coords = {
-        **grid.coords,
-        "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS),
-    }
-    multipliers = [
-        a.shape[-1] for name, a in points.values.items() if has_multipliers(name)
-    ]
-    if multipliers:
-        coords["multiplier"] = (
-            "multiplier",
-            np.arange(multipliers[0], dtype=np.int32),
-            attributes.MULTIPLIER,
-        )
+        about = attributes.of_variable(VARIABLES[name], study)
+        variables[study.archived(name)] = (dims, values, about)
+
+    coords: dict[Any, Any] = {**grid.coords}
+    coords |= _inner_coordinates(points)
+    if "key" in coords:
+        variables["key_units"] = _key_units(study)
     return xr.Dataset(
         variables,
         {**coords, **coordinates},
         {**attributes.of_dataset(study), **constants},
     )
+
+
+def _inner_coordinates(points: Points) -> dict[str, Any]:
+    """Coordinates of the dimensions that come after those of the grid."""
+    coordinates: dict[str, Any] = {
+        "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS)
+    }
+    multipliers = [
+        a.shape[-1] for name, a in points.values.items() if has_multipliers(name)
+    ]
+    if multipliers:
+        numbers = np.arange(multipliers[0], dtype=np.int32)
+        coordinates["multiplier"] = "multiplier", numbers, attributes.MULTIPLIER
+    if any("key" in VARIABLES[name].dims for name in points.values):
+        keys = np.array(attributes.differentiated())
+        coordinates["key"] = "key", keys, attributes.KEY, _CHARACTERS
+    return coordinates
+
+
+def _key_units(study: Study) -> Any:
+    """Units of the keys by which measures are differentiated."""
+    keys = attributes.differentiated()
+    of_keys = np.array([units.axis_units(key, study.checks) for key in keys])
+    return "key", of_keys, attributes.KEY_UNITS, _CHARACTERS

@@ -25,7 +25,9 @@ from gaitsweep.pipeline.study import (
     files,
     model,
     parse,
+    rules,
     single_point,
+    target,
     toml,
     want,
 )
@@ -231,8 +233,11 @@ def _study(
 @in_turn
 def gaits(
     walker: str | Path | Mapping[str, object],
-    slope: broadcast.Values,
+    slope: broadcast.Values | None = None,
     *,
+    at: Mapping[str, broadcast.Values] | None = None,
+    vary: str = "slope",
+    between: tuple[float, float] | None = None,
     steps: int = 1,
     accuracy: float | None = None,
     variables: Sequence[str] | None = None,
@@ -247,7 +252,16 @@ def gaits(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float, array or DataArray [rad]
-        Slopes of the ground, in [1e-18, 0.5).
+        Slopes of the ground, in [1e-18, 0.5); none where `at` is reached by varying it.
+    at : mapping, optional
+        A measure of gaits and the values that it is to have, as `{"speed": [0.3,
+        0.4]}`: all gaits that have them, by varying the slope or a key. What was varied
+        is a variable of that name.
+    vary : str
+        `slope`, or a key of the walker.
+    between : (float, float), optional
+        Least and largest value of what is varied; by default all slopes from 1e-6, or
+        values within a characteristic length, mass or angle of the key's.
     steps : int
         Number of steps after which a gait repeats, at most 64; those that repeat after
         fewer are left out. The state is that with the largest stance angle, `period`
@@ -298,19 +312,69 @@ def gaits(
     wanted = want.variables(
         None if names is None else list(names), Location("", "variables"), bound
     )
-    if steps > 1 and {"proved", "proved_radius"} & set(wanted):
-        raise Location("", "variables").error(
-            "Proofs are of gaits of one step: `proofs` needs `steps` = 1"
-        )
+    _check_of_one_step(wanted, steps)
     place = Location("", "violation_limits")
     limits = VIOLATION_LIMITS.read(violation_limits or {}, place)
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
-    found = in_memory.gaits(
-        walker, wanted, {"slope": slope, **keys}, steps, bound, limits
-    )
-    if isinstance(slope, xr.DataArray) or np.ndim(slope) != 1 or not found.slope.dims:
+    if at is not None and steps > 1:
+        raise Location("", "steps").wrong("must be 1 with `at`", steps)
+    asked, sought = _asked(slope, at, vary, between)
+    wanted = want.of_targets(wanted, sought)
+    asked |= keys
+    named = () if names is None else names
+    found = in_memory.gaits(walker, wanted, asked, steps, bound, limits, sought, named)
+    return _along_first(found, asked)
+
+
+def _check_of_one_step(wanted: Sequence[str], steps: int) -> None:
+    """Check that of gaits of several steps nothing is wanted that is of one."""
+    for name in wanted if steps > 1 else ():
+        if rules.is_of_one_step(name):
+            raise Location("", "variables").error(
+                f"`{name}` is of gaits of one step, and `steps` is {steps}"
+            )
+
+
+def _along_first(found: xr.Dataset, asked: Mapping[str, Any]) -> xr.Dataset:
+    """Gaits with the first of what was asked, slopes or values of a measure, as a
+    dimension, where it is an array of one.
+    """
+    along, values = next(iter(asked.items()))
+    dims = found[along].dims
+    if isinstance(values, xr.DataArray) or np.ndim(values) != 1 or not dims:
         return found
-    return found.swap_dims({found.slope.dims[0]: "slope"})
+    return found.swap_dims({dims[0]: along})
+
+
+def _asked(
+    slope: broadcast.Values | None,
+    at: Mapping[str, broadcast.Values] | None,
+    vary: str,
+    between: tuple[float, float] | None,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Slopes, or the values of a measure and perhaps slopes, by name; and what a study
+    says of the measure.
+    """
+    if at is None:
+        if slope is None:
+            raise StudyError("`slope` is needed, or `at` with values of a measure.")
+        return {"slope": slope}, {}
+
+    if not isinstance(at, Mapping) or len(at) != 1:
+        raise Location("", "at").wrong("must be a table of one measure", at)
+    Location("", "at").check_names(at, target.measures(), "measure")
+    place = Location("", "slope")
+    if slope is None and vary != "slope":
+        raise place.error("`slope` is needed where a key is varied")
+    if slope is not None and vary == "slope":
+        raise place.error("`slope` is varied and cannot be set too")
+
+    given: dict[str, Any] = {"vary": vary}
+    if between is not None:
+        given["between"] = list(between)
+    fields = target.fields(given, Location("", ""))
+    slopes = {} if slope is None else {"slope": slope}
+    return {**at, **slopes}, {"measure": next(iter(at)), **fields}
 
 
 @in_turn
@@ -344,7 +408,7 @@ def solve(
     vary : str
         `slope`, or a key of the walker.
     between : (float, float), optional
-        Least and largest value of what is varied; for a key they must be given.
+        Least and largest value of what is varied, by default as for `gaits`.
     steps : int
         Number of steps after which a gait repeats, as for `gaits`; 1 with `at`.
     accuracy : float, optional

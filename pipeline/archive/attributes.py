@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.archive.citation import PAPER
+from gaitsweep.pipeline.dispatch import resolve
 from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.fields import EXTRA_AXES
@@ -14,7 +15,9 @@ from gaitsweep.pipeline.study.model import Study
 from gaitsweep.pipeline.study.ways import ends
 from gaitsweep.tasks.contract.registry import (
     PROVED,
+    SENSITIVITIES,
     VARIABLES,
+    VARIED,
     VIOLATIONS,
     Variable,
 )
@@ -25,6 +28,8 @@ MULTIPLIER = {
     "long_name": "number of the eigenvalue, largest magnitude first",
     "units": "1",
 }
+KEY = {"long_name": "what a measure is differentiated by", "units": "1"}
+KEY_UNITS = {"long_name": "units of the slope or of each key", "units": "1"}
 REASON_TEXT = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
 
 
@@ -52,6 +57,9 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     Of `detuning` also the parameters of the walkers at 0 and at 1, or lists of them, as
     JSON, by what `tasks` reports of each walker.
     """
+    if name in VARIABLES:
+        measure = VARIABLES[name]
+        return units.described(measure.long_name, measure.kind, checks)
     about = {
         "long_name": EXTRA_AXES.get(name, f"walker's {name}"),
         "units": units.axis_units(name, checks),
@@ -65,6 +73,12 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
         tables = [way["tables"][at] for way in found]
         about[f"walker_at_{at}"] = json.dumps(tables if len(tables) > 1 else tables[0])
     return about
+
+
+def differentiated() -> tuple[str, ...]:
+    """The slope and the keys by which measures are differentiated, in order."""
+    names: tuple[str, ...] = resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
+    return names
 
 
 def of_dataset(study: Study) -> dict[str, Any]:
@@ -97,6 +111,13 @@ def over_steps(long_name: str, steps: int) -> str:
 
 def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
     """CF attributes of a variable of a study."""
+    if variable.name == VARIED:
+        about = of_axis(str(study.at["vary"]), study.checks)
+        return about | {"ancillary_variables": "status reason"}
+    if variable.group == SENSITIVITIES:
+        unit = units.of_kind(variable.kind, study.checks)
+        comment = f"in {unit} over the unit of each key: see key_units"
+        return {"long_name": variable.long_name, "units": "1", "comment": comment}
     attrs = units.described(
         over_steps(variable.long_name, study.steps), variable.kind, study.checks
     )

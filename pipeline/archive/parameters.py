@@ -33,7 +33,7 @@ def write(file: Any, study: Study) -> None:
     """
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
-    for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
+    for key in _constant_along_lines(study):
         if key not in axes:
             _write_one(file, study, key, axes)
     moved = {
@@ -48,6 +48,15 @@ def write(file: Any, study: Study) -> None:
             {*axes, *moved}, tables, study.names if study.walker_axis else ()
         ),
     )
+
+
+def _constant_along_lines(study: Study) -> list[str]:
+    """Keys of walkers but for those that are varied until gaits have the values wanted
+    of them.
+    """
+    sought = {key for check in study.checks for key in check.get("sought", ())}
+    numbers = dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS")
+    return [key for key in numbers if key not in sought]
 
 
 def described(

@@ -38,7 +38,9 @@ from gaitsweep.pipeline.store.record import (
     Points,
     Record,
     has_multipliers,
+    inner_sizes,
 )
+from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.contract.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES, Variable
 
@@ -136,11 +138,13 @@ class PointWriter:
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
+        names, multipliers = self.plan.graph.variables, self.grid.multipliers
         file.createDimension("gait", len(self.columns))
+        if any("key" in VARIABLES[name].dims for name in names):
+            self._define_keys(file)
         write_strings(
             file, "gait", "gait", [GAITS[c] for c in self.columns], attributes.GAIT
         )
-        names, multipliers = self.plan.graph.variables, self.grid.multipliers
         if any(has_multipliers(n) for n in names):
             file.createDimension("multiplier", multipliers)
             numbers = np.arange(multipliers, dtype=np.int32)
@@ -150,18 +154,26 @@ class PointWriter:
         for name in names:
             description = VARIABLES[name]
             variable = file.createVariable(
-                name,
+                self.study.archived(name),
                 self.sentences.dtype if name == "reason" else description.dtype,
                 (*self.grid.sizes, *description.dims),
                 **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
                 # For one gait: which trailing gaits are absent is known only once all
                 # points are.
-                chunksizes=(*self.chunk, *(1, multipliers)[: len(description.dims)]),
+                chunksizes=(*self.chunk, 1, *inner_sizes(name, multipliers)),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.dtypes[name] = variable.dtype
             attributes.put(variable, attributes.of_variable(description, self.study))
+
+    def _define_keys(self, file: Any) -> None:
+        """Write the keys by which measures are differentiated, with their units."""
+        keys = attributes.differentiated()
+        file.createDimension("key", len(keys))
+        write_strings(file, "key", "key", keys, attributes.KEY)
+        of_keys = [units.axis_units(key, self.study.checks) for key in keys]
+        write_strings(file, "key_units", "key", of_keys, attributes.KEY_UNITS)
 
     def fill(self, draft: Path) -> None:
         """Write the values chunk by chunk."""
@@ -173,9 +185,10 @@ class PointWriter:
                     head, payload = Head.parse(record.head), memoryview(record.payload)
                     pieces = self._pieces(chunk.shape, head, payload)
                 for (name, g), piece in pieces.items():
-                    corner = (*start, g, *([0] if has_multipliers(name) else []))
-                    write(name, corner, piece.data)
-                    self.sums[name] += layout.chunk_checksum(piece.checksum, corner)
+                    corner = (*start, g, *(0 for _ in inner_sizes(name, 0)))
+                    archived = self.study.archived(name)
+                    write(archived, corner, piece.data)
+                    self.sums[archived] += layout.chunk_checksum(piece.checksum, corner)
 
     def _pieces(
         self, shape: Shape, head: Head, payload: memoryview
@@ -205,7 +218,7 @@ class PointWriter:
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""
-        more = (self.grid.multipliers,) if has_multipliers(name) else ()
+        more = inner_sizes(name, self.grid.multipliers)
         return pack_values(
             np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]),
             (*self.chunk, *more),

@@ -261,7 +261,7 @@ def boxes(variable: Any) -> Iterator[grid.Box]:
 
 def _points(variable: Any) -> dict[str, int]:
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
-    return {d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}
+    return {d: n for d, n in sizes.items() if d not in ("gait", "multiplier", "key")}
 
 
 def _chunk(variable: Any) -> tuple[int, ...]:

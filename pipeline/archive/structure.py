@@ -184,7 +184,7 @@ def _types(file: Any) -> Iterator[str]:
     grid = file.variables["status"].dimensions
     for name, variable in file.variables.items():
         about = VARIABLES.get(name)
-        if not about:
+        if not about or name in file.dimensions:
             continue
         dims = (
             (*(d for d in grid if d != "gait"), *about.dims) if "gait" in grid else grid

@@ -16,7 +16,13 @@ from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import corners
 from gaitsweep.pipeline.terminal import counted, duration
-from gaitsweep.tasks.contract.registry import FITS, TASKS, VARIABLES
+from gaitsweep.tasks.contract.registry import (
+    FITS,
+    OF_TARGETS,
+    SENSITIVITIES,
+    TASKS,
+    VARIABLES,
+)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -128,14 +134,15 @@ def _omitted(planned: Plan) -> list[str]:
     ]
     if planned.study.kind != "grid":
         return names
-    groups = {v.group for v in VARIABLES.values()} - {
-        VARIABLES[v].group for v in graph.variables
-    }
+    groups = {v.group for v in VARIABLES.values()}
+    groups -= {VARIABLES[v].group for v in graph.variables}
     features = planned.study.features
     left = [
         v
         for v in VARIABLES.values()
-        if v.name not in graph.variables and not v.is_left_out(features)
+        if v.name not in graph.variables
+        and v.group not in (OF_TARGETS, SENSITIVITIES)
+        and not v.is_left_out(features)
     ]
     return (
         list(dict.fromkeys(v.group if v.group in groups else v.name for v in left))

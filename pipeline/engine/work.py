@@ -178,8 +178,9 @@ class Work:
             tasks = (graph.layers[name].task for name in ("atlas", "points"))
             atlas, points = (task.function for task in tasks)
             alone = atlas, points
-        if graph.method is Method.PLANE:
-            # Lines keep their charts, and a few points take as long as many.
+        if graph.method in (Method.PLANE, Method.TARGETS):
+            # Lines keep their charts or branches, and a few points take as long as
+            # many.
             alone, most = None, most and max(most, PLANE_POINTS[0])
         return Request(
             graph.function(node),

@@ -20,6 +20,7 @@ from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.model import Study
+from gaitsweep.tasks.contract.registry import TASKS
 
 
 def boxes(charts: Mapping[str, np.ndarray], which: str) -> list[dict[str, Any]]:
@@ -168,6 +169,8 @@ class Graph:
             params["plane"] = study.plane.region
             inputs.append("charts")
         tasks = [self.layers[name].task for name in inputs]
+        if self.method is Method.TARGETS:
+            tasks.append(TASKS["targets"])
         versions = [f"{task.name} {task.version}" for task in tasks]
         return task_key(self.layers["points"].task, params, versions)
 
@@ -254,6 +257,8 @@ class Graph:
         """
         if not node.lines:
             return self.layers[node.task].task.function
+        if self.method is Method.TARGETS:
+            return TASKS["targets"].function
         atlas = self.layers["atlas"].task
         return atlas.over_plane if self.method is Method.PLANE else atlas.side_by_side
 

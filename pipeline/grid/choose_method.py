@@ -16,6 +16,8 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
     """
     if study.kind != "grid":
         return Method.TASK
+    if study.at:
+        return Method.TARGETS
     if study.steps > 1:
         return Method.CYCLES
     if study.claims:

@@ -84,6 +84,7 @@ def of_point(study: Study, method: Method) -> float:
         way = Method.INTERPOLATED
     dear = {VARIABLES[name].group for name in variables(study)} & {
         "violations",
+        "sensitivities",
         "proofs",
     }
     return _total(study, [POINTS[group] for group in (way, *sorted(dear))])

@@ -137,7 +137,7 @@ class Grid:
     sizes : dict
         Size of each dimension.
     line_dims : list of str
-        All dimensions but the slope.
+        All dimensions but that along lines.
     extent : tuple of int
         Shape of a chunk.
     """
@@ -146,10 +146,12 @@ class Grid:
         self.study, self.method = study, method_of(study, in_memory)
         walkers = [("walker", len(study.walkers))] if study.walker_axis else []
         axes = [
-            axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"
+            axis
+            for axis in study.axes
+            if study.kind == "grid" or axis.name != study.along
         ]
         self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
-        self.line_dims = [name for name in self.sizes if name != "slope"]
+        self.line_dims = [name for name in self.sizes if name != study.along]
         self.multipliers = max(
             (check["multipliers"] for check in study.checks), default=3
         )
@@ -184,12 +186,12 @@ class Grid:
         indices = np.ix_(*(np.arange(span.start, span.stop) for span in of_lines))
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
         sizes = tuple(span.stop - span.start for span in spans.values())
-        shape = Shape(sizes, self.extent, list(self.sizes).index("slope"))
-        return Chunk(spans, numbers, spans["slope"], shape)
+        shape = Shape(sizes, self.extent, list(self.sizes).index(self.study.along))
+        return Chunk(spans, numbers, spans[self.study.along], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
-        slope = list(self.sizes).index("slope")
+        slope = list(self.sizes).index(self.study.along)
         indices = iter(
             np.unravel_index(line, self.study.line_shape)[
                 0 if self.study.walker_axis else 1 :
@@ -209,28 +211,29 @@ class Grid:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of
         one.
         """
-        slopes = len(self.study.slope)
+        slopes, along = len(self.study.slope), self.study.along
+        each = dict.fromkeys(self.line_dims, 1)
         if self.method is Method.PLANE and self.study.plane:
             fewest, most = (points // slopes for points in PLANE_POINTS)
             lines = max(_LINES, fewest, self.study.lines // _PLANE_CHUNKS)
             tile = _tile(self.study.plane.axes, min(lines, most))
-            return {**dict.fromkeys(self.line_dims, 1), **tile, "slope": slopes}
+            return {**each, **tile, along: slopes}
         if self.method.is_of_lines:
             own = {name: self.sizes[name] for name in self.line_dims}
             return {
                 **dict(zip(own, box_shape(own, _LINES), strict=True)),
-                "slope": slopes,
+                along: slopes,
             }
         if in_memory:
-            return {**dict.fromkeys(self.line_dims, 1), "slope": slopes}
+            return {**each, along: slopes}
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
         most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
         points = min(
             most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method)))
         )
         return {
-            **dict.fromkeys(self.line_dims, 1),
-            "slope": math.ceil(slopes / math.ceil(slopes / points)),
+            **each,
+            along: math.ceil(slopes / math.ceil(slopes / points)),
         }
 
 

@@ -25,12 +25,14 @@ class Method(StrEnum):
     ALONE = "alone"
     # Lines side by side, their gaits predicted by charts over a plane of keys.
     PLANE = "plane"
+    # Lines side by side, their gaits sought at values of a measure.
+    TARGETS = "targets"
     TASK = "task"
 
     @property
     def is_of_lines(self) -> bool:
         """Whether a job computes several lines side by side, each at all its slopes."""
-        return self in (Method.SHORT, Method.PLANE)
+        return self in (Method.SHORT, Method.PLANE, Method.TARGETS)
 
     @property
     def is_coarse(self) -> bool:

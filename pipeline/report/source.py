@@ -329,7 +329,7 @@ class Source:
         return [
             str(d)
             for d in self.grid.dims
-            if d in self.grid.coords and d not in ("gait", "multiplier")
+            if d in self.grid.coords and d not in ("gait", "multiplier", "key")
         ]
 
     @property

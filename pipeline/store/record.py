@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline import dispatch, serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
 from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
@@ -116,10 +116,7 @@ class Points:
     ) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         number, shape = sentence_number(reason), (points, len(GAITS))
-        none = {
-            name: (points, 0, 0) if has_multipliers(name) else (points, 0)
-            for name in want
-        }
+        none = {name: (points, 0, *(0 for _ in inner_sizes(name, 0))) for name in want}
         values = {
             name: np.empty(extent, _dtype_of(name)) for name, extent in none.items()
         }
@@ -269,7 +266,17 @@ def _counted(points: Points) -> dict[str, np.ndarray]:
 
 
 def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
-    return (*shape.extent, multipliers) if has_multipliers(name) else shape.extent
+    return (*shape.extent, *inner_sizes(name, multipliers))
+
+
+def inner_sizes(name: str, multipliers: int) -> tuple[int, ...]:
+    """Sizes of the dimensions of a variable after the gait, of walkers with so many
+    multipliers: that of the keys by which measures are differentiated is always the
+    same.
+    """
+    keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
+    sizes = {"multiplier": multipliers, "key": len(keys)}
+    return tuple(sizes[dim] for dim in VARIABLES[name].dims[1:])
 
 
 def has_multipliers(name: str) -> bool:

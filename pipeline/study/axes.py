@@ -1,5 +1,6 @@
 """The axes of a study: lists of values, ranges, and slopes that follow the gaits."""
 
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,18 @@ def without_toward(
     return {**axes, "detuning": rest}, other(way["toward"], path.parent, location)
 
 
-def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
+def read(
+    value: object, location: Location, at: Mapping[str, Any] | None = None
+) -> tuple[tuple[Axis, ...], float]:
     """Axes of a study, and the tolerance of adaptive slopes, 0 for none.
+
+    Parameters
+    ----------
+    value : object
+        The table of the axes.
+    location : Location
+    at : mapping, optional
+        `measure`, of which an axis holds the values, and `vary`, which can be no axis.
 
     Raises
     ------
@@ -39,16 +50,9 @@ def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
     """
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
-    for key in ("units", "trailing_knee"):
-        if key in value:
-            raise location.error(
-                f"`{key}` holds a text and is no axis: it stands in the table of a walker"
-            )
-    known = axis_names()
-    for key in value:
-        if key not in known and (why := ask("why_no_key", {"key": key})):
-            raise location.error(f"`{clip(str(key))}` is no axis: {why}")
-    location.check_names(value, known, "key")
+    _check_names(value, location, at or {})
+    if at and at["vary"] == "slope":
+        return tuple(_axis(name, value[name], location) for name in value), 0.0
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
 
@@ -57,14 +61,37 @@ def read(value: object, location: Location) -> tuple[tuple[Axis, ...], float]:
         tolerance, slope = _adaptive(slope, location.at("slope"))
 
     given = {**value, "slope": slope}
-    axes = []
-    for name, values in given.items():
-        place = location.at(name)
-        axis = Axis(name, _values(values, place))
-        if name == "slope":
-            _check_slopes(axis.values, place)
-        axes.append(axis)
-    return tuple(axes), tolerance
+    return tuple(_axis(name, given[name], location) for name in given), tolerance
+
+
+def _check_names(
+    value: Mapping[str, Any], location: Location, at: Mapping[str, Any]
+) -> None:
+    """Check that axes are known, and that what is varied is none."""
+    if at and at["vary"] in value:
+        vary = at["vary"]
+        raise location.at(vary).error(
+            f"`{vary}` is varied until gaits have the value of `at`, and can be no axis"
+        )
+    for key in ("units", "trailing_knee"):
+        if key in value:
+            raise location.error(
+                f"`{key}` holds a text and is no axis: it stands in the table of a walker"
+            )
+    known = (*axis_names(), *([at["measure"]] if at else []))
+    for key in value:
+        if key not in known and (why := ask("why_no_key", {"key": key})):
+            raise location.error(f"`{clip(str(key))}` is no axis: {why}")
+    location.check_names(value, known, "key")
+
+
+def _axis(name: str, values: object, location: Location) -> Axis:
+    """An axis, checked."""
+    place = location.at(name)
+    axis = Axis(name, _values(values, place))
+    if name == "slope":
+        _check_slopes(axis.values, place)
+    return axis
 
 
 def _check_slopes(values: np.ndarray, location: Location) -> None:

@@ -21,7 +21,10 @@ Values: TypeAlias = (
     float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | xr.DataArray
 )
 #: Dimensions and coordinates of results, which no argument may use.
-_RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
+_RESERVED = (
+    *("gait", "multiplier", "key", "key_units", "reason_index", "reason_text"),
+    *VARIABLES,
+)
 
 
 def definition(walker: object) -> Definition:
@@ -194,7 +197,8 @@ def _named(
 ) -> xr.DataArray:
     """A DataArray whose only dimensions are those along which the value varies."""
     if isinstance(value, xr.DataArray):
-        clash = [str(d) for d in (*value.dims, *value.coords) if d in _RESERVED]
+        others = {*_RESERVED} - {name}
+        clash = [str(d) for d in (*value.dims, *value.coords) if d in others]
         if clash:
             raise StudyError(
                 f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use."

@@ -8,7 +8,7 @@ from typing import Any
 
 from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.model import Definition, Study
+from gaitsweep.pipeline.study.model import Definition, Study, line_of
 from gaitsweep.tasks.contract import registry
 
 #: Most corners of a grid at which a walker is checked.
@@ -31,13 +31,14 @@ def check_walkers(
     """
     checks = {}
     for number, candidate, values in _corners(study):
+        keys = line_of(candidate, values)["set"]
         try:
-            check = dispatch.call("check_walker", {"walker": candidate, "set": values})
+            check = _checked(study, candidate, keys)
         except ValueError as error:
             place = (
                 way
                 if getattr(error, "key", "") == "toward"
-                else _fault(candidate, values, error, top)
+                else _fault(candidate, keys, error, top)
             )
             raise place.error(str(error)) from error
         if study.kind == "curve":
@@ -46,6 +47,20 @@ def check_walkers(
             _check_optimum(study, candidate, values, top.at("options"))
         checks[number] = check
     return tuple(checks.values())
+
+
+def _checked(
+    study: Study, walker: Definition, keys: dict[str, float]
+) -> dict[str, Any]:
+    """What `tasks` reports of a walker, with the keys that are varied where its gaits
+    are sought at values of a measure.
+    """
+    line = {"walker": walker, "set": keys}
+    name = "check_target" if study.at else "check_walker"
+    check: dict[str, Any] = dispatch.call(
+        name, {**line, **study.at, "values": study.slope}
+    )
+    return check
 
 
 def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]:
@@ -66,7 +81,7 @@ def notes(study: Study) -> list[str]:
     """What a user may not know of the walkers of a study: keys that move a tuned one
     off the static conditions.
     """
-    lines = ({"walker": walker, "set": values} for _, walker, values in _corners(study))
+    lines = (line_of(walker, values) for _, walker, values in _corners(study))
     sentences = {
         str(line["walker"]): sentence
         for line in lines
@@ -97,6 +112,8 @@ def _fault(
     axis at fault, or the axes.
     """
     key = getattr(error, "key", "walker")
+    if key in ("at", "between", "vary"):
+        return top.at("at")
     if key in values:
         return top.at("axes", key)
     # A key that an axis owns is wrong where it is set, though the walker is valid

@@ -38,6 +38,8 @@ from gaitsweep.tasks.contract.registry import (
     FOLLOWED,
     GAITS,
     MAX_STEPS,
+    OF_TARGETS,
+    SENSITIVITIES,
     VARIABLES,
     VIOLATIONS,
 )
@@ -76,7 +78,14 @@ class Accuracy(Number):
 
 def groups() -> list[str]:
     """Names of the groups of variables."""
-    return sorted({v.group for v in VARIABLES.values()} - {""})
+    own = {v.group for v in VARIABLES.values()} - {"", OF_TARGETS}
+    return sorted({*own, SENSITIVITIES})
+
+
+def _nameable() -> list[str]:
+    """Names of the variables that a study may want."""
+    hidden = OF_TARGETS, SENSITIVITIES
+    return [v.name for v in VARIABLES.values() if v.group not in hidden]
 
 
 def axis_names() -> tuple[str, ...]:
@@ -110,7 +119,7 @@ _VALUES: dict[str, Value] = {
     "accuracy": Accuracy(),
     "gaits": Names(lambda: GAITS, least=1),
     "variables": Names(
-        lambda: (*VARIABLES, *groups()),
+        lambda: (*_nameable(), *groups()),
         least=1,
         others=lambda: extensions.names("measures"),
     ),
@@ -146,6 +155,8 @@ _VALUES: dict[str, Value] = {
     "values": Table(lambda: VARIABLES, Numbers(), ("values", "variable")),
     "violations": Names(lambda: (*VIOLATIONS, "all"), "names of violations, or `all`"),
     "limits": VIOLATION_LIMITS,
+    "varied": OneOf(axis_names, "`slope`, or a key of a walker"),
+    "target": Composite("table of a measure and what is varied"),
     "walker": Composite("name, file, table, or list of names"),
     "axes": Composite("table of axes"),
     "table": Composite("table"),
@@ -186,6 +197,8 @@ def value_of(
 
 #: Fields of a study, of its tables, of axes that are no lists, and of measurements.
 STUDY, WANT, RANGE, OVERLAY = map(_fields, ("study", "want", "range", "overlay"))
+#: Fields of `at`, besides the measure.
+AT = _fields("at")
 LIMITS = _fields("limits", vars(Limits()))
 #: Options of each kind of study.
 OPTIONS: dict[str, dict[str, Field]] = {

@@ -9,6 +9,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from gaitsweep.tasks.contract.registry import VARIED
+
 #: A walker as studies define it: its name, or the table of its keys.
 Definition: TypeAlias = str | dict[str, Any]
 #: Fewest lines over one or two keys whose gaits charts predict, fewest values of the
@@ -47,6 +49,13 @@ class Axis:
         ) + 0.5 * (low + high)
 
 
+def line_of(walker: Definition, values: Mapping[str, Any]) -> dict[str, Any]:
+    """A line of a walker at values of keys, perhaps at a `slope`."""
+    keys = {name: value for name, value in values.items() if name != "slope"}
+    slope = {"slope": values["slope"]} if "slope" in values else {}
+    return {"walker": walker, "set": keys, **slope}
+
+
 @dataclass(frozen=True)
 class Lines:
     """Walkers and parameters of some lines, each put together when it is asked for: a
@@ -56,7 +65,7 @@ class Lines:
     ----------
     walkers : list
     values : dict of ndarray, shape (n,)
-        Of the axes but the slope.
+        Of the axes of lines: keys, and the slope of lines along a measure.
     """
 
     walkers: list[Any]
@@ -66,10 +75,8 @@ class Lines:
         return len(self.walkers)
 
     def __getitem__(self, place: int) -> dict[str, Any]:
-        return {
-            "walker": self.walkers[place],
-            "set": {name: own.item(place) for name, own in self.values.items()},
-        }
+        values = {name: own.item(place) for name, own in self.values.items()}
+        return line_of(self.walkers[place], values)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         return map(self.__getitem__, range(len(self)))
@@ -162,9 +169,30 @@ class Study:
     accuracy: float = 0.0
 
     @property
+    def at(self) -> Mapping[str, Any]:
+        """What gaits are sought at: `measure`, whose axis takes the place of the slope
+        along lines, `vary`, and perhaps `between`; empty if they are at slopes.
+        """
+        at: Mapping[str, Any] = self.options.get("at", {})
+        return at
+
+    @property
+    def along(self) -> str:
+        """Name of the axis along which the points of a line lie: the slope, or the
+        measure at whose values gaits are sought.
+        """
+        return str(self.at.get("measure", "slope"))
+
+    @property
     def slope(self) -> np.ndarray:
-        """Values of the slope axis, shape (n,) [rad]."""
-        return next(a.values for a in self.axes if a.name == "slope")
+        """Values of the axis along which the points of a line lie, shape (n,): slopes
+        [rad], or values of a measure.
+        """
+        return next(a.values for a in self.axes if a.name == self.along)
+
+    def archived(self, variable: str) -> str:
+        """Name of a variable in archives: what is varied has its own."""
+        return str(self.at["vary"]) if variable == VARIED else variable
 
     @property
     def steps(self) -> int:
@@ -175,8 +203,8 @@ class Study:
 
     @functools.cached_property
     def line_axes(self) -> tuple[Axis, ...]:
-        """Every axis but the slope."""
-        return tuple(a for a in self.axes if a.name != "slope")
+        """Every axis but that along which the points of a line lie."""
+        return tuple(a for a in self.axes if a.name != self.along)
 
     @property
     def line_shape(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from gaitsweep.pipeline.errors import WalkerFileError
 from gaitsweep.pipeline.study import axes as axes_of_studies
-from gaitsweep.pipeline.study import options, overlay, rules, want
+from gaitsweep.pipeline.study import options, overlay, rules, target, want
 from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.fields import (
     LIMITS,
@@ -26,7 +26,7 @@ from gaitsweep.pipeline.study.fields import (
 )
 from gaitsweep.pipeline.study.files import changed, read_toml, walker
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.model import Definition, Limits, Study
+from gaitsweep.pipeline.study.model import Axis, Definition, Limits, Study
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 
@@ -76,16 +76,17 @@ def parse(
 
     way = top.at("axes", "detuning", "toward")
     given, toward = axes_of_studies.without_toward(table.get("axes"), path, way)
-    axes, tolerance = axes_of_studies.read(given, top.at("axes"))
+    axes, of_axes = _axes(table, given, top)
     chosen = options.check(table.get("options", {}), kind, top.at("options"))
     tuned = chosen.pop("tuned", ())
-    if tolerance:
-        chosen["adaptive"] = tolerance
+    chosen |= of_axes
 
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
     labels = value_of(STUDY, "gaits", table, top) or GAITS
     named = _table(table.get("want", {}), WANT, top.at("want"))
-    wanted: dict[str, Any] = {**want.read(named, accuracy, top.at("want"))}
+    wanted: dict[str, Any] = {
+        **want.read(named, accuracy, top.at("want"), chosen.get("at"))
+    }
     study = Study(
         name=STUDY["name"].value.read(table["name"], top.at("name")),
         text=text,
@@ -107,6 +108,18 @@ def parse(
     study = _with_checks(study, named, top, way)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
+
+
+def _axes(
+    table: Mapping[str, Any], given: object, top: Location
+) -> tuple[tuple[Axis, ...], dict[str, Any]]:
+    """The axes of a study, and what options hold beside its own: the tolerance of
+    adaptive slopes, and what gaits are sought `at` instead of slopes.
+    """
+    at, given = target.read(table, given, top)
+    axes, tolerance = axes_of_studies.read(given, top.at("axes"), at)
+    others: dict[str, Any] = {"adaptive": tolerance, "at": at}
+    return axes, {name: value for name, value in others.items() if value}
 
 
 def _check_is_study(table: Mapping[str, Any], top: Location) -> None:

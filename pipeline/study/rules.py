@@ -12,7 +12,12 @@ from gaitsweep.pipeline.study.fields import WANT
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import NEEDED_KINDS, OVER_LINES
+from gaitsweep.tasks.contract.registry import (
+    NEEDED_KINDS,
+    OVER_LINES,
+    SENSITIVITIES,
+    VARIABLES,
+)
 
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
 #: Most free keys of an optimum.
@@ -201,7 +206,7 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
     if study.steps == 1:
         return
     for key, name in _wanted(study, *WANT):
-        if name in registry.OF_ONE_STEP or key == "claims":
+        if is_of_one_step(name) or key == "claims":
             yield top.at("want", key).error(
                 f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
             )
@@ -209,6 +214,39 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
         yield top.at("axes", "slope").error(
             f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         )
+
+
+def _targets_are_of_gaits_of_a_grid(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """Gaits of one step are sought at values of a measure, in place of a grid's slopes."""
+    if not study.at:
+        return
+    if study.kind != "grid":
+        yield top.at("at").error(
+            f"`at` is of the gaits of a grid; this study is a `{study.kind}`"
+        )
+    if study.steps > 1:
+        yield top.at("options", "steps").error(
+            f"`at` is of gaits of one step, and `steps` is {study.steps}"
+        )
+    for key, name in _wanted(study, "fits", "figures", "claims"):
+        if name in registry.READS or key != "figures":
+            yield top.at("want", key).error(
+                f"`{name}` is of gaits at slopes, and `at` seeks them at values"
+            )
+    for name in ("proved", "proved_radius"):
+        if name in study.variables:
+            yield top.at("want", "variables").error(
+                f"`{name}` is of gaits at slopes, and `at` seeks them at values"
+            )
+
+
+def is_of_one_step(name: str) -> bool:
+    """Whether something that may be wanted is known of gaits of one step only."""
+    about = VARIABLES.get(name)
+    is_derivative = about is not None and about.group == SENSITIVITIES
+    return is_derivative or name in registry.OF_ONE_STEP
 
 
 def _wanted(study: Study, *keys: str) -> Iterator[tuple[str, str]]:
@@ -231,5 +269,6 @@ RULES: tuple[Rule, ...] = (
     _a_grid_has_a_size,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
+    _targets_are_of_gaits_of_a_grid,
 )
 RULES_OF_WALKERS: tuple[Rule, ...] = (_level_ground_needs_a_drive,)

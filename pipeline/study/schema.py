@@ -17,6 +17,7 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import fields
 from gaitsweep.pipeline.study.fields import Field
 from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.target import measures
 from gaitsweep.pipeline.study.values import Number, Schema, Slope, one_of, table
 from gaitsweep.tasks.contract.registry import (
     CLAIMS,
@@ -24,6 +25,7 @@ from gaitsweep.tasks.contract.registry import (
     FITS,
     NEEDED_KINDS,
     OVER_LINES,
+    VARIABLES,
 )
 
 #: What a study may want beside variables.
@@ -68,7 +70,11 @@ def _study() -> Schema:
         "walker": {
             "anyOf": [_name(), {**_list(_name(), 1), "uniqueItems": True}, _walker()]
         },
-        "axes": table({name: _axis(name) for name in fields.axis_names()}, ["slope"]),
+        "at": _at(),
+        "axes": table(
+            {name: _axis(name) for name in fields.axis_names()}
+            | {name: _of_measure(name, "array", "object") for name in measures()}
+        ),
         "want": _table(fields.WANT),
         "limits": _table(fields.LIMITS),
         "options": table(_of_all_kinds()),
@@ -78,7 +84,28 @@ def _study() -> Schema:
     for name, schema in holds.items():
         known[name] |= schema
     conditions = [_of_kind(kind) for kind in fields.OPTIONS]
-    return {**table(known, ["name", "walker", "axes"]), "allOf": conditions}
+    conditions.append({"anyOf": [{"required": ["at"]}, _NEEDS_SLOPE]})
+    return {**table(known, ["name", "walker"]), "allOf": conditions}
+
+
+#: What a study has whose gaits are at slopes.
+_NEEDS_SLOPE = {
+    "properties": {"axes": {"required": ["slope"]}},
+    "required": ["axes"],
+}
+
+
+def _at() -> Schema:
+    """A measure, with a value or the values of an axis, and what is varied."""
+    own = {name: _described(field) for name, field in fields.AT.items()}
+    types = "number", "array", "object"
+    return table({**own, **{name: _of_measure(name, *types) for name in measures()}})
+
+
+def _of_measure(name: str, *types: str) -> Schema:
+    """Values of a measure, in the forms of an axis, which the checker knows."""
+    forms = [{"type": form} for form in types]
+    return {"description": VARIABLES[name].long_name, "anyOf": forms}
 
 
 def _of_all_kinds() -> dict[str, Schema]:
@@ -113,7 +140,7 @@ def _of_kind(kind: str) -> Schema:
         "want": {"properties": _not_wanted(kind)},
     }
     if kind != "grid":
-        own["accuracy"] = False
+        own |= {"accuracy": False, "at": False}
     if kind != "branch":
         own["axes"] = {"properties": {"slope": {"properties": {"adaptive": False}}}}
     is_of_it: Schema = {

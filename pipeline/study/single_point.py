@@ -6,13 +6,13 @@ from typing import Any
 
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import NoGaitError
-from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study import files, slopes, target
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.files import Reader
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.pipeline.study.parse import accuracy
-from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS
 
 
 def solve(
@@ -90,7 +90,7 @@ def solve_at(
     vary : str
         `slope`, or a key of the walker.
     between : sequence of float, optional
-        Least and largest value of what is varied; a key needs it.
+        Least and largest value of what is varied.
     slope : float, optional [rad]
         Where a key is varied.
     keys, limits, tuned
@@ -109,7 +109,7 @@ def solve_at(
     if len(at) != 1:
         raise Location("", "at").wrong("must name one measure", ", ".join(at))
     ((measure, value),) = at.items()
-    Location("", "at").check_names([measure], VARIABLES, "measure")
+    Location("", "at").check_names([measure], target.measures(), "measure")
     params: dict[str, Any] = {
         "measure": measure,
         "value": Location("", measure).number(value),
@@ -121,9 +121,9 @@ def solve_at(
         for end in between or ():
             slopes.check(end, Location("", "between"))
     else:
-        if slope is None or between is None:
+        if slope is None:
             place = Location("", "vary")
-            raise place.wrong("needs `slope` and `between`, as a key is varied", vary)
+            raise place.wrong("needs `slope`, as a key is varied", vary)
         slopes.check(slope)
         params["slope"] = slope
     if between is not None:

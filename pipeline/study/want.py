@@ -10,13 +10,25 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.plot import Plot
 from gaitsweep.tasks.contract import accuracy as accuracies
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import COSTLY, FIGURES, READS, VARIABLES
+from gaitsweep.tasks.contract.registry import (
+    COSTLY,
+    FIGURES,
+    READS,
+    SENSITIVITIES,
+    VARIABLES,
+    VARIED,
+    derivatives,
+)
 
 
 def read(
-    table: Mapping[str, Any], accuracy: float, location: Location
+    table: Mapping[str, Any],
+    accuracy: float,
+    location: Location,
+    at: Mapping[str, Any] | None = None,
 ) -> dict[str, tuple[str, ...]]:
-    """What a study wants, by the fields of its table `want`.
+    """What a study wants, by the fields of its table `want`; `at` is what its gaits are
+    sought at.
 
     Raises
     ------
@@ -24,7 +36,7 @@ def read(
         If a name is unknown.
     """
     given, place = table.get("variables"), location.at("variables")
-    wanted = {"variables": variables(given, place, accuracy)}
+    wanted = {"variables": of_targets(variables(given, place, accuracy), at)}
     for key in ("fits", "figures", "claims"):
         wanted[key] = tuple(value_of(WANT, key, table, location))
 
@@ -62,11 +74,34 @@ def variables(
         location.blamed(registry.admit, given)
 
     names = WANT["variables"].value.read(value, location)
+    if names == [SENSITIVITIES]:
+        names += _unasked(accuracy)
     requested = {*names, *accuracies.always(accuracy)}
-    wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+    own = [
+        v.name
+        for v in VARIABLES.values()
+        if {v.name, v.group} & requested and v.group != SENSITIVITIES
+    ]
+    if SENSITIVITIES in requested:
+        requested |= {*own, *derivatives(own)}
+        registry.admit(requested)
+    wanted = tuple(
+        v.name
+        for v in VARIABLES.values()
+        if v.name in requested or v.group in requested - {SENSITIVITIES}
+    )
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)
     return wanted
+
+
+def of_targets(names: tuple[str, ...], at: Mapping[str, Any] | None) -> tuple[str, ...]:
+    """Names of variables with what is varied, and without the measure that is an axis,
+    where gaits are sought at its values.
+    """
+    if not at:
+        return names
+    return (*(name for name in names if name != at["measure"]), VARIED)
 
 
 def _unasked(accuracy: float) -> tuple[str, ...]:

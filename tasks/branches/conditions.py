@@ -19,7 +19,7 @@ from gaitsweep.tasks.branches.pseudo_arclength import bordered_matrix
 from gaitsweep.tasks.branches.tracking import MOST_RATE, fall_margin, rate_of_steps
 from gaitsweep.tasks.contract.kinds import KINDS, Kind
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
-from gaitsweep.tasks.mechanics.arrays import Coordinates, PerLane
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.mechanics.contact import Chain
 from gaitsweep.tasks.step.problem import Problem
 
@@ -44,8 +44,8 @@ class Condition:
         The scalar at evaluated steps.
     by_Z : callable or None
         Its derivatives by Z where a formula has them; otherwise they are differences.
-    target : float
-        The value that it has at the point.
+    target : float or ndarray, shape (n,)
+        The value that it has at the point, or at that of each lane.
     walking : int
         On which side gaits are steps, where the condition is an end: 1 where the scalar
         is greater than the target, -1 where it is less, 0 elsewhere.
@@ -58,7 +58,7 @@ class Condition:
     name: str
     value: Scalar
     by_Z: Scalar | None = None
-    target: float = 0.0
+    target: float | ndarray = 0.0
     walking: int = 0
     is_genuine: Genuine | None = None
     is_met_at_end: bool = False
@@ -68,9 +68,15 @@ class Condition:
         """What is known of points of this name."""
         return KINDS[self.name]
 
-    def equal_to(self, target: float) -> Condition:
+    def equal_to(self, target: float | ndarray) -> Condition:
         """Return the condition that the scalar has another value."""
         return replace(self, target=target)
+
+    def some(self, lanes: Numbers) -> Condition:
+        """Return the condition of some lanes."""
+        if isinstance(self.target, ndarray):
+            return self.equal_to(self.target[lanes])
+        return self
 
     # Where heelstrike is tangential to the last digit the map has no derivative.
     @np.errstate(invalid="ignore", over="ignore", divide="ignore")

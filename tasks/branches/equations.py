@@ -382,6 +382,8 @@ class Equations:
         -------
         ndarray, shape (u, n)
         """
+        if isinstance(condition.target, ndarray):  # lanes' own, of no effect here
+            condition = condition.equal_to(0.0)
         return self.having([condition]).at(X).derivative[-1]
 
 
@@ -449,7 +451,8 @@ class _LastCondition:
                 self.condition, at.X[:, grown]
             )
             last = np.where(grown, 0.0, last)
-        value, square = self.condition.residual(at.gait), total(last * last)
+        value = self.condition.some(lanes).residual(at.gait)
+        square = total(last * last)
         self.rows[:, lanes] += last * (value / np.where(square > 0, square, np.inf))
         size = norm(self.rows[:, lanes])
         return self.rows[:, lanes] / size, value / size

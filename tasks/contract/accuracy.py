@@ -5,7 +5,13 @@ no solver.
 import math
 from collections.abc import Iterable
 
-from gaitsweep.tasks.contract.registry import ALWAYS, COSTLY, VARIABLES, admit
+from gaitsweep.tasks.contract.registry import (
+    ALWAYS,
+    COSTLY,
+    SENSITIVITIES,
+    VARIABLES,
+    admit,
+)
 
 #: Variables that only integrated steps have: a study with an accuracy names them if it
 #: wants them.
@@ -52,10 +58,11 @@ def significant_bits(accuracy: float) -> int:
 
 def is_converted(want: Iterable[str], accuracy: float) -> bool:
     """Whether the gaits of a walker that differs only in its units give the wanted ones:
-    none is proved, or measured by another package, or rounded to an accuracy.
+    none is proved, differentiated, or measured by another package, or rounded to an accuracy.
     """
     return not accuracy and not any(
-        VARIABLES[name].group == "proofs" or VARIABLES[name].measure for name in want
+        VARIABLES[name].group in ("proofs", SENSITIVITIES) or VARIABLES[name].measure
+        for name in want
     )
 
 

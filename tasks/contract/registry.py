@@ -17,15 +17,21 @@ from gaitsweep.tasks.contract.options import OPTIONS as OPTIONS
 from gaitsweep.tasks.contract.options import Option as Option
 from gaitsweep.tasks.contract.options import options as options
 from gaitsweep.tasks.contract.variables import ALWAYS as ALWAYS
+from gaitsweep.tasks.contract.variables import BY_KEY as BY_KEY
 from gaitsweep.tasks.contract.variables import COSTLY as COSTLY
 from gaitsweep.tasks.contract.variables import GAITS as GAITS
+from gaitsweep.tasks.contract.variables import OF_TARGETS as OF_TARGETS
 from gaitsweep.tasks.contract.variables import PROVED as PROVED
+from gaitsweep.tasks.contract.variables import SENSITIVITIES as SENSITIVITIES
 from gaitsweep.tasks.contract.variables import SI_UNITS as SI_UNITS
 from gaitsweep.tasks.contract.variables import STATUSES as STATUSES
 from gaitsweep.tasks.contract.variables import VARIABLES as VARIABLES
+from gaitsweep.tasks.contract.variables import VARIED as VARIED
 from gaitsweep.tasks.contract.variables import VIOLATIONS as VIOLATIONS
 from gaitsweep.tasks.contract.variables import Variable as Variable
 from gaitsweep.tasks.contract.variables import admit as admit
+from gaitsweep.tasks.contract.variables import derivatives as derivatives
+from gaitsweep.tasks.contract.variables import is_measure as is_measure
 
 #: Slopes that can be asked for [rad], the first included: branches are followed down to
 #: it.
@@ -66,6 +72,7 @@ TASKS = {
             26,
             needs=("atlas",),
         ),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 1),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 10),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -210,6 +217,7 @@ CLAIMS = tuple(
 CALLS = {
     "solve": "gaitsweep.tasks.studies.solve_at_slope:solve_one",
     "solve_at": "gaitsweep.tasks.studies.solve_at_value:solve_at_value",
+    "check_target": "gaitsweep.tasks.studies.solve_at_value:check_target",
     "differentiate": "gaitsweep.tasks.studies.differentiate_gaits:differentiate",
     "step_map": "gaitsweep.tasks.studies.map_step:map_step",
     "simulate": "gaitsweep.tasks.studies.simulate_steps:simulate_steps",

@@ -114,19 +114,48 @@ def absent(label: str, where: str) -> str:
     return f"No {label} gait at this slope: no branch found over {where} has one here."
 
 
-def reasons(long: str, short: str) -> list[str]:
+def unreached(
+    label: str,
+    sought: str,
+    where: str,
+    reached: Sequence[tuple[float, float]],
+    searched: str,
+) -> str:
+    """Say why no gait of a label has a value of a measure.
+
+    Parameters
+    ----------
+    label : str
+        `long` or `short`, or none for any gait.
+    sought : str
+        The value, in words.
+    where : str
+        Over what was searched, in words.
+    reached : sequence of (float, float)
+        Least and largest values of the gaits found.
+    searched : str
+        How they were searched for, in words; may be empty.
+    """
+    kind = f"{label} gait".strip()
+    more = f" ({searched})" if searched else ""
+    if not reached:
+        return f"No {kind} was found {where}{more}."
+    return f"No {kind} has {sought} {where}: there are {ranges(reached)}{more}."
+
+
+def reasons(long: str, short: str, point: str = "slope") -> list[str]:
     """Sentences in the order in which `reason` indexes them, with those of points
-    without a long or a short gait.
+    without a long or a short gait; `point` is what a line has several of.
     """
     return [
         "Converged, and verified to be a step.",
         long,
-        "No further gait was found at this slope.",
+        f"No further gait was found at this {point}.",
         "Newton's method did not converge from the atlas's guess.",
         "The solution is not a step: a guard is crossed before the event solved for.",
         short,
         "Converged to a step, but its error bound exceeds the accuracy wanted.",
-        "Converged, and verified to be a step. This slope has more gaits than labels: those of smaller stance angles "
-        "are left out.",
+        f"Converged, and verified to be a step. This {point} has more gaits than labels: "
+        "those of smaller stance angles are left out.",
         "The solution was not verified to be a step: a guard comes nearer to zero than samples of the motion can tell.",
     ]

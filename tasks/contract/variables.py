@@ -136,10 +136,60 @@ VIOLATIONS = {
 PROVED = {"not_attempted": 0, "proved": 1, "not_proved": 2}
 
 #: Groups of variables that cost much: only a study that names them has them.
-COSTLY = ("violations", "proofs")
+COSTLY = ("violations", "proofs", "targets", "sensitivities")
+#: The group of derivatives of measures by slope and keys, each of which is called by
+#: its measure and this.
+SENSITIVITIES, BY_KEY = "sensitivities", "_by_key"
+#: The group of what only gaits at values of a measure have, which no study names.
+OF_TARGETS = "targets"
+#: The variable that holds what is varied so that gaits have wanted values.
+VARIED = "varied"
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
+
+
+#: Variables that say how well a gait is known, not what it is.
+_OF_THE_SOLVE = (
+    "residual",
+    "error_bound",
+    "multiplier_error_bound",
+    "energy_imbalance",
+)
+
+
+def derivatives(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of the derivatives of those of some variables that are measures."""
+    return tuple(
+        f"{name}{BY_KEY}" for name in names if name in VARIABLES and is_measure(name)
+    )
+
+
+def is_measure(name: str) -> bool:
+    """Whether a variable is a number of a gait, and not of its solve."""
+    about = VARIABLES[name]
+    return (
+        about.dims == ("gait",)
+        and about.dtype == "f8"
+        and about.group not in ("proofs", OF_TARGETS)
+        and name not in _OF_THE_SOLVE
+    )
+
+
+def _admit_derivative(name: str) -> None:
+    """Add the derivatives of a measure, if it is the name of any."""
+    measure = name.removesuffix(BY_KEY)
+    if name in VARIABLES or name == measure or not derivatives([measure]):
+        return
+    own = VARIABLES[measure]
+    VARIABLES[name] = replace(
+        own,
+        name=name,
+        dims=("gait", "key"),
+        long_name=f"derivatives by slope and keys of the {own.long_name}",
+        group=SENSITIVITIES,
+        is_smooth=False,
+    )
 
 
 def admit(names: Iterable[str]) -> None:
@@ -150,7 +200,13 @@ def admit(names: Iterable[str]) -> None:
     ExtensionError
         If one cannot be loaded, or is none.
     """
-    for name in {*names} - {
+    names = {*names}
+    for name in names:
+        _admit_derivative(name)
+    for name in derivatives([*VARIABLES]):  # in the order of their measures
+        if name in VARIABLES:
+            VARIABLES[name] = VARIABLES.pop(name)
+    for name in names - {
         own
         for variable in VARIABLES.values()
         for own in (variable.name, variable.group)

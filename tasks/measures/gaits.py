@@ -39,7 +39,7 @@ from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import DIFFERENTIATED, Walker
 
 #: Significant bits in which bounds are kept that need not be exact.
 _BOUND_BITS = 4
@@ -97,11 +97,9 @@ def nothing_solved(names: Sequence[str], n: int, kneed: bool) -> Arrays:
     """
     out: Arrays = {}
     for name in names:
-        shape = (
-            (n, len(GAITS), _MULTIPLIERS[kneed])
-            if "multiplier" in VARIABLES[name].dims
-            else (n, len(GAITS))
-        )
+        inner = {"multiplier": _MULTIPLIERS[kneed], "key": len(DIFFERENTIATED)}
+        sizes = [inner[dim] for dim in VARIABLES[name].dims[1:]]
+        shape = (n, len(GAITS), *sizes)
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
     out["reason"][:] = [
         status.NO_LONG,

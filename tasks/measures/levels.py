@@ -23,15 +23,15 @@ from gaitsweep.tasks.measures.names import measures as measures
 _RADIUS = "spectral_radius"
 
 
-def level(name: str, value: float) -> Condition:
+def level(name: str, value: float | np.ndarray) -> Condition:
     """Return the condition that a measure has a value.
 
     Parameters
     ----------
     name : str
         Of `measures`.
-    value : float
-        In the walker's units.
+    value : float or ndarray, shape (n,)
+        In the walker's units; an array has that of each lane.
 
     Notes
     -----

@@ -102,7 +102,7 @@ def walking(knees: bool) -> tuple[Constraint, ...]:
     """
     ends = [each for each in CONDITIONS.values() if each.walking]
     return tuple(
-        Constraint(each.name, each.value, each.target, each.walking)
+        Constraint(each.name, each.value, float(each.target), each.walking)
         for each in ends
         if knees or not each.kind.needs_knee
     )

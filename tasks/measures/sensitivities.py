@@ -19,11 +19,21 @@ import numpy as np
 
 from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.measures.levels import measures_at
+from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
+from gaitsweep.tasks.gaits.polish import Polished
+from gaitsweep.tasks.measures.levels import measures, measures_at
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.walkers.walker import BOUNDS, KEYS, ONE_LINK, Walker, WalkerError
+from gaitsweep.tasks.walkers.resolve import walkers_over
+from gaitsweep.tasks.walkers.walker import (
+    BOUNDS,
+    DIFFERENTIATED,
+    KEYS,
+    ONE_LINK,
+    Walker,
+    WalkerError,
+)
 
 #: Derivatives of a function by its values at multiples of a step, with their weights
 #: over the step: where it is defined on both sides, and beyond a least value.
@@ -234,6 +244,57 @@ def _along(
 
 def _residual(at: Evaluation) -> np.ndarray:
     return at.residual
+
+
+def differentiated(
+    problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str]
+) -> Measured:
+    """Return the variables of the group `sensitivities` that are wanted of gaits.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker.
+    at : Polished
+        The gaits, of n lanes.
+    slope : ndarray, shape (n,) [rad]
+    want : sequence of str
+        Names of variables.
+
+    Returns
+    -------
+    dict of ndarray, shape (n, keys)
+        Derivatives by each of `DIFFERENTIATED` [the walker's units]; NaN where there
+        is no gait, or the walkers beside it are of another kind.
+    """
+    wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
+    if not wanted:
+        return {}
+    of_walker = measures(problem.walker)
+    names = [name for name in map(_measure_of, wanted) if name in of_walker]
+    shape = (len(slope), len(DIFFERENTIATED))
+    found = {name: np.full(shape, np.nan) for name in wanted}
+    lanes = np.flatnonzero(at.converged & at.step)
+    if not len(lanes) or not names:
+        return found
+
+    Z = np.vstack([at.w, np.log(slope)])[:, lanes]
+    line = {"walker": problem.walker.table(), "set": {}}
+    keys = [
+        KeyOfWalker(key, getattr(problem.walker, key), walkers_over(line, key))
+        for key in DIFFERENTIATED[1:]
+    ]
+    by_keys, _ = at_gaits(problem, Z, keys, names)
+    for key, derivatives in by_keys.items():
+        column = DIFFERENTIATED.index(key)
+        for name, values in derivatives.items():
+            found[f"{name}{BY_KEY}"][lanes, column] = values
+    return found
+
+
+def _measure_of(derivative: str) -> str:
+    """The measure whose derivatives a variable holds."""
+    return derivative.removesuffix(BY_KEY)
 
 
 def at_gaits(

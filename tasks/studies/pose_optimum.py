@@ -219,7 +219,7 @@ class Question:
         is_short = "short" in self.labels
         if is_long != is_short:
             side = -1 if is_long else 1
-            yield Constraint("label", label.value, label.target, side)
+            yield Constraint("label", label.value, float(label.target), side)
 
     def _of_measures(
         self, taken: _Measures, case: Mapping[str, float]

@@ -12,7 +12,7 @@ from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract import status
-from gaitsweep.tasks.contract.registry import GAITS, VARIABLES, VIOLATIONS
+from gaitsweep.tasks.contract.registry import GAITS, OF_TARGETS, VARIABLES, VIOLATIONS
 from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.gaits.polish import (
     Polished,
@@ -37,7 +37,7 @@ from gaitsweep.tasks.walkers.tuning import untuned
 from gaitsweep.tasks.walkers.walker import TRAILING_KNEES, Walker
 
 #: Variables measured for one point: all but proofs.
-WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
+WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in ("proofs", OF_TARGETS))
 #: First columns of a gait, and all columns.
 _FIRST = (
     "gait",

@@ -1,41 +1,53 @@
-"""Every gait of a walker at which a measure has a value, for `gaitsweep solve --at`: by
-varying the slope, or a key at a fixed slope.
+"""Every gait of walkers at which a measure has wanted values: by varying the slope, or a
+key at a fixed slope.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.curves import (
     across_last,
     at_value,
     follow_both_directions,
 )
-from gaitsweep.tasks.branches.equations import (
-    Equations,
-    Keys,
-    correct_on_curve,
-    solve,
-)
+from gaitsweep.tasks.branches.equations import Equations, Keys, correct_on_curve
+from gaitsweep.tasks.branches.locate import settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE
-from gaitsweep.tasks.branches.root import hermite
-from gaitsweep.tasks.branches.special_points import passings
-from gaitsweep.tasks.contract.registry import SLOPES
-from gaitsweep.tasks.gaits.polish import settle, unmeasured
-from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
-from gaitsweep.tasks.measures.gaits import describe
-from gaitsweep.tasks.measures.levels import level, measure_at, measures
-from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import GAITS, SLOPES, VARIABLES, VARIED
+from gaitsweep.tasks.gaits.polish import Guesses, Polished, settle, unmeasured
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW
+from gaitsweep.tasks.measures.gaits import (
+    Arrays,
+    Part,
+    Wanted,
+    nothing_solved,
+    store,
+    to_accuracy,
+)
+from gaitsweep.tasks.measures.levels import measures
+from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
+from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
+from gaitsweep.tasks.step.lanes import lanes_of, slices
+from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
-from gaitsweep.tasks.walkers.resolve import walker_of_line, walkers_over
+from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
+from gaitsweep.tasks.studies.solve_points import survey
+from gaitsweep.tasks.walkers.resolve import (
+    check,
+    value_of_key,
+    walker_of_line,
+    walkers_over,
+)
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: What is varied if it is no key.
@@ -45,30 +57,142 @@ _WINDOW = (1e-6, SLOPES[1])
 #: Shares of a key's range at which gaits are searched for, from which curves over it
 #: begin.
 _SURVEYED = (0.03, 0.25, 0.5, 0.75, 0.97)
+#: Relative change of a measure over a key that is rounding.
+_UNCHANGED = 1e-10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Target:
-    """The value wanted of a measure, what is varied, and its range."""
+    """The values wanted of a measure (v,), what is varied, and its range."""
 
     measure: str
-    value: float
+    values: np.ndarray
     vary: str
     low: float
     high: float
 
     @property
-    def condition(self) -> Condition:
-        """What its gaits fulfil."""
-        return level(self.measure, self.value)
+    def where(self) -> str:
+        """Over what gaits are searched, in words."""
+        return f"for `{self.vary}` from {self.low:.6g} to {self.high:.6g}"
 
-    def missed(self, reached: Sequence[tuple[float, float]]) -> str:
-        """Say that no gait has the value, by the values that branches reach."""
-        where = f"for `{self.vary}` from {self.low:.6g} to {self.high:.6g}"
-        if not reached:
-            return f"No gait was found {where}."
-        ranges = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in sorted(reached))
-        return f"No gait has {self.measure} = {self.value:.6g} {where}: there are {ranges}."
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Gaits of one line.
+
+    Attributes
+    ----------
+    solved : Solved or None
+        In groups, those of a curve each; None without any.
+    groups : list of Passed
+        Of each curve.
+    numbers : list of pair
+        Those of their branches and of their pieces.
+    varied, slope : ndarray, shape (n,)
+        What was varied of all gaits, and their slopes.
+    samples : list of Sampled
+        The measure along every curve.
+    log : list of str
+        How gaits were searched for, in sentences.
+    """
+
+    solved: Solved | None
+    groups: list[Passed]
+    numbers: list[tuple[Any, Any]]
+    varied: np.ndarray
+    slope: np.ndarray
+    samples: list[Sampled]
+    log: list[str]
+
+    @property
+    def value(self) -> np.ndarray:
+        """Numbers of the values that the gaits have, shape (n,)."""
+        return np.concatenate([np.empty(0, int), *(one.value for one in self.groups)])
+
+    def sizes(self, target: _Target) -> np.ndarray:
+        """Sizes of the values that the gaits have, shape (n,): of 0, those of the
+        measure along their curves.
+        """
+        wanted = np.abs(target.values[self.value])
+        counts = [len(passed.value) for passed in self.groups]
+        along = [sampled.size for sampled in self.samples]
+        return np.where(wanted == 0, np.repeat(along, counts), wanted)
+
+    def reached(
+        self, low: float, high: float, label: str = ""
+    ) -> list[tuple[float, float]]:
+        """Ranges of the measure on the curves, where the last unknown is within a
+        range.
+        """
+        ranges = [sampled.reached(low, high, label) for sampled in self.samples]
+        return sorted(each for each in ranges if each)
+
+
+def lines(
+    params: Mapping[str, Any], inputs: list[Arrays]
+) -> list[tuple[Arrays, Arrays]]:
+    """Solve the gaits of several lines at which a measure has wanted values.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, the line of each, with its `slope` if a key is varied; `at`, with
+        `measure`, `vary` ("slope" or a key) and perhaps `between`, its least and
+        largest value; `slope`, ndarray, shape (v,), the values [the walker's units];
+        the others as `tasks.studies.solve_points:points` has them.
+    inputs : list
+        Empty.
+
+    Returns
+    -------
+    list of (dict, dict)
+        For each line no atlas, and what `points` returns, with a row for each value;
+        `varied` is what gives the gait this value.
+    """
+    values = np.asarray(params["slope"], float)
+    wanted = Wanted.of(params)
+    return [
+        ({}, _solve_line(line, {**params["at"], "values": values}, wanted))
+        for line in params["lines"]
+    ]
+
+
+def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Solve the gaits of one `line`, as `lines` does those of several."""
+    ((_, solved),) = lines({**params, "lines": [params["line"]]}, inputs)
+    return solved
+
+
+def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Check that gaits of a walker can be sought at values of a measure.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` and `set`; `measure`, `values`, `vary` and perhaps `between`.
+
+    Returns
+    -------
+    dict
+        What `tasks.walkers.resolve:check` returns, with `sought`, the keys of the
+        walker that are varied or move with what is.
+
+    Raises
+    ------
+    WalkerError
+        If the walker, the measure, a value, the key or the range is invalid.
+    """
+    line = {"walker": params["walker"], "set": params.get("set") or {}}
+    target = _target(line, params, walker_of_line(line))
+    checked = check(line)
+    if target.vary == SLOPE:
+        return {**checked, "sought": ()}
+
+    middle = {**line["set"], target.vary: (target.low + target.high) / 2}
+    varied = check({**line, "set": middle})["varied"]
+    moved = [key for key, movers in varied.items() if target.vary in movers]
+    return {**checked, "sought": (target.vary, *moved)}
 
 
 def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,8 +203,8 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
     params : mapping
         `walker` (name or table) and `set` (keys to change); `measure`, the name of a
         variable, and `value`, in the walker's units; `vary`, "slope" or a key of the
-        walker, and `between`, its least and largest value, which a slope may lack;
-        `slope` [rad] where a key is varied; `violation_limits`, those that are not the registry's.
+        walker, and perhaps `between`, its least and largest value; `slope` [rad] where
+        a key is varied; `violation_limits`, those that are not the registry's.
 
     Returns
     -------
@@ -95,141 +219,261 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     walker = walker_of_line(line)
-    target = _target(params, line["set"], walker)
-    limits = params.get("violation_limits")
-    records = []
-    if target.vary == SLOPE:
-        problem = Problem(walker)
-        found, log, reached = _along_slope(problem, target)
-        for w, q in found:
-            gait = _described(problem, w, float(np.exp(q)), limits)
-            records += [gait] if gait else []
-    else:
-        slope = float(params["slope"])
-        keys = _keys(line, target)
-        found, log, reached = _along_key(keys, slope, target)
-        for w, value in found:
-            problem = Problem(keys.walker_at(value))
-            gait = _described(problem, w, slope, limits)
-            records += [{target.vary: value, **gait}] if gait else []
+    target = _target(line, {**params, "values": [params["value"]]}, walker)
+    wanted = Wanted(WANT, set(GAITS), params.get("violation_limits"))
+    found = _search(line | {"slope": params.get("slope")}, target, wanted)
 
-    absent = [] if records else [target.missed(reached)]
-    result = answer(records, walker, log, absent)
+    records = list(_records(line, found, target))
+    absent = [] if records else [_missed(found, target)]
+    result = answer(records, walker, found.log, absent)
     if target.vary != SLOPE:
         result["columns"] = [target.vary, *result["columns"]]
     return result
 
 
 def _target(
-    params: Mapping[str, Any], changes: Mapping[str, Any], walker: Walker
+    line: Mapping[str, Any], asked: Mapping[str, Any], walker: Walker
 ) -> _Target:
-    """What is asked for, checked."""
-    measure, value = str(params["measure"]), float(params["value"])
+    """What is asked for of a line's gaits, checked."""
+    measure, values = str(asked["measure"]), np.asarray(asked["values"], float)
     names = measures(walker)
     if measure not in names:
         known = ", ".join(names)
         raise WalkerError("at", measure, f"must be a measure of its gaits: {known}")
-    if not np.isfinite(value):
-        raise WalkerError("at", value, "must be finite")
+    infinite = values[~np.isfinite(values)]
+    if len(infinite):
+        raise WalkerError("at", float(infinite[0]), "must be finite")
 
-    vary = str(params.get("vary", SLOPE))
+    vary = str(asked.get("vary") or SLOPE)
+    changes = line.get("set") or {}
     if vary in changes:
         raise WalkerError(vary, changes[vary], "is varied and cannot be set too")
-    between = params.get("between")
-    if between is None and vary != SLOPE:
-        raise WalkerError("between", between, "must hold the range of a key")
-    low, high = between or _WINDOW
+    between = asked.get("between") or _range(line, vary)
+    low, high = map(float, between)
     if not low < high:
         raise WalkerError("between", (low, high), "must rise")
-    return _Target(measure, value, vary, float(low), float(high))
+    return _Target(
+        measure=measure,
+        values=values,
+        vary=vary,
+        low=low,
+        high=high,
+    )
 
 
-def _along_slope(
-    problem: Problem, target: _Target
-) -> tuple[list[tuple[np.ndarray, float]], list[str], list[tuple[float, float]]]:
-    """Gaits w (m + k,) and ln slopes that fulfil a target on a walker's branches; how
-    they were searched for; and the values that branches reach.
+def _range(line: Mapping[str, Any], vary: str) -> tuple[float, float]:
+    """The range of what is varied where none is given."""
+    if vary == SLOPE:
+        return _WINDOW
+    value = value_of_key(line, vary)
+    return KeyOfWalker(vary, value, walkers_over(line, vary)).range
+
+
+def _solve_line(
+    line: Mapping[str, Any], asked: Mapping[str, Any], wanted: Wanted
+) -> Arrays:
+    """Gaits of a line at all values, as `points` returns them."""
+    walker = walker_of_line(line)
+    target = _target(line, asked, walker)
+    found = _search(line, target, wanted)
+
+    out = nothing_solved(wanted.names, len(target.values), walker.knees)
+    store(out, list(_parts(found)), wanted.labels)
+    to_accuracy(out, wanted.accuracy)
+
+    edges = _edges(target, found)
+    searched = "; ".join(found.log)
+    sought = f"this {target.measure}"
+    long, short = (
+        status.unreached(
+            label, sought, target.where, found.reached(*edges, label), searched
+        )
+        for label in GAITS[:2]
+    )
+    reasons = status.reasons(long, short, target.measure)
+    return out | {"reasons": np.array(reasons)}
+
+
+def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
+    """Gaits of a line that have the values of a target."""
+    names = [name for name in VARIABLES if name in {*wanted.names, target.measure}]
+    wanted = replace(wanted, names=names)
+    along = _along_slope if target.vary == SLOPE else _along_key
+    found = along(line, target, wanted)
+    if found.solved:
+        gaits = found.solved.gaits
+        gaits[VARIED] = found.varied
+        off = np.abs(gaits[target.measure] - target.values[found.value])
+        # What a gait's measure lacks of its value counts as an error of the gait.
+        gaits["error_bound"] = gaits["error_bound"] + off / found.sizes(target)
+    return found
+
+
+def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
+    """Gaits of a line's branches, at any slope in a window."""
+    walker = walker_of_line(line)
+    problem = Problem(walker)
+    (branches,) = survey([walker], problem.structure, COARSE)
+    curves = [Curve.of_branch(problem, branch) for branch in branches]
+    samples = [Sampled.of(curve, target.measure) for curve in curves]
+    groups = _passed(samples, target, np.log([target.low, target.high]))
+
+    guessed = list(map(_OnBranch.of, branches, groups))
+    slope = np.concatenate([np.empty(0), *(one.slope for one in guessed)])
+    solved = None
+    if len(slope):
+        places = [(problem, one.branch, one.segment) for one in guessed]
+        settle_there = partial(
+            settle_on_branches, places=places, accuracy=wanted.accuracy
+        )
+        guesses = [one.guesses for one in guessed]
+        solved = solve_guesses(problem, guesses, settle_there, wanted)
+
+    pieces = [one.branch.piece(one.segment) for one in guessed]
+    log = [f"searched from {atlases.searched(walker)}"]
+    return _Found(
+        solved=solved,
+        groups=groups,
+        numbers=[*enumerate(pieces)],
+        varied=slope,
+        slope=slope,
+        samples=samples,
+        log=log,
+    )
+
+
+def _passed(
+    samples: Sequence[Sampled], target: _Target, edges: np.ndarray
+) -> list[Passed]:
+    """Gaits at which curves have the values of a target, between edges (2,) of the last
+    unknown.
     """
-    branches = atlases.survey(problem, COARSE)
-    low, high = np.log([target.low, target.high])
-    found, reached = [], []
-    for branch in branches:
-        for _, point in passings(problem, branch, target.condition):
-            Z = point.Z[:, 0]
-            if low <= Z[-1] <= high:
-                found.append((Z[:-1], float(Z[-1])))
-        reached += _reached(problem, branch, target, (low, high))
-    found.sort(key=lambda gait: gait[1])
-    log = [atlases.searched(problem.walker)]
-    log.append(f"{len(branches)} branches searched for {target.measure}")
-    return found, log, reached
+    low, high = edges.tolist()
+    return [sampled.passes(target.values).within(low, high) for sampled in samples]
 
 
-def _reached(
-    problem: Problem, branch: Branch, target: _Target, window: tuple[float, float]
-) -> list[tuple[float, float]]:
-    """Least and largest value of the measure at a branch's nodes in a window."""
-    inside = (branch.q >= window[0]) & (branch.q <= window[1])
-    if not inside.any():
-        return []
-    at = Equations(problem).evaluate(branch.Z[:, inside])
-    values = measure_at(target.measure, at)
-    values = values[np.isfinite(values)]
-    return [(float(values.min()), float(values.max()))] if len(values) else []
+@dataclass(frozen=True, eq=False)
+class _OnBranch:
+    """Guesses of gaits on a branch, with their segments and slopes (n,)."""
+
+    branch: Branch
+    segment: np.ndarray
+    slope: np.ndarray
+    guesses: Guesses
+
+    @classmethod
+    def of(cls, branch: Branch, passed: Passed) -> _OnBranch:
+        """Those of the gaits at which it passes values."""
+        segment = np.minimum(passed.place.astype(int), len(branch.q) - 2)
+        slope = np.exp(passed.X[-1])
+        guesses = branch.known_guesses(passed.X, segment, slope)
+        return cls(branch, segment, slope, guesses)
 
 
-def _keys(line: Mapping[str, Any], target: _Target) -> Keys:
-    """The key that is varied, as an unknown."""
+def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
+    """Gaits of a line's slope, at any value of a key in its range."""
     walker_at = walkers_over(line, target.vary)
-    return Keys.of_one(target.vary, walker_at, target.low, target.high)
+    keys = Keys.of_one(target.vary, walker_at, target.low, target.high)
+    gaits = Equations(keys, [], float(line["slope"]))
+    curves = [Curve.of_points(gaits, *each) for each in _gaits_over_key(gaits)]
+    samples = [Sampled.of(curve, target.measure) for curve in curves]
+    log = [f"{len(samples)} curves of gaits over `{target.vary}` searched"]
+    groups: list[Passed] = []
+    if _is_unchanged(samples):
+        log.append(f"{target.measure} does not change with `{target.vary}`")
+    else:
+        edges = np.array([target.low, target.high]) / keys.scale
+        groups = _passed(samples, target, edges)
+
+    found = _solve_at_keys(keys, float(line["slope"]), groups, wanted)
+    return _Found(*found, samples, log)
 
 
-def _along_key(
-    keys: Keys, slope: float, target: _Target
-) -> tuple[list[tuple[np.ndarray, float]], list[str], list[tuple[float, float]]]:
-    """Gaits w (m + k,) and values of the key that fulfil a target at a slope; how they
-    were searched for; and the values of the measure that there are.
+def _solve_at_keys(
+    keys: Keys, slope: float, groups: list[Passed], wanted: Wanted
+) -> tuple[Solved | None, list[Passed], list[tuple[Any, Any]], np.ndarray, np.ndarray]:
+    """Solve gaits, each of a walker of its own, from those at which curves pass values;
+    what `_Found` has, but for the samples and the log.
     """
-    gaits = Equations(keys, [], slope)
-    found: list[tuple[np.ndarray, float]] = []
-    reached: list[tuple[float, float]] = []
-    curves = 0
-    for points, tangents in _gaits_over_key(gaits):
-        curves += 1
-        values = measure_at(target.measure, gaits.evaluate(points.T))
-        finite = values[np.isfinite(values)]
-        if len(finite):
-            reached.append((float(finite.min()), float(finite.max())))
-        for X in _passings(keys, slope, target, points, tangents, values):
-            ((value,),) = keys.values(X[-1:, None]).tolist()
-            found.append((X[:-1], value))
-    found.sort(key=lambda gait: gait[1])
-    log = [f"{curves} curves of gaits over `{target.vary}` searched"]
-    return found, log, reached
+    numbers = [(number, 0) for number in range(len(groups))]
+    X = np.hstack([passed.X for passed in groups]) if groups else np.empty((1, 0))
+    (values,) = keys.values(X[-1:])
+    slopes = np.full(len(values), slope)
+    if not len(values):
+        return None, groups, numbers, values, slopes
+
+    walkers = [keys.walker_at(value) for value in values.tolist()]
+    lanes = Lanes(walkers, keys.structure)
+    guesses = unmeasured(lanes, X[:-1], slopes)
+    of_groups = slices([len(passed.value) for passed in groups])
+    in_groups = [lanes_of(guesses, some) for some in of_groups]
+
+    alone = [(lanes.alone(lane), 1) for lane in range(len(walkers))]
+    to_bound = partial(_settle, accuracy=wanted.accuracy)
+    solved = solve_guesses(lanes, in_groups, to_bound, wanted, alone)
+    return solved, groups, numbers, values, slopes
 
 
-def _passings(
-    keys: Keys,
-    slope: float,
-    target: _Target,
-    points: np.ndarray,
-    tangents: np.ndarray,
-    values: np.ndarray,
-) -> Iterator[np.ndarray]:
-    """Points (u,) at which a curve of gaits, points and tangents (p, u), fulfils a
-    target, by the values of the measure (p,).
-    """
-    equations = Equations(keys, [target.condition], slope)
-    side = np.sign(values - target.value)
-    for k in np.flatnonzero(side[1:] * side[:-1] < 0).tolist():
-        before = points[k], tangents[k]
-        after = points[k + 1], tangents[k + 1]
-        share = (target.value - values[k]) / (values[k + 1] - values[k])
-        length = float(np.linalg.norm(after[0] - before[0]))
-        guess = hermite(before, after, length, share)[:, None]
-        solved = solve(equations, guess)
-        if solved.ok[0] and np.linalg.norm(solved.Z - guess) < length:
-            yield solved.Z[:, 0]
+def _settle(problem: Problem, guesses: Guesses, accuracy: float) -> Polished:
+    return settle(problem, guesses, accuracy=accuracy)
+
+
+def _is_unchanged(samples: Sequence[Sampled]) -> bool:
+    """Whether a measure is constant along all curves but for rounding."""
+    spans = [np.ptp(sampled.values[np.isfinite(sampled.values)]) for sampled in samples]
+    sizes = [sampled.size for sampled in samples]
+    return bool(samples) and all(
+        span <= _UNCHANGED * size for span, size in zip(spans, sizes, strict=True)
+    )
+
+
+def _edges(target: _Target, found: _Found) -> tuple[float, float]:
+    """Range of the last unknown of curves."""
+    if target.vary == SLOPE:
+        return float(np.log(target.low)), float(np.log(target.high))
+    return -np.inf, np.inf
+
+
+def _missed(found: _Found, target: _Target) -> str:
+    """Say that no gait has the one value of a target, by the values that there are."""
+    (value,) = target.values.tolist()
+    sought = f"{target.measure} = {value:.6g}"
+    reached = found.reached(*_edges(target, found))
+    return status.unreached("", sought, target.where, reached, "")
+
+
+def _parts(found: _Found) -> Iterator[Part]:
+    """Gaits of each curve, those of one value in different parts."""
+    if found.solved is None:
+        return
+    for k, (passed, numbers) in enumerate(
+        zip(found.groups, found.numbers, strict=True)
+    ):
+        part = found.solved.part(k, passed.value, numbers)
+        # The gaits of a value follow one another.
+        first = np.searchsorted(passed.value, passed.value)
+        rank = np.arange(len(passed.value)) - first
+        for number in range(int(rank.max(initial=-1)) + 1):
+            yield part.some(rank == number)
+
+
+def _records(
+    line: Mapping[str, Any], found: _Found, target: _Target
+) -> Iterator[dict[str, Any]]:
+    """Each gait as `solve_one` describes it, by what is varied."""
+    if found.solved is None:
+        return
+    gaits, is_of_key = found.solved.gaits, target.vary != SLOPE
+    for lane in np.argsort(found.varied, kind="stable").tolist():
+        values = {name: array[lane] for name, array in gaits.items()}
+        if values["status"] != status.CONVERGED or not values["anthropomorphic"]:
+            continue
+        values |= {"branch": np.int16(-1), "piece": np.int16(-1)}
+        is_long = values["heelstrike_rate_ratio"] < LONG_BELOW
+        label = "long" if is_long else "short"
+        key = {target.vary: float(found.varied[lane])} if is_of_key else {}
+        walker = walker_of_line({**line, "set": {**line["set"], **key}})
+        yield key | record(label, float(found.slope[lane]), values, walker)
 
 
 def _gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -245,35 +489,26 @@ def _gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]
     followed: list[np.ndarray] = []
     for share in _SURVEYED:
         value = low + share * (high - low)
-        for branch in atlases.survey(Problem(gaits.keys.walker_at(value)), COARSE):
-            for _, Z, _ in branch.guesses(np.array([gaits.log_slope])):
-                guess = np.append(Z[:-1, 0], value / scale)[:, None]
-                first = correct_on_curve(gaits, guess, across)
-                if not first.ok[0] or _is_on(gaits, followed, first.Z[:, 0]):
-                    continue
-                points, tangents, _ = follow_both_directions(gaits, first, window)
-                followed.append(points)
-                yield points, tangents
+        for Z in _gaits_at(gaits.keys.walker_at(value), gaits.log_slope):
+            guess = np.append(Z[:-1], value / scale)[:, None]
+            first = correct_on_curve(gaits, guess, across)
+            if not first.ok[0] or _is_on(gaits, followed, first.Z[:, 0]):
+                continue
+            points, tangents, _ = follow_both_directions(gaits, first, window)
+            followed.append(points)
+            yield points, tangents
+
+
+def _gaits_at(walker: Walker, log_slope: float) -> Iterator[np.ndarray]:
+    """Gaits Z (c,) of a walker at a ln slope, by the polynomials of its branches."""
+    problem = Problem(walker)
+    (branches,) = survey([walker], problem.structure, COARSE)
+    for branch in branches:
+        for _, Z, _ in branch.guesses(np.array([log_slope])):
+            yield Z[:, 0]
 
 
 def _is_on(gaits: Equations, curves: list[np.ndarray], X: np.ndarray) -> bool:
     """Whether a gait (u,) lies on one of some curves (p, u)."""
     passed = [Y for points in curves for Y in at_value(gaits, points, X[-1])]
     return any(same(X, Y, SAME_POINT) for Y in passed)
-
-
-def _described(
-    problem: Problem, w: np.ndarray, slope: float, limits: Mapping[str, float] | None
-) -> dict[str, Any] | None:
-    """One gait near w (m + k,), settled, as `solve_one` describes it; None where it is
-    no step whose legs pass once.
-    """
-    slopes = np.array([slope])
-    settled = settle(problem, unmeasured(problem, w[:, None], slopes))
-    if not (settled.converged & settled.step)[0] or settled.leg_passes[0] != 1:
-        return None
-    measured = describe(problem, settled, slopes, WANT, limits)
-    values = {name: measured[name][0] for name in WANT if name in measured}
-    values |= {"branch": np.int16(-1), "piece": np.int16(-1)}
-    label = "long" if gait_ratio(settled.stride)[0] < LONG_BELOW else "short"
-    return record(label, slope, values, problem.walker)

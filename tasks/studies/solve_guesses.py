@@ -15,6 +15,7 @@ import numpy as np
 from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.gaits.polish import Guesses, Polished
 from gaitsweep.tasks.measures.gaits import Part, Wanted, describe
+from gaitsweep.tasks.measures.sensitivities import differentiated
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
 
@@ -124,7 +125,9 @@ def solve_guesses(
     for (walker, _), some in zip(walkers, of_walkers, strict=True):
         gaits = lanes_of(at, some) if alone else at
         slope = together.slope[some]
-        measured.append(describe(walker, gaits, slope, wanted.names, wanted.limits))
+        of_walker = describe(walker, gaits, slope, wanted.names, wanted.limits)
+        of_walker |= differentiated(walker, gaits, slope, wanted.names)
+        measured.append(of_walker)
 
     variables = measured[0]
     if len(measured) > 1:

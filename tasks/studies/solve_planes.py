@@ -23,7 +23,7 @@ from gaitsweep.tasks.charts.patch_ends import BEYOND, END, FOLD
 from gaitsweep.tasks.charts.sheet import Sheet
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.accuracy import is_interpolated
-from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Guesses, settle
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.measures.gaits import (
@@ -545,9 +545,10 @@ def _solve_predicted(
         block.slope
     )
     problem = Lanes(block.walkers.some(lines), block.cell.structure)
-    # Violations are measured walker by walker.
+    # Violations and derivatives are measured walker by walker.
     alone = []
-    if any(VARIABLES[name].group == "violations" for name in wanted.names):
+    groups = {VARIABLES[name].group for name in wanted.names}
+    if groups & {"violations", SENSITIVITIES}:
         alone = [(problem.alone(lane), 1) for lane in range(len(lines))]
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
     guesses = [on_patch.guesses for on_patch in predicted]

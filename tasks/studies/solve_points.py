@@ -88,9 +88,9 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     steps = int(params.get("steps", 1))
     if steps > 1:
         # They are followed far from the branches where they begin.
-        (single,) = _survey([problem.walker], problem.structure, FINE)
+        (single,) = survey([problem.walker], problem.structure, FINE)
         return atlases.to_arrays(cycle_branches(problem, single, steps))
-    (branches,) = _survey(
+    (branches,) = survey(
         [problem.walker], problem.structure, COARSE if params.get("coarse") else FINE
     )
     return atlases.to_arrays(branches)
@@ -252,7 +252,7 @@ def solve_lines(
     results: list[tuple[list[Branch], Arrays]] = [([], {})] * len(walkers)
     for structure, numbers in alike(walkers).items():
         some = [walkers[i] for i in numbers]
-        surveyed = _survey(some, structure, COARSE)
+        surveyed = survey(some, structure, COARSE)
         solved = _solve_branches(
             Lanes(some, structure), [lines[i] for i in numbers], surveyed, request
         )
@@ -334,12 +334,21 @@ def search_words(params: Mapping[str, Any]) -> list[str]:
     return atlases.searched_in(walker, [walker.time_unit, *params["time_units"]])
 
 
-def _survey(
+def survey(
     walkers: Sequence[Walker],
     structure: Structure,
     tolerance: float,
 ) -> list[list[Branch]]:
-    """Branches of lines of one structure, reused for lines surveyed before."""
+    """Return the branches of lines of one structure, reused for lines surveyed before.
+
+    Parameters
+    ----------
+    walkers : sequence of Walker
+    structure : Structure
+        Theirs.
+    tolerance : float
+        `COARSE` or `FINE`.
+    """
     keys = [(repr(walker), tolerance) for walker in walkers]
     new = [i for i, key in enumerate(keys) if key not in _surveyed]
     if new:

@@ -26,6 +26,8 @@ _ALL = {key: about for table in _TABLES.values() for key, about in table.items()
 MEANINGS = {key: about["meaning"] for key, about in _ALL.items()}
 #: Keys that hold a number.
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
+#: What gaits are differentiated by: the slope, and keys that hold a number.
+DIFFERENTIATED = ("slope", *NUMBERS)
 #: Least and largest value of each number by itself.
 BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))

@@ -336,7 +336,7 @@ def test_knees_may_vary_and_multipliers_are_padded():
         ),
         (
             {"slope": 0.01, "steps": 2, "variables": ["proofs"]},
-            "Proofs are of gaits of one step",
+            "`proved` is of gaits of one step, and `steps` is 2",
         ),
         ({"slope": 0.01, "steps": True}, "`steps` must be a whole number"),
         (

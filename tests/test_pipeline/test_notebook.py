@@ -274,8 +274,8 @@ def test_gaits_at_a_value_of_a_measure_in_python_and_by_the_command(capsys):
             "`slope` is varied and cannot be set too; got 0.1.",
         ),
         (
-            ["--at", "speed=1", "--vary", "R", "--slope", "0.1"],
-            "`vary` needs `slope` and `between`, as a key is varied; got 'R'.",
+            ["--at", "speed=1", "--vary", "R"],
+            "`vary` needs `slope`, as a key is varied; got 'R'.",
         ),
         (
             ["--at", "speed=1", "--between", "0.3", "0.1"],

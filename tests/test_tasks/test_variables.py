@@ -15,7 +15,7 @@ SLOPES = np.geomspace(1e-3, 0.012, 300)
 OF_GAITS = tuple(
     v.name
     for v in VARIABLES.values()
-    if v.group != "proofs" and v.name not in ("reason", "status")
+    if v.group not in ("proofs", "targets") and v.name not in ("reason", "status")
 )
 LINE = {"walker": "D", "set": {}}
 

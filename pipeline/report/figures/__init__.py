@@ -23,6 +23,7 @@ from gaitsweep.pipeline.report.figures import (
     optima,
     over_key,
     parameters,
+    ranking,
     searches,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
@@ -52,6 +53,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "measured": families.measurements,
     "lyapunov": bifurcation.lyapunov,
     "exponents": laws.exponents,
+    "sensitivities": ranking.sensitivities,
     "census": searches.census,
     "cascade": searches.cascade,
     "curves": searches.curves,

@@ -1,0 +1,86 @@
+"""Gaits at values of a measure: the field `at` of a study, and the arguments `at`,
+`vary` and `between` of Python.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study.fields import AT, value_of
+from gaitsweep.pipeline.study.location import Location
+from gaitsweep.tasks.contract.registry import OF_TARGETS, SENSITIVITIES, VARIABLES
+
+
+def read(
+    table: Mapping[str, Any], axes: object, top: Location
+) -> tuple[dict[str, Any], object]:
+    """What gaits are sought at, and the axes with that of the measure.
+
+    Parameters
+    ----------
+    table : mapping
+        Of the study. Its `at` has a measure with its values, unless these are an axis,
+        and the fields of `AT`.
+    axes : object
+        The table `axes`.
+    top : Location
+
+    Returns
+    -------
+    at : dict
+        `measure`, `vary`, and `between` where it is given; empty without `at`.
+    axes : object
+
+    Raises
+    ------
+    StudyError
+        If `at` is invalid, or names a measure where an axis is one.
+    """
+    if "at" not in table:
+        return {}, axes
+    value, place = table["at"], top.at("at")
+    if not isinstance(value, Mapping):
+        raise place.wrong("must be a table", value)
+    place.check_names(value, (*AT, *measures()), "measure")
+
+    given = axes if isinstance(axes, dict) else {}
+    measure, is_axis = _measure(value, given, place)
+    asked = {"measure": measure, **fields(value, place)}
+    if is_axis:
+        return asked, given
+
+    values = value[measure]
+    if not isinstance(values, list | dict):
+        values = [place.at(measure).number(values)]
+    return asked, {**given, measure: values}
+
+
+def _measure(
+    value: Mapping[str, Any], axes: Mapping[str, Any], place: Location
+) -> tuple[str, bool]:
+    """The one measure that is named, and whether it is an axis."""
+    named = [name for name in value if name not in AT]
+    of_axes = [name for name in axes if name in VARIABLES]
+    if len(named) + len(of_axes) != 1:
+        names = [*named, *(f"axes.{name}" for name in of_axes)]
+        bound = "must name one measure, here or among the axes"
+        raise place.wrong(bound, ", ".join(names) or "none")
+    return [*named, *of_axes][0], bool(of_axes)
+
+
+def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:
+    """What is varied, and its range where it is given, checked."""
+    vary = value_of(AT, "vary", value, place)
+    between = value_of(AT, "between", value, place)
+    if between is None:
+        return {"vary": vary}
+    if vary == "slope":
+        for end in between:
+            slopes.check(end, place.at("between"))
+    return {"vary": vary, "between": between}
+
+
+def measures() -> list[str]:
+    """Return the names of variables of which a value may be sought."""
+    hidden = OF_TARGETS, SENSITIVITIES
+    return [v.name for v in VARIABLES.values() if v.group not in hidden]

@@ -1,0 +1,327 @@
+"""Where curves of gaits pass values of a measure: branches over the slope, and gaits at a
+fixed slope over a key.
+
+Measures are sampled along a curve's polynomials, so that a value is bracketed wherever
+two samples lie on either side of it; their extremes between samples are sampled too.
+Newton's method on the gait's equations and the measure together goes on from there.
+
+In shapes, n counts lanes, u the unknowns of a gait on the curve
+(`tasks.branches.equations`), s samples and v values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.equations import Equations, solve
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.root import hermite
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
+from gaitsweep.tasks.measures.levels import level, measure_at
+from gaitsweep.tasks.mechanics.arrays import Coordinates
+from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.sameness import SAME_GAIT, same
+
+#: Samples of a measure between two nodes of a curve.
+_PARTS = 4
+#: How often extremes between samples are sampled.
+_REFINED = 2
+#: How far a gait may lie from the samples that bracket it, over their distance.
+_NEAR = 1.5
+
+
+#: Step after which a gait is solved once more, and how often.
+_LAST_STEP, _AGAIN = 1e-10, 3
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve of gaits.
+
+    Attributes
+    ----------
+    equations : Equations
+        Of the gaits, which leave one freedom.
+    nodes : int
+        Number of its nodes.
+    at : callable
+        Its points (u, n) at places (n,), numbers of nodes and shares of the way to the
+        next, by polynomials.
+    """
+
+    equations: Equations
+    nodes: int
+    at: Callable[[np.ndarray], Coordinates]
+
+    @classmethod
+    def of_branch(cls, problem: Problem, branch: Branch) -> Curve:
+        """Return a branch of gaits over the slope."""
+        return cls(Equations(problem), len(branch.q), branch.at)
+
+    @classmethod
+    def of_points(
+        cls, equations: Equations, points: np.ndarray, tangents: np.ndarray
+    ) -> Curve:
+        """Return a curve by its points and the tangents there, both (p, u)."""
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+
+        def at(place: np.ndarray) -> Coordinates:
+            k = np.minimum(place.astype(int), len(lengths) - 1)
+            share = place - k
+            before = points[k].T, tangents[k].T
+            after = points[k + 1].T, tangents[k + 1].T
+            return hermite(before, after, lengths[k], share)
+
+        return cls(equations, len(points), at)
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A measure along a curve of gaits.
+
+    Attributes
+    ----------
+    curve : Curve
+    measure : str
+        Of `tasks.measures.levels.measures`.
+    place, values : ndarray, shape (s,)
+        Where it is sampled, in order, and its values [the walker's units].
+    is_long : ndarray of bool, shape (s,)
+        Whether the gaits there are long ones.
+    X : ndarray, shape (u, s)
+        Points of the curve's polynomials there.
+    """
+
+    curve: Curve
+    measure: str
+    place: np.ndarray
+    values: np.ndarray
+    is_long: np.ndarray
+    X: Coordinates
+
+    @classmethod
+    def of(cls, curve: Curve, measure: str) -> Sampled:
+        """Sample a measure along a curve, its extremes among the samples."""
+        last = curve.nodes - 1
+        sampled = cls._at(curve, measure, np.linspace(0.0, last, _PARTS * last + 1))
+        for _ in range(_REFINED):
+            vertices = np.setdiff1d(sampled._vertices(), sampled.place)
+            if len(vertices):
+                sampled = sampled._with(cls._at(curve, measure, vertices))
+        return sampled
+
+    @classmethod
+    def _at(cls, curve: Curve, measure: str, place: np.ndarray) -> Sampled:
+        X = curve.at(place)
+        evaluated = curve.equations.evaluate(X)
+        is_long = gait_ratio(evaluated.stride.one) < LONG_BELOW
+        return cls(curve, measure, place, measure_at(measure, evaluated), is_long, X)
+
+    def _with(self, other: Sampled) -> Sampled:
+        """The samples of both."""
+        place = np.concatenate([self.place, other.place])
+        values = np.concatenate([self.values, other.values])
+        is_long = np.concatenate([self.is_long, other.is_long])
+        X = np.hstack([self.X, other.X])
+
+        order = np.argsort(place)
+        return Sampled(
+            self.curve,
+            self.measure,
+            place[order],
+            values[order],
+            is_long[order],
+            X[:, order],
+        )
+
+    # A measure may be infinite: the friction that a contact needs which would pull.
+    @np.errstate(invalid="ignore")
+    def _vertices(self) -> np.ndarray:
+        """Places of the vertices of parabolas through extreme samples and their
+        neighbours.
+        """
+        step = np.diff(self.place)
+        rate = np.diff(self.values) / step
+        before = np.flatnonzero(rate[1:] * rate[:-1] < 0)
+        after = before + 1
+
+        bend = (rate[after] - rate[before]) / (step[before] + step[after])
+        rate_there = rate[before] + bend * step[before]
+        vertex = self.place[after] - rate_there / (2 * bend)
+        return np.asarray(vertex)
+
+    @property
+    def size(self) -> float:
+        """Largest size of the measure along the curve."""
+        sizes = np.abs(self.values[np.isfinite(self.values)])
+        return float(sizes.max(initial=0.0))
+
+    @np.errstate(invalid="ignore")
+    def reached(
+        self, low: float, high: float, label: str = ""
+    ) -> tuple[float, float] | None:
+        """Return the least and the largest value.
+
+        Parameters
+        ----------
+        low, high : float
+            Range of the last unknown, which varies along the curve.
+        label : str
+            `long` or `short` for the values of such gaits only.
+
+        Returns
+        -------
+        (float, float) or None
+            None where there are no such gaits.
+        """
+        varied = self.X[-1]
+        inside = (varied >= low) & (varied <= high)
+        values = [self.values[inside]]
+        is_long = [self.is_long[inside]]
+        for edge in (low, high):
+            # Linear between the samples on either side of an edge.
+            off = varied - edge
+            k = np.flatnonzero(off[1:] * off[:-1] < 0)
+            share = off[k] / (off[k] - off[k + 1])
+            rise = self.values[k + 1] - self.values[k]
+            values.append(self.values[k] + share * rise)
+            is_long.append(self.is_long[k])
+
+        every = np.concatenate(values)
+        some = np.isfinite(every)
+        if label:
+            has_label = np.concatenate(is_long) == (label == "long")
+            some &= has_label
+        if not some.any():
+            return None
+        every = every[some]
+        return float(every.min()), float(every.max())
+
+    def passes(self, wanted: np.ndarray) -> Passed:
+        """Return the gaits at which the measure has some values.
+
+        Parameters
+        ----------
+        wanted : ndarray, shape (v,) [the walker's units]
+
+        Notes
+        -----
+        Along the curve Newton's method is the secant method, from the two samples that
+        bracket a value; across it the gait's equations have exact derivatives.
+        """
+        value, k = self._brackets(wanted)
+        if not len(value):
+            return Passed(value, np.empty(0), self.X[:, :0])
+
+        chord = self.X[:, k + 1] - self.X[:, k]
+        length = norm(chord)
+        rise = self.values[k + 1] - self.values[k]
+        share = (wanted[value] - self.values[k]) / rise
+        place = self.place[k] + share * np.diff(self.place)[k]
+
+        condition = level(self.measure, wanted[value])
+        equations = self.curve.equations.having([condition])
+        secant = chord * (rise / length**2)
+        X, ok = _solve(equations, self.curve.at(place), secant)
+
+        ok &= self._is_between(k, X, _NEAR * length)
+        ok &= ~_are_twins(value, X, ok)
+        return Passed(value[ok], place[ok], X[:, ok])
+
+    def _is_between(
+        self, k: np.ndarray, X: Coordinates, within: np.ndarray
+    ) -> np.ndarray:
+        """Whether gaits lie near samples and near those that follow them, shape (n,)."""
+        from_before = norm(X - self.X[:, k])
+        from_after = norm(X - self.X[:, k + 1])
+        return np.asarray(np.maximum(from_before, from_after) < within)
+
+    def _brackets(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the values that lie between a sample and the next, and those
+        samples.
+        """
+        # A sample that has a value belongs to what follows it.
+        is_above = self.values >= wanted[:, None]
+        has_value = np.isfinite(self.values)
+        is_passed = is_above[:, 1:] != is_above[:, :-1]
+        is_passed &= has_value[1:] & has_value[:-1]
+        value, k = np.nonzero(is_passed)
+        return value, k
+
+
+def _solve(
+    equations: Equations, guess: Coordinates, secant: Coordinates
+) -> tuple[Coordinates, np.ndarray]:
+    """Solve by Newton's method, along curves by the secant method. Returns the gaits
+    (u, n), and which are solved.
+
+    Beside extremes of the measure the secant method may fail, or comes slowly nearer:
+    gaits are solved with all derivatives then, or go on from where they are.
+    """
+    found = solve(equations, guess, secant)
+    lost = np.flatnonzero(~found.ok)
+    if len(lost):
+        again = solve(_of_lanes(equations, lost), guess[:, lost])
+        _replace(found, lost, again)
+
+    for _ in range(_AGAIN):
+        far = np.flatnonzero(found.ok & (found.last_step > _LAST_STEP))
+        if not len(far):
+            break
+        some = _of_lanes(equations, far)
+        again = solve(some, found.Z[:, far], found.rows[:, far])
+        # Where a step of rounding fails, the gait is as near as it comes.
+        again.last_step[~again.ok] = 0.0
+        again.ok[:] = True
+        _replace(found, far, again)
+    return found.Z, found.ok
+
+
+def _replace(found: Point, lanes: np.ndarray, other: Point) -> None:
+    """Replace what is known of some lanes."""
+    found.Z[:, lanes] = other.Z
+    found.rows[:, lanes] = other.rows
+    found.ok[lanes] = other.ok
+    found.last_step[lanes] = other.last_step
+
+
+def _of_lanes(equations: Equations, lanes: np.ndarray) -> Equations:
+    """The equations of some lanes, which have values of their own."""
+    (condition,) = equations.conditions
+    return equations.some(lanes).having([condition.some(lanes)])
+
+
+def _are_twins(value: np.ndarray, X: Coordinates, ok: np.ndarray) -> np.ndarray:
+    """Which gaits (n,) of a value are one that comes before them along the curve."""
+    twins = np.zeros(len(value), bool)
+    follows = (value[1:] == value[:-1]) & ok[1:] & ok[:-1]
+    twins[1:] = follows & same(X[:, 1:], X[:, :-1], SAME_GAIT)
+    return twins
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Gaits at which a curve has values of a measure.
+
+    Attributes
+    ----------
+    value : ndarray of int, shape (n,)
+        Numbers of the values.
+    place : ndarray, shape (n,)
+        About where they lie along the curve.
+    X : ndarray, shape (u, n)
+    """
+
+    value: np.ndarray
+    place: np.ndarray
+    X: Coordinates
+
+    def within(self, low: float, high: float) -> Passed:
+        """Return those whose last unknown lies in a range."""
+        some = (self.X[-1] >= low) & (self.X[-1] <= high)
+        return Passed(self.value[some], self.place[some], self.X[:, some])

@@ -1,0 +1,103 @@
+"""Random values of random measures: the gaits from which they are taken are found, and
+gaits found have them.
+"""
+
+import numpy as np
+import pytest
+
+from gaitsweep.tasks.measures.levels import measures
+from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_at_value import lines
+from gaitsweep.tasks.studies.solve_points import solve_lines
+from gaitsweep.tasks.walkers.resolve import resolve
+
+WALKERS = (
+    "A",
+    "B",
+    "C",
+    "D",
+    "E",
+    "physical",
+)
+
+
+def drawn_values(rng, walker, count):
+    """A measure of a walker, and its values at gaits of drawn slopes, with these."""
+    names = measures(resolve(walker))
+    usual = [name for name in names if not name.endswith("_time")]
+    measure = usual[rng.integers(len(usual))]
+    log_slope = rng.uniform(np.log(1e-3), np.log(0.1), count)
+    slope = np.sort(np.exp(log_slope))
+
+    there = solved(walker, measure, slope)
+    row, gait = np.nonzero(there["status"] == 0)
+    values = there[measure][row, gait]
+    has_value = np.isfinite(values) & (values != 0)
+    return measure, values[has_value], slope[row[has_value]]
+
+
+def solved(walker, measure, slope):
+    """Gaits of a walker at slopes."""
+    request = Request.of({"slope": slope, "want": (measure,)})
+    ((_, there),) = solve_lines([{"walker": walker, "set": {}}], request)
+    return there
+
+
+def sought(walker, measure, values):
+    """Gaits of a walker at values: the number of its value, slope and bound of each."""
+    line = {"walker": walker, "set": {}}
+    request = {
+        "lines": [line],
+        "at": {"measure": measure},
+        "slope": values,
+        "want": ("varied", measure),
+    }
+    ((_, found),) = lines(request, [])
+
+    value, gait = np.nonzero(found["status"] == 0)
+    slope = found["varied"][value, gait]
+    bound = found["error_bound"][value, gait]
+    order = np.argsort(slope)
+    return value[order], slope[order], bound[order]
+
+
+def distance_of_singles(walker, measure, slope, values):
+    """How far the nearest gaits of single solves at slopes are from values, without
+    their own bounds, over the largest value there.
+    """
+    single = solved(walker, measure, slope)
+    there = single[measure]
+    size = np.abs(there[np.isfinite(there)]).max()
+    off = np.abs(there - values[:, None]) / size
+    return np.nanmin(off - 20 * single["error_bound"], axis=1)
+
+
+@pytest.mark.parametrize(
+    "count",
+    [
+        40,
+        pytest.param(1000, marks=[pytest.mark.soak, pytest.mark.timeout(3600)]),
+    ],
+    ids=["some", "many"],
+)
+def test_random_targets_are_met_within_their_bounds_by_single_solves(count):
+    rng = np.random.default_rng(31)
+    targets = 0
+    while targets < count:
+        walker = WALKERS[rng.integers(len(WALKERS))]
+        measure, values, slopes = drawn_values(rng, walker, 5)
+        if not len(values):
+            continue
+
+        value, slope, bound = sought(walker, measure, values)
+
+        # The gaits of which these are the values are found.
+        for number, there in enumerate(slopes):
+            nearest = np.abs(slope[value == number] / there - 1).min(initial=1.0)
+            assert nearest < 1e-6, (walker, measure, values[number], there)
+
+        # All that are found have the values, by a solve of each slope.
+        off = distance_of_singles(walker, measure, slope, values[value])
+        assert (off <= 20 * bound).all(), (walker, measure)
+        assert np.median(bound) < 1e-12
+        targets += len(values)
