@@ -171,6 +171,9 @@ def test_the_stable_slopes_of_the_simplest_walker_end_where_the_literature_has_i
         free={"foot_mass_ratio": [1e-4, 0.1]},
     )
 
+    massless = {"foot_mass_ratio": [0.0, 0.1]}
+    lightest = solved("E", WINDOW, maximise="slope", free=massless)
+
     slope = light["optimum"]["slope"][0]
     by_mass = limits(light)["foot_mass_ratio"]
     assert slope == pytest.approx(
@@ -181,6 +184,10 @@ def test_the_stable_slopes_of_the_simplest_walker_end_where_the_literature_has_i
     assert slope - 1e-4 * by_mass == pytest.approx(
         flip,
         abs=1e-6,
+    )
+    assert lightest["optimum"]["slope"][0] == pytest.approx(
+        flip,
+        rel=1e-10,
     )
 
 
@@ -422,6 +429,20 @@ def test_short_gaits_are_found_where_only_those_are_wanted():
     assert np.nanmin(np.abs(ratio - 0.5)) < 1e-9
     fastest_of_all = every["optimum"]["froude_speed"][0]
     assert short["optimum"]["froude_speed"][0] < fastest_of_all
+
+
+def test_a_search_that_stops_at_a_kink_is_no_optimum_and_says_so():
+    """Where two multipliers are the largest, their size has no derivative."""
+    found = solved(
+        "B",
+        [1e-3, 0.1],
+        minimise="spectral_radius",
+        free={"R": [0.05, 0.4], "c_t": [0.05, 0.5]},
+    )
+
+    best = found["optimum"]
+    assert best["stationarity"][0] > 1e-4
+    assert "the best found, stopped before an optimum" in found["searches"]["outcome"]
 
 
 def test_where_no_gait_is_stable_the_reason_is_told():
