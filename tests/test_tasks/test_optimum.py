@@ -3,13 +3,16 @@ has, and the derivatives that Lagrange's multipliers are.
 """
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import gaitsweep
+from gaitsweep.tasks.branches.equations import Equations
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.measures.programme import STABLE
 from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.studies.optimise_walker import optimum
 from gaitsweep.tasks.studies.pose_optimum import Box, Question, candidates
@@ -517,3 +520,32 @@ def test_knees_have_optima_too():
         speed,
         rel=1e-12,
     )
+
+
+@pytest.mark.parametrize("walker", ["A", "B", "C", "D", "physical"])
+def test_gaits_are_stable_where_no_multiplier_has_crossed_the_circle(walker):
+    problem, every = branches(walker)
+    radii, missed = [], []
+    for branch in every:
+        at = Equations(problem).evaluate(branch.Z)
+        radii.append(np.abs(at.multipliers).max(axis=1))
+        missed.append(np.max([each.missed(at) for each in STABLE], axis=0))
+
+    radius, beyond = np.concatenate(radii), np.concatenate(missed)
+    is_clear = np.abs(radius - 1) > 1e-6
+    assert ((radius < 1) == (beyond == 0))[is_clear].all()
+    assert (beyond > 0).any()
+
+
+def test_pairs_that_leave_the_circle_are_told_apart_from_flips_and_folds():
+    """A stride map that turns by a right angle and grows, and one that shrinks."""
+    growing, shrinking = (
+        size * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+        for size in (1.1, 0.9)
+    )
+    at = SimpleNamespace(jacobians=np.array([growing, shrinking]))
+
+    outside, inside = zip(*(each.missed(at) > 0 for each in STABLE), strict=True)
+
+    assert outside == (False, False, True)
+    assert inside == (False, False, False)
