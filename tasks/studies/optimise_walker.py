@@ -129,7 +129,8 @@ class _Verification:
     def __init__(self, question: Question, programme: Programme, found: Optimum):
         keys = programme.equations.keys
         assert keys is not None
-        self.question, self.found = question, found
+        self.question = question
+        self.found = found
         self.Z, self.x = programme.equations.split(found.X[:, None])
         values = _without_rounding(keys, keys.values(self.x)[:, 0])
         self.keys = dict(zip(keys.names, values.tolist(), strict=True))
@@ -141,7 +142,8 @@ class _Verification:
         special = _special(self.question, self.found)
         is_last = bool(special) and CONDITIONS[special].walking != 0
         is_last |= special == "fold"
-        slope_bound, bound = 0.0, np.nan
+        slope_bound = 0.0
+        bound = np.nan
         if is_last or (special and self.question.window is not None):
             at_point = Equations(self.problem, [CONDITIONS[special]])
             if not self._locate(at_point):
@@ -228,7 +230,9 @@ class _Search:
     """
 
     def __init__(self, question: Question, programme: Programme, case: int):
-        self.question, self.programme, self.case = question, programme, case
+        self.question = question
+        self.programme = programme
+        self.case = case
         self.ends: list[Optimum] = []
         self.verified: list[_Verified | str] = []
         self.best: int | None = None
@@ -288,11 +292,10 @@ class _Search:
         gait = self.verified[start]
         if isinstance(gait, str):
             return gait
-        if self._is_best(start):
-            return "the optimum"
-        if self._is_finished(start):
-            return "another optimum"
-        return "stopped before an optimum"
+        if not self._is_finished(start):
+            best = "the best found, " if self._is_best(start) else ""
+            return f"{best}stopped before an optimum"
+        return "the optimum" if self._is_best(start) else "another optimum"
 
     @property
     def hits(self) -> int:

@@ -195,7 +195,11 @@ class Question:
         constraints += self._of_violations(taken, walker)
         objective = self._objective(taken)
         equations = Equations(keys, [], self.fixed)
-        is_smooth = all(VARIABLES[name].is_smooth for name in taken.names)
+        # The largest magnitude has a kink where two multipliers share it.
+        is_smooth = all(
+            VARIABLES[name].is_smooth and name != "spectral_radius"
+            for name in taken.names
+        )
         return Programme(equations, objective, constraints, self.window, is_smooth)
 
     def _taken(self, walker: Walker) -> list[str]:

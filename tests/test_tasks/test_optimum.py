@@ -3,13 +3,16 @@ has, and the derivatives that Lagrange's multipliers are.
 """
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import gaitsweep
+from gaitsweep.tasks.branches.equations import Equations
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.measures.programme import STABLE
 from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.studies.optimise_walker import optimum
 from gaitsweep.tasks.studies.pose_optimum import Box, Question, candidates
@@ -171,6 +174,9 @@ def test_the_stable_slopes_of_the_simplest_walker_end_where_the_literature_has_i
         free={"foot_mass_ratio": [1e-4, 0.1]},
     )
 
+    massless = {"foot_mass_ratio": [0.0, 0.1]}
+    lightest = solved("E", WINDOW, maximise="slope", free=massless)
+
     slope = light["optimum"]["slope"][0]
     by_mass = limits(light)["foot_mass_ratio"]
     assert slope == pytest.approx(
@@ -181,6 +187,10 @@ def test_the_stable_slopes_of_the_simplest_walker_end_where_the_literature_has_i
     assert slope - 1e-4 * by_mass == pytest.approx(
         flip,
         abs=1e-6,
+    )
+    assert lightest["optimum"]["slope"][0] == pytest.approx(
+        flip,
+        rel=1e-10,
     )
 
 
@@ -389,6 +399,8 @@ def test_a_violation_that_is_ruled_out_stays_within_its_limit():
     )
 
     assert limited["optimum"]["friction_demand"][0] <= 0.8 * demand * (1 + 1e-7)
+    # With more of it allowed the walker would be faster.
+    assert limits(limited)["friction_demand"] > 0
     assert limited["optimum"]["froude_speed"][0] < free["optimum"]["froude_speed"][0]
 
 
@@ -422,6 +434,20 @@ def test_short_gaits_are_found_where_only_those_are_wanted():
     assert np.nanmin(np.abs(ratio - 0.5)) < 1e-9
     fastest_of_all = every["optimum"]["froude_speed"][0]
     assert short["optimum"]["froude_speed"][0] < fastest_of_all
+
+
+def test_a_search_that_stops_at_a_kink_is_no_optimum_and_says_so():
+    """Where two multipliers are the largest, their size has no derivative."""
+    found = solved(
+        "B",
+        [1e-3, 0.1],
+        minimise="spectral_radius",
+        free={"R": [0.05, 0.4], "c_t": [0.05, 0.5]},
+    )
+
+    best = found["optimum"]
+    assert best["stationarity"][0] > 1e-4
+    assert "the best found, stopped before an optimum" in found["searches"]["outcome"]
 
 
 def test_where_no_gait_is_stable_the_reason_is_told():
@@ -496,3 +522,32 @@ def test_knees_have_optima_too():
         speed,
         rel=1e-12,
     )
+
+
+@pytest.mark.parametrize("walker", ["A", "B", "C", "D", "physical"])
+def test_gaits_are_stable_where_no_multiplier_has_crossed_the_circle(walker):
+    problem, every = branches(walker)
+    radii, missed = [], []
+    for branch in every:
+        at = Equations(problem).evaluate(branch.Z)
+        radii.append(np.abs(at.multipliers).max(axis=1))
+        missed.append(np.max([each.missed(at) for each in STABLE], axis=0))
+
+    radius, beyond = np.concatenate(radii), np.concatenate(missed)
+    is_clear = np.abs(radius - 1) > 1e-6
+    assert ((radius < 1) == (beyond == 0))[is_clear].all()
+    assert (beyond > 0).any()
+
+
+def test_pairs_that_leave_the_circle_are_told_apart_from_flips_and_folds():
+    """A stride map that turns by a right angle and grows, and one that shrinks."""
+    growing, shrinking = (
+        size * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+        for size in (1.1, 0.9)
+    )
+    at = SimpleNamespace(jacobians=np.array([growing, shrinking]))
+
+    outside, inside = zip(*(each.missed(at) > 0 for each in STABLE), strict=True)
+
+    assert outside == (False, False, True)
+    assert inside == (False, False, False)
