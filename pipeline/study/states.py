@@ -22,6 +22,8 @@ from gaitsweep.pipeline.study.location import Location, clip
 
 #: Most rows of a table, and MiB of a file.
 MOST_ROWS, _MOST_MIB = 1_000_000, 256
+#: By how much a shank in line with its thigh may differ from it, beside the last digits.
+_IN_LINE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,29 @@ def _states(table: Mapping[str, Sequence[Any]], convention: str) -> States:
         read = [_read(name, row, cell) for row, cell in enumerate(table[name], 1)]
         values[name] = np.array([value for value, _ in read], float)
         digits[name] = np.array([digit for _, digit in read], float)
+    if convention == "gaitsweep" and "shank_angle" in table:
+        _check_knees(table["shank_angle"], values, digits)
     return States(values, digits)
+
+
+def _check_knees(
+    cells: Sequence[Any],
+    values: Mapping[str, np.ndarray],
+    digits: Mapping[str, np.ndarray],
+) -> None:
+    """Check that shanks are in line with their thighs."""
+    stance = values["stance_angle"]
+    thighs = values.get("thigh_angle", -stance)
+    sizes = digits.get("thigh_angle", digits["stance_angle"])
+    for row, cell in enumerate(cells, 1):
+        shank, size = _read("shank_angle", row, cell)
+        thigh = thighs[row - 1]
+        if abs(shank - thigh) > _IN_LINE + size + sizes[row - 1]:
+            raise StudyError(
+                f"Row {row} has a bent knee, `shank_angle` {shank:.6g} with the thigh at"
+                f" {thigh:.6g}: `check` takes states with straight knees; `simulate`"
+                " flies others on to their heelstrike."
+            )
 
 
 def _read(name: str, row: int, cell: Any) -> tuple[float, float]:

@@ -243,6 +243,19 @@ def test_gaits_of_knees_are_checked(compass):
     assert verdicts == ["gait", "reversed"]
 
 
+def test_a_bent_knee_is_answered_in_a_line():
+    state = dict(zip(NAMES, gait_of("physical", 0.036), strict=True))
+    straight = state | {"shank_angle": -state["stance_angle"]}
+    assert judged(straight, "physical", 0.036)["verdict"] == "gait"
+    rounded = {name: np.round(value, 4) for name, value in straight.items()}
+    assert judged(rounded, "physical", 0.036)["verdict"] == "gait"
+
+    bent = straight | {"shank_angle": -state["stance_angle"] - 0.1}
+    with pytest.raises(gaitsweep.StudyError, match="Row 1 has a bent knee") as caught:
+        gaitsweep.check(bent, "physical", 0.036)
+    assert "`simulate` flies others on" in str(caught.value)
+
+
 def feet(stance, swing):
     """Hip and swing foot over the stance foot of legs of unit length, from the angles of
     both legs from the vertical, counter-clockwise; x to the right.
@@ -422,7 +435,9 @@ def test_a_gait_of_a_walker_with_another_unit_of_time_is_told():
 
 def test_a_walker_whose_unit_of_time_is_one_has_no_fault_of_units():
     state = gait_of("D", 0.009) * [1 + 1.5e-6, 1, 1]
-    assert judged([state], "D", 0.009)["verdict"] == "near"
+    row = judged([state], "D", 0.009)
+    assert row["verdict"] == "slope"  # the next rule
+    assert row["belongs_to_slope"] == pytest.approx(0.009, rel=1e-4)
 
 
 def test_what_is_half_as_large_again_is_near_to_none(compass):
