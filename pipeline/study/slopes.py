@@ -42,7 +42,7 @@ def check(
     """
     if is_slope(value) or (may_be_level and is_level(value)):
         return
-    bound = BOUND_OF_DRIVEN if may_be_level else BOUND
+    bound = BOUND_OF_DRIVEN if may_be_level and value <= 0 else BOUND
     wrong = (place or Location("", "slope")).wrong(bound, value)
     if is_slope(radians := math.radians(value)):
         wrong = StudyError(

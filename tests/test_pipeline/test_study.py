@@ -80,7 +80,7 @@ WRONG = {
         "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope): degrees? 0.73 degrees are 0.0127409 rad.",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
-        " r_s, c_s, R, eps_T, m_h, g, l, c, r, m, w (s.toml, axes).",
+        " r_s, c_s, R, eps_T, m_h, g, push_off, hip_stiffness, hip_damping, hip_rest, hip_torque, l, c, r, m, w (s.toml, axes).",
         "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C, or `toward`, another walker; got E (s.toml, axes.detuning).",
         "slope = { start = 0.1, n = 2 }": "Unknown key `start`, known: from, to, n, spacing (s.toml, axes.slope).",
         "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
