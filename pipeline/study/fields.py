@@ -17,6 +17,7 @@ from gaitsweep.pipeline.study.model import Limits
 from gaitsweep.pipeline.study.values import (
     Composite,
     Either,
+    KeyRanges,
     Levels,
     Memory,
     Names,
@@ -79,12 +80,6 @@ def groups() -> list[str]:
     return sorted({*own, SENSITIVITIES})
 
 
-def _nameable() -> list[str]:
-    """Names of the variables that a study may want."""
-    hidden = OF_TARGETS, SENSITIVITIES
-    return [v.name for v in VARIABLES.values() if v.group not in hidden]
-
-
 def axis_names() -> tuple[str, ...]:
     """Names that an axis may have."""
     keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS")
@@ -111,7 +106,7 @@ _VALUES: dict[str, Value] = {
     "accuracy": Accuracy(),
     "gaits": Names(lambda: GAITS, least=1),
     "variables": Names(
-        lambda: (*_nameable(), *groups()),
+        lambda: (*registry.nameable(), *groups()),
         least=1,
         others=lambda: extensions.names("measures"),
     ),
@@ -140,6 +135,7 @@ _VALUES: dict[str, Value] = {
     "keys": Names(_keys_of_walkers, "keys of a walker"),
     "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED)),
     "levels": Levels(),
+    "plane": KeyRanges(_keys_of_walkers),
     "limits": VIOLATION_LIMITS,
     "varied": OneOf(axis_names, "`slope`, or a key of a walker"),
     "target": Composite("table of a measure and what is varied"),

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.location import LARGEST, Location
-from gaitsweep.tasks.contract.registry import SLOPES, VARIABLES, VIOLATIONS
+from gaitsweep.tasks.contract.registry import SLOPES, VIOLATIONS, nameable
 
 #: JSON Schema, draft 2020-12.
 Schema: TypeAlias = dict[str, Any]
@@ -358,7 +358,7 @@ class Levels(Value):
         """Check values."""
         if not isinstance(value, Mapping):
             raise place.wrong(f"must be a {self.words}", value)
-        place.check_names(value, VARIABLES, "variable")
+        place.check_names(value, nameable(), "variable")
         return {
             name: self._value.read(number, place.at(name))
             for name, number in value.items()
@@ -367,7 +367,32 @@ class Levels(Value):
     @property
     def schema(self) -> Schema:
         """A table of numbers."""
-        return table(dict.fromkeys(VARIABLES, self._value.schema))
+        return table(dict.fromkeys(nameable(), self._value.schema))
+
+
+@dataclass(frozen=True)
+class KeyRanges(Value):
+    """Ranges of two keys."""
+
+    known: Known
+
+    @property
+    def words(self) -> str:
+        """Two keys with their ranges."""
+        return "table of the ranges of two keys"
+
+    def read(self, value: Any, place: Location) -> dict[str, list[float]]:
+        """Check two ranges."""
+        if not isinstance(value, Mapping) or len(value) != 2:
+            raise place.wrong(f"must be a {self.words}", value)
+        place.check_names(value, self.known(), "key")
+        return {name: Range().read(value[name], place.at(name)) for name in value}
+
+    @property
+    def schema(self) -> Schema:
+        """A table of two ranges."""
+        ranges = table(dict.fromkeys(self.known(), Range().schema))
+        return {**ranges, "minProperties": 2, "maxProperties": 2}
 
 
 @dataclass(frozen=True)
