@@ -33,7 +33,7 @@ from gaitsweep.pipeline.study import (
 )
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.contract.registry import MAX_STEPS
+from gaitsweep.tasks.contract.registry import MAX_STEPS, nameable
 
 
 @overload
@@ -362,7 +362,7 @@ def _asked(
 
     if not isinstance(at, Mapping) or len(at) != 1:
         raise Location("", "at").wrong("must be a table of one measure", at)
-    Location("", "at").check_names(at, target.measures(), "measure")
+    Location("", "at").check_names(at, nameable(), "measure")
     place = Location("", "slope")
     if slope is None and vary != "slope":
         raise place.error("`slope` is needed where a key is varied")

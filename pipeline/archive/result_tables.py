@@ -354,8 +354,10 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
-    if study.kind == "curve" and group in ("curves", "turnings") and name == "value":
-        attributes["units"] = units.axis_units(
-            str(registry.options("curve", study.options)["key"]), study.checks
-        )
+    if study.kind == "curve" and group in ("curves", "turnings"):
+        options = registry.options("curve", study.options)
+        keys = [*(options["plane"] or [options["key"]])]
+        columns = dict(zip(("value", "other_value"), keys, strict=False))
+        if name in columns:
+            attributes["units"] = units.axis_units(columns[name], study.checks)
     return attributes

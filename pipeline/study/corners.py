@@ -92,17 +92,19 @@ def notes(study: Study) -> list[str]:
 
 def _not_led(study: Study) -> list[str]:
     """Say of walkers with a way to another that none goes it."""
-    is_led = (
-        registry.options("curve", study.options)["key"] == "detuning"
-        if study.kind == "curve"
-        else False
-    )
+    is_led = "detuning" in _keys_of_curves(study) if study.kind == "curve" else False
     led = is_led or any(axis.name == "detuning" for axis in study.line_axes)
     return [
         f"`toward` is of no effect without `detuning`: the walker is {check['way']['start']}."
         for walker, check in zip(study.walkers, study.checks, strict=True)
         if "toward" in walker and "detuning" not in walker and not led
     ]
+
+
+def _keys_of_curves(study: Study) -> tuple[str, ...]:
+    """Keys over which the curves of a study are followed."""
+    options = registry.options("curve", study.options)
+    return tuple(options["plane"] or [options["key"]])
 
 
 def _fault(
@@ -136,11 +138,30 @@ def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     return True
 
 
+def _check_plane(
+    plane: dict[str, list[float]],
+    walker: Definition,
+    values: dict[str, float],
+    location: Location,
+) -> None:
+    """Check a walker at the corners of the plane over which curves are followed."""
+    for corner in itertools.product(*plane.values()):
+        own = dict(zip(plane, corner, strict=True))
+        try:
+            dispatch.call("check_walker", {"walker": walker, "set": {**values, **own}})
+        except ValueError as error:
+            where = ", ".join(f"{key} = {value!r}" for key, value in own.items())
+            raise location.error(f"{where} leave no walker: {error}") from error
+
+
 def _check_curve(
     study: Study, walker: Definition, values: dict[str, float], location: Location
 ) -> None:
     """Check a walker at both ends of the range over which curves are continued."""
     options = registry.options("curve", study.options)
+    if options["plane"]:
+        _check_plane(options["plane"], walker, values, location.at("plane"))
+        return
     for end in ("from", "to"):
         try:
             dispatch.call(

@@ -18,6 +18,7 @@ from gaitsweep.pipeline.study.values import (
     Composite,
     Either,
     Flag,
+    KeyRanges,
     Memory,
     Names,
     Number,
@@ -42,6 +43,7 @@ from gaitsweep.tasks.contract.registry import (
     SENSITIVITIES,
     VARIABLES,
     VIOLATIONS,
+    nameable,
 )
 
 #: Largest axis; anything above is taken for a mistake.
@@ -82,12 +84,6 @@ def groups() -> list[str]:
     return sorted({*own, SENSITIVITIES})
 
 
-def _nameable() -> list[str]:
-    """Names of the variables that a study may want."""
-    hidden = OF_TARGETS, SENSITIVITIES
-    return [v.name for v in VARIABLES.values() if v.group not in hidden]
-
-
 def axis_names() -> tuple[str, ...]:
     """Names that an axis may have."""
     keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS")
@@ -119,7 +115,7 @@ _VALUES: dict[str, Value] = {
     "accuracy": Accuracy(),
     "gaits": Names(lambda: GAITS, least=1),
     "variables": Names(
-        lambda: (*_nameable(), *groups()),
+        lambda: (*registry.nameable(), *groups()),
         least=1,
         others=lambda: extensions.names("measures"),
     ),
@@ -147,13 +143,14 @@ _VALUES: dict[str, Value] = {
     "key": OneOf(_keys_of_walkers, "a key of a walker"),
     "keys": Names(_keys_of_walkers, "keys of a walker"),
     "kinds": Names(lambda: FOLLOWED, ", ".join(FOLLOWED)),
-    "levels": Table(lambda: VARIABLES, Number(), ("values", "variable")),
+    "levels": Table(nameable, Number(), ("values", "variable")),
     "flag": Flag(),
     "objective": OneOf(_objectives, "a variable, `slope` or a free key"),
     "ranges of keys": Table(_keys_of_walkers, Range(), ("ranges", "key")),
-    "ranges": Table(lambda: VARIABLES, Range(or_equal=True), ("ranges", "variable")),
-    "values": Table(lambda: VARIABLES, Numbers(), ("values", "variable")),
+    "ranges": Table(nameable, Range(or_equal=True), ("ranges", "variable")),
+    "values": Table(nameable, Numbers(), ("values", "variable")),
     "violations": Names(lambda: (*VIOLATIONS, "all"), "names of violations, or `all`"),
+    "plane": KeyRanges(_keys_of_walkers),
     "limits": VIOLATION_LIMITS,
     "varied": OneOf(axis_names, "`slope`, or a key of a walker"),
     "target": Composite("table of a measure and what is varied"),

@@ -93,6 +93,23 @@ def _curves_have_a_range(study: Study, top: Location) -> Iterator[StudyError]:
             yield top.at("options", "from").wrong(bound, options["from"])
 
 
+def _planes_have_their_own_keys(study: Study, top: Location) -> Iterator[StudyError]:
+    """Curves over a plane vary its keys, and nothing else sets them."""
+    plane = study.options.get("plane", {})
+    if not plane:
+        return
+    for name in ("key", "from", "to"):
+        if name in study.options:
+            yield top.at("options", name).error(
+                f"`{name}` is of curves over the slope and a key, and `plane` is set"
+            )
+    for axis in study.line_axes:
+        if axis.name in plane:
+            yield top.at("axes", axis.name).error(
+                f"`{axis.name}` is a key of `plane`, and can be no axis"
+            )
+
+
 def _curves_are_of_something(study: Study, top: Location) -> Iterator[StudyError]:
     """Curves are of special points or of levels."""
     if study.kind == "curve":
@@ -195,7 +212,8 @@ def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyEr
 def _a_window_has_two_ends(study: Study, top: Location) -> Iterator[StudyError]:
     """Slopes that are a window are two at least."""
     slopes = study.slope
-    if study.kind in registry.WINDOWED and slopes.min() == slopes.max():
+    is_window = study.kind in registry.WINDOWED and "plane" not in study.options
+    if is_window and slopes.min() == slopes.max():
         yield top.at("axes", "slope").error(
             f"The slopes of a `{study.kind}` are a window: give at least two; got {slopes[0]:g}"
         )
@@ -261,6 +279,7 @@ RULES: tuple[Rule, ...] = (
     _what_is_wanted_has_its_kind,
     _adaptive_slopes_follow_branches,
     _curves_have_a_range,
+    _planes_have_their_own_keys,
     _curves_are_of_something,
     _optima_are_of_something,
     _optima_are_not_fixed,

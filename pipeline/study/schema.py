@@ -17,7 +17,6 @@ from gaitsweep.pipeline import dispatch
 from gaitsweep.pipeline.study import fields
 from gaitsweep.pipeline.study.fields import Field
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.target import measures
 from gaitsweep.pipeline.study.values import Number, Schema, Slope, one_of, table
 from gaitsweep.tasks.contract.registry import (
     CLAIMS,
@@ -26,6 +25,7 @@ from gaitsweep.tasks.contract.registry import (
     NEEDED_KINDS,
     OVER_LINES,
     VARIABLES,
+    nameable,
 )
 
 #: What a study may want beside variables.
@@ -73,7 +73,7 @@ def _study() -> Schema:
         "at": _at(),
         "axes": table(
             {name: _axis(name) for name in fields.axis_names()}
-            | {name: _of_measure(name, "array", "object") for name in measures()}
+            | {name: _of_measure(name, "array", "object") for name in nameable()}
         ),
         "want": _table(fields.WANT),
         "limits": _table(fields.LIMITS),
@@ -99,7 +99,7 @@ def _at() -> Schema:
     """A measure, with a value or the values of an axis, and what is varied."""
     own = {name: _described(field) for name, field in fields.AT.items()}
     types = "number", "array", "object"
-    return table({**own, **{name: _of_measure(name, *types) for name in measures()}})
+    return table({**own, **{name: _of_measure(name, *types) for name in nameable()}})
 
 
 def _of_measure(name: str, *types: str) -> Schema:

@@ -6,13 +6,13 @@ from typing import Any
 
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.errors import NoGaitError
-from gaitsweep.pipeline.study import files, slopes, target
+from gaitsweep.pipeline.study import files, slopes
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.files import Reader
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Definition
 from gaitsweep.pipeline.study.parse import accuracy
-from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS
+from gaitsweep.tasks.contract.registry import GAITS, MAX_STEPS, nameable
 
 
 def solve(
@@ -109,7 +109,7 @@ def solve_at(
     if len(at) != 1:
         raise Location("", "at").wrong("must name one measure", ", ".join(at))
     ((measure, value),) = at.items()
-    Location("", "at").check_names([measure], target.measures(), "measure")
+    Location("", "at").check_names([measure], nameable(), "measure")
     params: dict[str, Any] = {
         "measure": measure,
         "value": Location("", measure).number(value),

@@ -8,7 +8,7 @@ from typing import Any
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.fields import AT, value_of
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.tasks.contract.registry import OF_TARGETS, SENSITIVITIES, VARIABLES
+from gaitsweep.tasks.contract.registry import VARIABLES, nameable
 
 
 def read(
@@ -41,7 +41,7 @@ def read(
     value, place = table["at"], top.at("at")
     if not isinstance(value, Mapping):
         raise place.wrong("must be a table", value)
-    place.check_names(value, (*AT, *measures()), "measure")
+    place.check_names(value, (*AT, *nameable()), "measure")
 
     given = axes if isinstance(axes, dict) else {}
     measure, is_axis = _measure(value, given, place)
@@ -78,9 +78,3 @@ def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:
         for end in between:
             slopes.check(end, place.at("between"))
     return {"vary": vary, "between": between}
-
-
-def measures() -> list[str]:
-    """Return the names of variables of which a value may be sought."""
-    hidden = OF_TARGETS, SENSITIVITIES
-    return [v.name for v in VARIABLES.values() if v.group not in hidden]

@@ -433,6 +433,31 @@ class Table(Value):
 
 
 @dataclass(frozen=True)
+class KeyRanges(Value):
+    """Ranges of two keys."""
+
+    known: Known
+
+    @property
+    def words(self) -> str:
+        """Two keys with their ranges."""
+        return "table of the ranges of two keys"
+
+    def read(self, value: Any, place: Location) -> dict[str, list[float]]:
+        """Check two ranges."""
+        if not isinstance(value, Mapping) or len(value) != 2:
+            raise place.wrong(f"must be a {self.words}", value)
+        place.check_names(value, self.known(), "key")
+        return {name: Range().read(value[name], place.at(name)) for name in value}
+
+    @property
+    def schema(self) -> Schema:
+        """A table of two ranges."""
+        ranges = table(dict.fromkeys(self.known(), Range().schema))
+        return {**ranges, "minProperties": 2, "maxProperties": 2}
+
+
+@dataclass(frozen=True)
 class Composite(Value):
     """A walker, or a table with fields of its own, which others read."""
 

@@ -32,6 +32,7 @@ from gaitsweep.tasks.contract.variables import Variable as Variable
 from gaitsweep.tasks.contract.variables import admit as admit
 from gaitsweep.tasks.contract.variables import derivatives as derivatives
 from gaitsweep.tasks.contract.variables import is_measure as is_measure
+from gaitsweep.tasks.contract.variables import nameable as nameable
 
 #: Slopes that can be asked for [rad], the first included: branches are followed down to
 #: it.

@@ -165,6 +165,12 @@ def derivatives(names: Iterable[str]) -> tuple[str, ...]:
     )
 
 
+def nameable() -> list[str]:
+    """Return the names of the variables that a study may name one by one."""
+    hidden = OF_TARGETS, SENSITIVITIES
+    return [v.name for v in VARIABLES.values() if v.group not in hidden]
+
+
 def is_measure(name: str) -> bool:
     """Whether a variable is a number of a gait, and not of its solve."""
     about = VARIABLES[name]

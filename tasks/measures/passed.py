@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.equations import Equations, solve
+from gaitsweep.tasks.branches.equations import Equations, correct_on_curve, solve
 from gaitsweep.tasks.branches.pseudo_arclength import Point
-from gaitsweep.tasks.branches.root import hermite
+from gaitsweep.tasks.branches.root import bracketed_root, hermite
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures.levels import level, measure_at
 from gaitsweep.tasks.mechanics.arrays import Coordinates
@@ -108,7 +108,8 @@ class Sampled:
     def of(cls, curve: Curve, measure: str) -> Sampled:
         """Sample a measure along a curve, its extremes among the samples."""
         last = curve.nodes - 1
-        sampled = cls._at(curve, measure, np.linspace(0.0, last, _PARTS * last + 1))
+        place = np.linspace(0.0, last, _PARTS * last + 1)
+        sampled = cls._at(curve, measure, place)
         for _ in range(_REFINED):
             vertices = np.setdiff1d(sampled._vertices(), sampled.place)
             if len(vertices):
@@ -120,7 +121,8 @@ class Sampled:
         X = curve.at(place)
         evaluated = curve.equations.evaluate(X)
         is_long = gait_ratio(evaluated.stride.one) < LONG_BELOW
-        return cls(curve, measure, place, measure_at(measure, evaluated), is_long, X)
+        values = measure_at(measure, evaluated)
+        return cls(curve, measure, place, values, is_long, X)
 
     def _with(self, other: Sampled) -> Sampled:
         """The samples of both."""
@@ -218,20 +220,57 @@ class Sampled:
         if not len(value):
             return Passed(value, np.empty(0), self.X[:, :0])
 
+        place, X, ok = self._solved(k, wanted[value])
+        for lane in np.flatnonzero(~ok).tolist():
+            located = self._locate(k[lane], wanted[value[lane]])
+            X[:, lane] = located
+            ok[lane] = np.isfinite(located).all()
+        ok &= ~_are_twins(value, X, ok)
+        return Passed(value[ok], place[ok], X[:, ok])
+
+    def _solved(
+        self, k: np.ndarray, wanted: np.ndarray
+    ) -> tuple[np.ndarray, Coordinates, np.ndarray]:
+        """About where gaits with values (n,) lie between samples and those that follow
+        them, the gaits (u, n), and which are solved.
+        """
         chord = self.X[:, k + 1] - self.X[:, k]
         length = norm(chord)
         rise = self.values[k + 1] - self.values[k]
-        share = (wanted[value] - self.values[k]) / rise
-        place = self.place[k] + share * np.diff(self.place)[k]
+        share = (wanted - self.values[k]) / rise
+        step = self.place[k + 1] - self.place[k]
+        place = self.place[k] + share * step
 
-        condition = level(self.measure, wanted[value])
+        condition = level(self.measure, wanted)
         equations = self.curve.equations.having([condition])
         secant = chord * (rise / length**2)
         X, ok = _solve(equations, self.curve.at(place), secant)
-
         ok &= self._is_between(k, X, _NEAR * length)
-        ok &= ~_are_twins(value, X, ok)
-        return Passed(value[ok], place[ok], X[:, ok])
+        return place, X, ok
+
+    def _locate(self, k: int, wanted: float) -> np.ndarray:
+        """The gait (u,) with a value between a sample and the next, by bisection and
+        interpolation along the curve; NaN where corrected gaits do not bracket it.
+
+        Where a measure changes much more across a curve than along it, Newton's method
+        fails.
+        """
+        chord = self.X[:, [k + 1]] - self.X[:, [k]]
+
+        def corrected(place: float) -> Coordinates:
+            guess = self.curve.at(np.array([place]))
+            point = correct_on_curve(self.curve.equations, guess, chord)
+            return np.where(point.ok, point.Z, np.nan)
+
+        def off(place: float) -> float:
+            at = self.curve.equations.evaluate(corrected(place))
+            return float(measure_at(self.measure, at)[0]) - wanted
+
+        try:
+            place = bracketed_root(off, self.place[k], self.place[k + 1])
+        except ValueError:
+            return np.full(len(chord), np.nan)
+        return corrected(place)[:, 0]
 
     def _is_between(
         self, k: np.ndarray, X: Coordinates, within: np.ndarray
@@ -260,15 +299,10 @@ def _solve(
     """Solve by Newton's method, along curves by the secant method. Returns the gaits
     (u, n), and which are solved.
 
-    Beside extremes of the measure the secant method may fail, or comes slowly nearer:
-    gaits are solved with all derivatives then, or go on from where they are.
+    Beside extremes of the measure the secant method comes slowly nearer: gaits go on
+    from where they are.
     """
     found = solve(equations, guess, secant)
-    lost = np.flatnonzero(~found.ok)
-    if len(lost):
-        again = solve(_of_lanes(equations, lost), guess[:, lost])
-        _replace(found, lost, again)
-
     for _ in range(_AGAIN):
         far = np.flatnonzero(found.ok & (found.last_step > _LAST_STEP))
         if not len(far):
@@ -298,8 +332,9 @@ def _of_lanes(equations: Equations, lanes: np.ndarray) -> Equations:
 
 def _are_twins(value: np.ndarray, X: Coordinates, ok: np.ndarray) -> np.ndarray:
     """Which gaits (n,) of a value are one that comes before them along the curve."""
+    follows = value[1:] == value[:-1]
+    follows &= ok[1:] & ok[:-1]
     twins = np.zeros(len(value), bool)
-    follows = (value[1:] == value[:-1]) & ok[1:] & ok[:-1]
     twins[1:] = follows & same(X[:, 1:], X[:, :-1], SAME_GAIT)
     return twins
 
@@ -323,5 +358,6 @@ class Passed:
 
     def within(self, low: float, high: float) -> Passed:
         """Return those whose last unknown lies in a range."""
-        some = (self.X[-1] >= low) & (self.X[-1] <= high)
+        varied = self.X[-1]
+        some = (varied >= low) & (varied <= high)
         return Passed(self.value[some], self.place[some], self.X[:, some])

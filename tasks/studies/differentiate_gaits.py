@@ -27,8 +27,9 @@ from gaitsweep.tasks.walkers.resolve import (
     walkers_over,
 )
 from gaitsweep.tasks.walkers.walker import (
+    DIFFERENTIATED,
     KEYS,
-    NUMBERS,
+    OF_DRIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -132,12 +133,13 @@ def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
 
 def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
     """The keys wanted: all that hold numbers, of one link its own."""
-    of_links = list(NUMBERS)
+    of_links = list(DIFFERENTIATED[1:])
     if is_one_link(line["walker"]):
         of_links = [*ONE_LINK, *_COMMON]
     if wanted is None:
         return of_links
-    known = (*KEYS, *ONE_LINK, *_DERIVED)
+    own = [key for key in KEYS if key not in OF_DRIVE]
+    known = (*own, *ONE_LINK, *_DERIVED)
     for key in wanted:
         if key not in known:
             raise WalkerError("keys", key, f"must be of {', '.join(known)}")

@@ -35,6 +35,7 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.levels import level, measures
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
 from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
@@ -62,7 +63,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         it has such points, else at an end of the range, the nearer first; `slope`,
         ndarray [rad], whose ends are the window; and the study's options: `key` (a
         walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
-        walker's units, `kinds` of points, and `levels`, measures with their values.
+        walker's units, or `plane`, the ranges of two keys, `kinds` of points, and `levels`, measures with their values.
     inputs : list
         The line's atlas.
 
@@ -71,7 +72,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate,
         thigh_rate, shank_rate, period, error_bound, walks, and at its ends `stopped`:
-        why it was followed no further) and `turnings` (turning points of key or slope
+        why it was followed no further; over a `plane` at fixed slopes also `other_key`
+        and `other_value`) and `turnings` (turning points of key or slope
         along a curve: curve, kind, turn, and from slope to error_bound the same), in
         the walker's units.
 
@@ -81,11 +83,14 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         If the walker has no such key or measure, or the range is empty.
     """
     line, options = params["line"], registry.options("curve", params)
+    slope = np.asarray(params["slope"], float)
+    conditions = _conditions(options, walker_of_line(line))
+    if options["plane"]:
+        return curves_over_keys(line, slope, options["plane"], conditions)
+
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
-    slope = np.asarray(params["slope"], float)
     window = _Window((slope.min(), slope.max()), keys)
-    conditions = _conditions(options, walker_of_line(line))
     tables = _Tables([], [])
     value = value_of_key(line, key)
     for begin in _beginnings(value, keys):

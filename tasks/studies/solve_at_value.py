@@ -13,12 +13,7 @@ import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.curves import (
-    across_last,
-    at_value,
-    follow_both_directions,
-)
-from gaitsweep.tasks.branches.equations import Equations, Keys, correct_on_curve
+from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.branches.locate import settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract import status
@@ -38,7 +33,7 @@ from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
 from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
 from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
-from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.gaits_over_key import gaits_over_key
 from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
 from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
 from gaitsweep.tasks.studies.solve_points import survey
@@ -54,9 +49,6 @@ from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 SLOPE = "slope"
 #: Window of slopes that is searched by default [rad].
 _WINDOW = (1e-6, SLOPES[1])
-#: Shares of a key's range at which gaits are searched for, from which curves over it
-#: begin.
-_SURVEYED = (0.03, 0.25, 0.5, 0.75, 0.97)
 #: Relative change of a measure over a key that is rounding.
 _UNCHANGED = 1e-10
 
@@ -375,7 +367,7 @@ def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Fou
     walker_at = walkers_over(line, target.vary)
     keys = Keys.of_one(target.vary, walker_at, target.low, target.high)
     gaits = Equations(keys, [], float(line["slope"]))
-    curves = [Curve.of_points(gaits, *each) for each in _gaits_over_key(gaits)]
+    curves = [Curve.of_points(gaits, *each) for each in gaits_over_key(gaits)]
     samples = [Sampled.of(curve, target.measure) for curve in curves]
     log = [f"{len(samples)} curves of gaits over `{target.vary}` searched"]
     groups: list[Passed] = []
@@ -474,41 +466,3 @@ def _records(
         key = {target.vary: float(found.varied[lane])} if is_of_key else {}
         walker = walker_of_line({**line, "set": {**line["set"], **key}})
         yield key | record(label, float(found.slope[lane]), values, walker)
-
-
-def _gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Curves of gaits at a fixed slope over the range of a key: points (p, u) and
-    tangents.
-
-    They begin at the gaits of some walkers in the range, and each is followed once.
-    """
-    assert gaits.keys is not None and gaits.log_slope is not None
-    (scale,), (low,), (high,) = gaits.keys.scale, gaits.keys.low, gaits.keys.high
-    window = np.array([[low / scale, high / scale]])
-    across = across_last(gaits.size)
-    followed: list[np.ndarray] = []
-    for share in _SURVEYED:
-        value = low + share * (high - low)
-        for Z in _gaits_at(gaits.keys.walker_at(value), gaits.log_slope):
-            guess = np.append(Z[:-1], value / scale)[:, None]
-            first = correct_on_curve(gaits, guess, across)
-            if not first.ok[0] or _is_on(gaits, followed, first.Z[:, 0]):
-                continue
-            points, tangents, _ = follow_both_directions(gaits, first, window)
-            followed.append(points)
-            yield points, tangents
-
-
-def _gaits_at(walker: Walker, log_slope: float) -> Iterator[np.ndarray]:
-    """Gaits Z (c,) of a walker at a ln slope, by the polynomials of its branches."""
-    problem = Problem(walker)
-    (branches,) = survey([walker], problem.structure, COARSE)
-    for branch in branches:
-        for _, Z, _ in branch.guesses(np.array([log_slope])):
-            yield Z[:, 0]
-
-
-def _is_on(gaits: Equations, curves: list[np.ndarray], X: np.ndarray) -> bool:
-    """Whether a gait (u,) lies on one of some curves (p, u)."""
-    passed = [Y for points in curves for Y in at_value(gaits, points, X[-1])]
-    return any(same(X, Y, SAME_POINT) for Y in passed)

@@ -26,16 +26,16 @@ _ALL = {key: about for table in _TABLES.values() for key, about in table.items()
 MEANINGS = {key: about["meaning"] for key, about in _ALL.items()}
 #: Keys that hold a number.
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
-#: What gaits are differentiated by: the slope, and keys that hold a number.
-DIFFERENTIATED = ("slope", *NUMBERS)
+#: Keys by which a walker is driven or braked, 0 in passive ones.
+OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
+OF_DRIVE = ("push_off", *OF_HIP, "hip_rest")
+#: What gaits are differentiated by: the slope, and the numbers of passive walkers.
+DIFFERENTIATED = ("slope", *(key for key in NUMBERS if key not in OF_DRIVE))
 #: Least and largest value of each number by itself.
 BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))
     for k in (*NUMBERS, *ONE_LINK)
 }
-#: Keys by which a walker is driven or braked, 0 in passive ones.
-OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
-OF_DRIVE = ("push_off", *OF_HIP, "hip_rest")
 #: What the knee of the leg that leaves the ground may do during heelstrike; the first
 #: is the paper's rule.
 TRAILING_KNEES = "free", "locked"

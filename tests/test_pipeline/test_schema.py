@@ -73,6 +73,8 @@ KEYWORDS = {
     ),
     "minLength": lambda v, n, _: not isinstance(v, str) or len(v) >= n,
     "minItems": lambda v, n, _: not isinstance(v, list) or len(v) >= n,
+    "minProperties": lambda v, n, _: not isinstance(v, dict) or len(v) >= n,
+    "maxProperties": lambda v, n, _: not isinstance(v, dict) or len(v) <= n,
     "maxItems": lambda v, n, _: not isinstance(v, list) or len(v) <= n,
     "items": lambda v, inner, _: (
         not isinstance(v, list) or all(is_valid(each, inner) for each in v)
@@ -242,6 +244,22 @@ MORE = [
             "free": {"R": [0.0, 0.2]},
             "violation_limits": {"friction": 0.5},
         },
+    },
+    {
+        **_E,
+        "kind": "curve",
+        "axes": {"slope": [0.01]},
+        "options": {"plane": {"R": [0.0, 0.2], "m_h": [0.1, 0.2]}},
+    },
+    {
+        **_E,
+        "at": {"speed": [0.1, 0.2], "vary": "slope", "between": [0.001, 0.1]},
+        "axes": {"R": [0.0, 0.2]},
+    },
+    {
+        **_E,
+        "at": {"vary": "R"},
+        "axes": {"speed": {"from": 0.1, "to": 0.2, "n": 3}, "slope": [0.01]},
     },
     {
         **_E,

@@ -157,7 +157,7 @@ def _draw_family(
 
 def curves(source: Source, table: pd.DataFrame) -> Sketch:
     """Plot the curves of folds, flips or ends over the slope and the key that varies,
-    with their turning points.
+    with their turning points, or over two keys.
     """
     sketch = Sketch("curves", 330)
     (axes,) = sketch.panels
@@ -181,7 +181,22 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         kinds=", ".join(kinds),
         key=key,
         value=with_unit(symbol(key), unit),
+        **_abscissa(table),
     )
+
+
+def _abscissa(table: pd.DataFrame) -> dict[str, str]:
+    """What curves lie over beside the key: the slope, or another key at fixed slopes."""
+    if "other_key" not in table:
+        return {"x": "slope γ (rad)", "over": "slope"}
+    key = str(table["other_key"].iloc[0])
+    unit = print_units(table.attrs.get("units", {}).get("other_value", ""))
+    slopes = sorted(set(table["slope"].tolist()))
+    shown = ", ".join(plain(slope) for slope in slopes)
+    return {
+        "x": with_unit(symbol(key), unit),
+        "over": f"{key} at slope {shown} rad",
+    }
 
 
 def _draw_curve(
@@ -197,19 +212,28 @@ def _draw_curve(
     """
     (axes,) = sketch.panels
     kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
-    axes.plot(curve["slope"], curve["value"], color=kinds[kind], lw=1.5)
+    x = "other_value" if "other_value" in curve else "slope"
+    axes.plot(curve[x], curve["value"], color=kinds[kind], lw=1.5)
 
     words = line.label, f"{spaced(kind)}, curve {number}"
-    others = {name: value for name, value in line.at.items() if name != key}
-    base = source.command(others)
-    commands = [
-        f"{base} --set {key}={value!r} --slope {slope!r}"
-        for slope, value in curve[["slope", "value"]].to_numpy(float).tolist()
-    ]
+    keys = {key: "value"}
+    if x == "other_value":
+        keys[str(curve["other_key"].iloc[0])] = x
+    others = {name: value for name, value in line.at.items() if name not in keys}
+    commands = _commands(source.command(others), curve, keys)
     rows = curve.assign(command=commands)
-    tips = {"slope": "γ (rad)", "value": key}
+    tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
     label = ", ".join(filter(None, words))
-    sketch.mark(axes, rows, label, tips=tips, y="value")
+    sketch.mark(axes, rows, label, tips=tips, x=x, y="value")
+
+
+def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]:
+    """The command that solves each point of a curve, whose keys are in some columns."""
+    commands = []
+    for row in curve.to_dict("records"):
+        sets = "".join(f" --set {name}={row[of]!r}" for name, of in keys.items())
+        commands.append(f"{base}{sets} --slope {row['slope']!r}")
+    return commands
 
 
 def _several(kind: str) -> str:

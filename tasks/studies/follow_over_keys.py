@@ -1,0 +1,287 @@
+"""Curves over two keys of the walker at fixed slopes: folds, flips and ends, and gaits at
+which a measure has a value.
+
+Gaits at the slope are followed over either key at some values of the other. Where a
+condition is passed along one of these, a curve of it begins, and is followed in both
+directions to the borders of the plane, or until it closes.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.curves import follow_both_directions, walks
+from gaitsweep.tasks.branches.equations import (
+    Equations,
+    Keys,
+    correct_on_curve,
+    slope_error,
+)
+from gaitsweep.tasks.branches.special_points import RATES
+from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.measures.passed import Curve
+from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.gaits_over_key import (
+    SURVEYED,
+    gaits_over_key,
+    survey_together,
+)
+from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import Walker
+
+#: Why a line has no curve.
+_NO_START = (
+    "No point to start a curve from was found along gaits over either key, at five "
+    "values of the other."
+)
+#: Samples of a condition between two nodes of a curve of gaits.
+_PARTS = 4
+#: Share of a segment by which the point beside another may lie beyond its nodes.
+_AT_NODE = 0.05
+#: How far a point may lie from the samples that bracket it, over their distance.
+_NEAR = 3.0
+_COLUMNS = (
+    "curve",
+    "kind",
+    "slope",
+    "key",
+    "value",
+    "other_key",
+    "other_value",
+    "stance_angle",
+    *RATES,
+    "period",
+    "error_bound",
+    "walks",
+    "stopped",
+)
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """Two keys of a line's walker with their ranges, at a slope.
+
+    Attributes
+    ----------
+    line : mapping
+    names : pair of str
+    low, high : pair of float
+    slope : float [rad]
+    """
+
+    line: Mapping[str, Any]
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    slope: float
+
+    def walker_at(self, *values: float) -> Walker:
+        """The walker at values of both keys."""
+        own = dict(zip(self.names, values, strict=True))
+        return resolve(self.line["walker"], {**(self.line.get("set") or {}), **own})
+
+    @cached_property
+    def keys(self) -> Keys:
+        """Both keys as unknowns."""
+        one_by_one = [self.along(number, 0.5).keys for number in (0, 1)]
+        ordinary = [keys.ordinary[0] for keys in one_by_one if keys]
+        return Keys(self.names, self.walker_at, self.low, self.high, tuple(ordinary))
+
+    def value(self, number: int, share: float) -> float:
+        """Value of a key at a share of its range."""
+        return self.low[number] + share * (self.high[number] - self.low[number])
+
+    def along(self, number: int, share: float) -> Equations:
+        """Equations of gaits over one key, the other at a share of its range."""
+        fixed = self.value(1 - number, share)
+
+        def walker_at(value: float) -> Walker:
+            values = (value, fixed) if number == 0 else (fixed, value)
+            return self.walker_at(*values)
+
+        ends = self.low[number], self.high[number]
+        keys = Keys.of_one(self.names[number], walker_at, *ends)
+        return Equations(keys, [], self.slope)
+
+    @cached_property
+    def window(self) -> np.ndarray:
+        """Least and largest unknowns of the keys, shape (2, 2)."""
+        ends = np.array([self.low, self.high]).T
+        return np.asarray(ends / self.keys.scale[:, None])
+
+    def curves(self) -> Iterator[tuple[int, float, Curve]]:
+        """Yield the curves of gaits over each key: its number, the unknown of the other
+        key, and the curve.
+        """
+        surveyed = itertools.product(SURVEYED, SURVEYED)
+        ends = [(self.value(0, a), self.value(1, b)) for a, b in surveyed]
+        survey_together([self.walker_at(*each) for each in ends])
+        for number in (0, 1):
+            scale = self.keys.scale[1 - number]
+            for share in SURVEYED:
+                gaits = self.along(number, share)
+                fixed = self.value(1 - number, share) / scale
+                for points, tangents in gaits_over_key(gaits):
+                    yield number, fixed, Curve.of_points(gaits, points, tangents)
+
+
+def curves_over_keys(
+    line: Mapping[str, Any],
+    slopes: np.ndarray,
+    ranges: Mapping[str, Sequence[float]],
+    conditions: Mapping[str, Condition],
+) -> Arrays:
+    """Follow curves over two keys at fixed slopes.
+
+    Parameters
+    ----------
+    line : mapping
+    slopes : ndarray, shape (n,) [rad]
+    ranges : mapping
+        Least and largest value of both keys [the walker's units].
+    conditions : mapping
+        What curves fulfil, by what the table calls them.
+
+    Returns
+    -------
+    dict
+        The table `curves`, as `tasks.studies.follow_curves:curve` has it, with
+        `other_key` and `other_value` of the second key.
+
+    Raises
+    ------
+    WalkerError
+        If the walker has no such keys.
+    """
+    low, high = zip(*ranges.values(), strict=True)
+    rows: list[tuple[Any, ...]] = []
+    for slope in slopes.tolist():
+        plane = _Plane(line, tuple(ranges), low, high, slope)
+        along = list(plane.curves())
+        for kind, condition in conditions.items():
+            for curve in _followed(plane, condition, along):
+                number = len({row[0] for row in rows})
+                rows += _rows(number, kind, plane, *curve)
+
+    found = table("curves", rows, _COLUMNS)
+    return found if rows else found | nothing(_NO_START)
+
+
+def _followed(
+    plane: _Plane,
+    condition: Condition,
+    along: Sequence[tuple[int, float, Curve]],
+) -> Iterator[tuple[Equations, np.ndarray, tuple[str, str]]]:
+    """Curves of a condition, each once: its equations, points (p, u), and why it was
+    followed no further at both ends.
+    """
+    equations = Equations(plane.keys, [condition], plane.slope)
+    followed: list[np.ndarray] = []
+    for guess, fixed, length in _starts(condition, along):
+        border = np.eye(len(guess))[:, [fixed]]
+        first = correct_on_curve(equations, guess[:, None], border)
+        is_near = norm(first.Z - guess[:, None])[0] < _NEAR * length
+        if not first.ok[0] or not is_near:
+            continue
+        if any(_is_on(equations, points, first.Z[:, 0]) for points in followed):
+            continue
+        if not _is_genuine(condition, first.at.gait.jacobians[0]):
+            continue
+        points, _, stopped = follow_both_directions(equations, first, plane.window)
+        followed.append(points)
+        yield equations, points, stopped
+
+
+def _is_on(equations: Equations, points: np.ndarray, X: np.ndarray) -> bool:
+    """Whether a point (u,) lies on a curve (p, u): the curve's own point beside it,
+    between its nearest node and a neighbour, is the same.
+    """
+    nearest = int(np.linalg.norm(points - X, axis=1).argmin())
+    for k in (nearest - 1, nearest):
+        if not 0 <= k < len(points) - 1:
+            continue
+        chord = points[k + 1] - points[k]
+        share = float((X - points[k]) @ chord / (chord @ chord))
+        if not -_AT_NODE <= share <= 1 + _AT_NODE:
+            continue
+        guess = points[k] + share * chord
+        beside = correct_on_curve(equations, guess[:, None], chord[:, None])
+        if beside.ok[0] and same(beside.Z[:, 0], X, SAME_POINT):
+            return True
+    return False
+
+
+def _is_genuine(condition: Condition, jacobian: np.ndarray) -> bool:
+    """Whether a point is of its kind."""
+    if not np.isfinite(jacobian).all():
+        return not condition.is_genuine
+    return condition.is_genuine is None or condition.is_genuine(
+        np.linalg.eigvals(jacobian)
+    )
+
+
+def _starts(
+    condition: Condition, along: Sequence[tuple[int, float, Curve]]
+) -> Iterator[tuple[np.ndarray, int, float]]:
+    """Points (u,) at which gaits over a key pass a condition, the number of the other
+    key among the unknowns, and the distance of the samples that bracket them.
+    """
+    for number, fixed, curve in along:
+        last = curve.nodes - 1
+        X = curve.at(np.linspace(0.0, last, _PARTS * last + 1))
+        off = condition.residual(curve.equations.evaluate(X))
+        passed = np.flatnonzero(off[1:] * off[:-1] < 0)
+        for k in passed.tolist():
+            share = off[k] / (off[k] - off[k + 1])
+            chord = X[:, k + 1] - X[:, k]
+            there = X[:, k] + share * chord
+            keys = [there[-1], fixed] if number == 0 else [fixed, there[-1]]
+            length = float(norm(chord[:, None])[0])
+            yield np.append(there[:-1], keys), -1 - number, length
+
+
+def _rows(
+    number: int,
+    kind: str,
+    plane: _Plane,
+    equations: Equations,
+    points: np.ndarray,
+    stopped: tuple[str, str],
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of a curve's points (p, u)."""
+    reasons = [""] * len(points)
+    reasons[0] = stopped[0]
+    reasons[-1] = stopped[1]
+    for X, reason in zip(points, reasons, strict=True):
+        is_step = int(walks(equations, X))
+        yield (number, kind, *_place(plane, equations, X), is_step, reason)
+
+
+def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:
+    """Slope, both keys with their values, state at the start of the step and period of
+    a point, in the walker's units, and a bound on the relative error of the slope.
+    """
+    value, other = plane.keys.values(X[-2:, None])[:, 0].tolist()
+    time_unit = plane.walker_at(value, other).time_unit
+    problem = equations.problem_at(X[:, None]).alone(0)
+    Z, _ = equations.split(X[:, None])
+
+    y, scale = problem.section(Z[:-1])
+    state = problem.start(y * scale, np.array([plane.slope]))[:, 0]
+    angle, *rates = state.tolist()
+    rates = [rate / time_unit for rate in rates]
+    period = float(Z[-2, 0]) * time_unit
+
+    (condition,) = equations.conditions
+    error = slope_error(problem, condition, Z[:, 0]) + 8 * EPS
+    keys = plane.names[0], value, plane.names[1], other
+    return (plane.slope, *keys, angle, *rates, period, error)

@@ -1,0 +1,87 @@
+"""Gaits at a fixed slope as curves over a key of the walker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from gaitsweep.tasks.branches.curves import (
+    across_last,
+    at_value,
+    follow_both_directions,
+)
+from gaitsweep.tasks.branches.equations import Equations, correct_on_curve
+from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.mechanics.lumped import alike
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.solve_points import survey
+from gaitsweep.tasks.walkers.walker import Walker
+
+#: Shares of a key's range at which gaits are searched for, from which curves over it
+#: begin.
+SURVEYED = (0.03, 0.25, 0.5, 0.75, 0.97)
+
+
+def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the curves of gaits at a fixed slope over the range of a key.
+
+    They begin at the gaits of some walkers in the range, and each is followed once.
+
+    Parameters
+    ----------
+    gaits : Equations
+        Of gaits at the slope, with the key as an unknown.
+
+    Yields
+    ------
+    points, tangents : ndarray, shape (p, u)
+    """
+    assert gaits.keys is not None and gaits.log_slope is not None
+    (scale,) = gaits.keys.scale
+    (low,) = gaits.keys.low
+    (high,) = gaits.keys.high
+    window = np.array([[low / scale, high / scale]])
+    across = across_last(gaits.size)
+
+    followed: list[np.ndarray] = []
+    for share in SURVEYED:
+        value = low + share * (high - low)
+        walker = gaits.keys.walker_at(value)
+        for Z in _gaits_at(walker, gaits.log_slope):
+            guess = np.append(Z[:-1], value / scale)[:, None]
+            first = correct_on_curve(gaits, guess, across)
+            is_new = first.ok[0] and not _is_on(gaits, followed, first.Z[:, 0])
+            if not is_new:
+                continue
+            points, tangents, _ = follow_both_directions(gaits, first, window)
+            followed.append(points)
+            yield points, tangents
+
+
+def survey_together(walkers: Sequence[Walker]) -> None:
+    """Survey walkers side by side, from which curves begin: they are remembered, and one
+    by one take ten times as long.
+    """
+    for structure, numbers in alike(walkers).items():
+        some = [walkers[number] for number in numbers]
+        survey(some, structure, COARSE)
+
+
+def _gaits_at(walker: Walker, log_slope: float) -> Iterator[np.ndarray]:
+    """Gaits Z (c,) of a walker at a ln slope, by the polynomials of its branches."""
+    problem = Problem(walker)
+    (branches,) = survey([walker], problem.structure, COARSE)
+    for branch in branches:
+        for _, Z, _ in branch.guesses(np.array([log_slope])):
+            yield Z[:, 0]
+
+
+def _is_on(equations: Equations, curves: Sequence[np.ndarray], X: np.ndarray) -> bool:
+    """Whether a point (u,) lies on one of some curves (p, u) of equations."""
+    for points in curves:
+        passed = at_value(equations, points, X[-1])
+        if any(same(X, Y, SAME_POINT) for Y in passed):
+            return True
+    return False

@@ -1,0 +1,71 @@
+"""Curves over two keys: closed ones, and several of one condition."""
+
+import numpy as np
+import pytest
+
+from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
+
+LINE = {"walker": "A", "set": {}}
+RANGES = {"R": (0.1, 0.3), "m_h": (0.0, 2.0)}
+MIDDLES = 0.8, 1.2
+
+
+def circle(middle, radius):
+    """Vanishes on a circle of keys, over the lengths of their ranges."""
+
+    def value(at):
+        walkers = at.problem.every_walker
+        across = (walkers.R - 0.2) / 0.2
+        up = (walkers.m_h - middle) / 2
+        off = across**2 + up**2 - radius**2
+        return np.broadcast_to(off, at.q.shape)
+
+    return value
+
+
+def both(at):
+    """Vanishes on either of two circles that lie apart."""
+    one = circle(MIDDLES[0], 0.09)
+    other = circle(MIDDLES[1], 0.09)
+    return one(at) * other(at)
+
+
+@pytest.fixture(scope="module")
+def around():
+    condition = Condition("level", circle(1.0, 0.3))
+    return curves_over_keys(LINE, np.array([0.02]), RANGES, {"circle": condition})
+
+
+def test_a_curve_that_returns_to_its_start_is_closed_and_followed_once(around):
+    # One of long gaits, and one of short ones.
+    assert set(around["curves/curve"]) == {0, 1}
+    for number in (0, 1):
+        own = around["curves/curve"] == number
+        stopped = around["curves/stopped"][own]
+        assert stopped[0] == stopped[-1] == "closed"
+
+        R = around["curves/value"][own]
+        m_h = around["curves/other_value"][own]
+        assert (R[0], m_h[0]) == pytest.approx((R[-1], m_h[-1]), abs=1e-9)
+        assert np.ptp(m_h) == pytest.approx(1.2, rel=0.02)
+
+
+def test_points_of_a_curve_fulfil_its_condition(around):
+    across = (around["curves/value"] - 0.2) / 0.2
+    up = (around["curves/other_value"] - 1) / 2
+    off = across**2 + up**2
+    np.testing.assert_allclose(off, 0.09, rtol=1e-9)
+    assert (around["curves/walks"] == 1).all()
+
+
+@pytest.mark.thorough
+def test_components_that_lie_apart_are_found():
+    conditions = {"both": Condition("level", both)}
+    found = curves_over_keys(LINE, np.array([0.02]), RANGES, conditions)
+    middles = []
+    for number in set(found["curves/curve"]):
+        own = found["curves/curve"] == number
+        m_h = found["curves/other_value"][own]
+        middles.append((m_h.min() + m_h.max()) / 2)
+    assert sorted(middles) == pytest.approx([0.8, 0.8, 1.2, 1.2], abs=0.02)
