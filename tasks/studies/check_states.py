@@ -31,7 +31,7 @@ from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import GAITS, SLOPES
 from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.gaits.step_check import verify_steps
-from gaitsweep.tasks.mechanics.lumped import general_structure
+from gaitsweep.tasks.mechanics.lumped import general_structure_of
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
 from gaitsweep.tasks.step.several_steps import joined
@@ -209,7 +209,7 @@ class _Case:
         self.label = np.full(n, "", dtype=object)
         self.nearest, self.candidates = Gaits.none(n), list[Gaits]()
         # With three coordinates, those of point feet as of other straight legs.
-        one = Lanes([self.walker], general_structure(self.walker.knees))
+        one = Lanes([self.walker], general_structure_of(self.walker))
         self.general = one.some(np.zeros(n, int))
 
     @property
@@ -596,7 +596,7 @@ class _Case:
 
     def _judge_walker(self, name: str, walker: Walker, lanes: np.ndarray) -> None:
         """Tell rows that a catalogue walker takes back to themselves."""
-        general = Lanes([walker], general_structure(walker.knees))
+        general = Lanes([walker], general_structure_of(walker))
         general = general.some(np.zeros(len(lanes), int))
         slope, state = self.rows.slope[lanes], self.rows.state[:, lanes].copy()
         state[1:] *= walker.time_unit / self.walker.time_unit
