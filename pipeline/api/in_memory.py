@@ -176,6 +176,8 @@ def gaits(
         for name in base.variables
         if name in named or not VARIABLES[name].is_left_out(features)
     ]
+    for name in {*base.variables} - {*kept}:
+        points.values.pop(name, None)
     study = replace(base, checks=tuple(answers[:1]), variables=tuple(kept))
     return _dataset(points, grid[0], coordinates, moved, constants, study)
 

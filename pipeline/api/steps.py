@@ -17,6 +17,7 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import changes, definition, number
 from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.single_point import check_driven
 
 _MAX_STEPS, _MAX_SAMPLES = 100_000, 1_000_000
 #: What archives have not, of a series of the motion.
@@ -295,10 +296,12 @@ def _params(
     """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
     slopes.check(value, may_be_level=True)
+    checked, set_keys = definition(walker), changes(keys)
+    check_driven(checked, set_keys, value)
     return {
-        "walker": definition(walker),
+        "walker": checked,
         "slope": value,
-        "set": changes(keys),
+        "set": set_keys,
         "state": _numbers("state", state, 3, 4, 6),
     }
 

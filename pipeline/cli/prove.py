@@ -16,7 +16,7 @@ from gaitsweep.pipeline.errors import ArchiveError, StudyError
 from gaitsweep.pipeline.statuses import FOUND
 from gaitsweep.pipeline.study import slopes, want
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.single_point import led
+from gaitsweep.pipeline.study.single_point import check_driven, led
 from gaitsweep.tasks.contract.registry import GAITS
 
 #: Relative radii that may be asked for.
@@ -85,6 +85,7 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     Location("", "gait").check_names([] if gait is None else [gait], GAITS)
     known, _ = led(options.walker, options.set)
     ask("check_walker", {"walker": known})
+    check_driven(*led(options.walker, options.set), float(slope))
     table, changes = led(options.walker, options.set, str)  # with every digit
     wanted = {"set": changes, "gait": gait, "accuracy": options.accuracy}
     answer: dict[str, Any] = ask("prove", {"walker": table, "slope": slope, **wanted})

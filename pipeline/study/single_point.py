@@ -63,6 +63,7 @@ def solve(
             "must be 1 for gaits whose legs pass more than once", steps
         )
     params = _of_walker(definition, keys, tuned, limits)
+    check_driven(params["walker"], params["set"], slope)
     params |= {"slope": slope, "all": every, "steps": steps}
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
@@ -146,6 +147,21 @@ def _of_walker(
         place = Location("", "violation_limits")
         params["violation_limits"] = VIOLATION_LIMITS.read(limits, place)
     return params
+
+
+def check_driven(walker: Definition, keys: Mapping[str, Any], slope: float) -> None:
+    """Refuse a slope of 0, or below, of a walker that nothing drives there.
+
+    Raises
+    ------
+    StudyError
+        If it is one, or there is no such walker.
+    """
+    if not slopes.is_level(slope):
+        return
+    checked = ask("check_walker", {"walker": walker, "set": keys})
+    if "drive" not in checked["features"]:
+        slopes.refuse_level(slope)
 
 
 def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:

@@ -29,6 +29,21 @@ def is_level(value: float | np.ndarray) -> Any:
     return (value <= 0) & (value > -SLOPES[1])
 
 
+def refuse_level(value: float) -> None:
+    """Refuse a slope of 0, or below, of a walker that nothing drives there.
+
+    Raises
+    ------
+    StudyError
+        Always.
+    """
+    wrong = str(Location("", "slope").wrong(BOUND, value))
+    raise StudyError(
+        f"{wrong[:-1]}: on level ground and uphill a walker needs a `push_off` or a "
+        "`hip_torque`."
+    )
+
+
 def check(
     value: float, place: Location | None = None, may_be_level: bool = False
 ) -> None:

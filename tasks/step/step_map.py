@@ -176,13 +176,16 @@ class StrideMap:
         self.structure = structure
         self.m, self.kneed = structure.dimension, structure.kneed
         self.start_size = 6 if self.kneed else 4
-        #: Whether the drive acts in heelstrike alone, not all along as the slope does.
-        self.by_push = structure.drive == "push_off"
         self._start = self._compile_start()
 
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
+
+    @property
+    def by_push(self) -> bool:
+        """Whether the drive acts in heelstrike alone, not all along as the slope does."""
+        return self.structure.drive == "push_off"
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> CompiledFunction:
         """Compile a function; `tests/soak/extended_reference.py` overrides this with

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import problems
 from benchmarks.harness import TICK
-from gaitsweep.tasks.contract.registry import ALWAYS, GAITS, VARIABLES
+from gaitsweep.tasks.contract.registry import ALWAYS, GAITS, VARIABLES, nameable
 from gaitsweep.tasks.gaits import polish
 from gaitsweep.tasks.measures import gaits as measured
 from gaitsweep.tasks.measures import violations
@@ -26,7 +26,7 @@ from gaitsweep.tasks.studies import solve_points
 STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
     (
         "everything",
-        tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs"),
+        tuple(v for v in nameable() if VARIABLES[v].group != "proofs"),
         GAITS,
     ),
     ("all but violations", problems.GRID_WANT, GAITS),
@@ -79,7 +79,7 @@ def work(
     sizes: dict[str, Callable[..., int]] = {
         "verify_steps": lambda problem, w, *others: w.shape[1],
         "multipliers": lambda jacobian, width: jacobian.shape[2],
-        "measure": lambda walker, motion, impact, times, slope, limit: len(slope),
+        "measure": lambda walker, motion, impact, times, slope, *others: len(slope),
         "refine": lambda *others: 1,
     }
 

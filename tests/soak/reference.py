@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files
-from gaitsweep.tasks.walkers.walker import NUMBERS
+from gaitsweep.tasks.walkers.walker import NUMBERS, OF_DRIVE
 
 COMPASS = "goswami-compass"
 _BOTH = ("long", "short")
@@ -82,7 +82,7 @@ UNITS |= {name: "rad/time" for name in STATE if name.endswith("_rate")}
 MULTIPLIERS = [
     f"multiplier_{count}{part}" for count in (1, 2, 3) for part in ("", "_imaginary")
 ]
-KEYS = (*NUMBERS, "knees")
+KEYS = (*(key for key in NUMBERS if key not in OF_DRIVE), "knees")
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 ABOUT = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 

@@ -318,7 +318,8 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
         (
             ["solve", "--walker", "E", "--slope", "0.01", "--set", "slope=3"],
             "`slope` is not a walker key (keys: l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s, r_s, c_s, R, eps_T, m_h, g,"
-            " knees, trailing_knee, detuning, foot_mass_ratio); got 3.0.",
+            " push_off, hip_stiffness, hip_damping, hip_rest, hip_torque, knees, trailing_knee, detuning,"
+            " foot_mass_ratio); got 3.0.",
         ),
         *(
             (

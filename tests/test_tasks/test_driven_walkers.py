@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gaitsweep import gaits, simulate, solve, step_map
+from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.branches.refine import COARSE
@@ -325,12 +326,14 @@ def test_driven_walking_is_flown_step_by_step(name, slope, push):
     np.testing.assert_allclose(mapped.state, state, rtol=1e-12)
 
 
-def test_what_nothing_drives_has_no_gait_on_level_ground_and_is_told_why():
-    found = solve("D", 0.0)
+def test_what_nothing_drives_is_refused_on_level_ground():
+    for ask in (solve, lambda *given: simulate(*given, [0.2, -0.2, -0.2], 1)):
+        with pytest.raises(StudyError, match="needs a `push_off` or a `hip_torque`"):
+            ask("D", 0.0)
+    # A torque cannot move legs without mass.
+    (said,) = solve("D", 0.0, hip_torque=0.01).attrs["absent"]
+    assert "nothing drives the walker there" in said
 
-    assert found.empty
-
-    assert any("push_off" in sentence for sentence in found.attrs["absent"])
     asked = gaits("D", [0.0, 0.0], push_off=[0.0, 0.05], variables=["period"])
     codes = asked["status"].attrs["flag_meanings"].split()
     refused, walks = asked["status"].sel(gait="long").values.tolist()

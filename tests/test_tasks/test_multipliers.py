@@ -150,9 +150,9 @@ def exact_multipliers(problem, found, g, slope):
     step = _extended_step_map(problem.structure, 1)
     with mpmath.workdps(34):
         return eigenvalues(
-            derivative(
-                step, y, times, step.parameters(problem.walker, slope, at.scale[0])
-            )[0]
+            derivative(step, y, times, step.parameters(problem, 0, slope, at.scale[0]))[
+                0
+            ]
         )
 
 
@@ -249,7 +249,7 @@ def exact_multipliers_of(problem, found, g, slope, n):
         _extended_step_map(problem.structure, 1),
         np.exp2(np.floor(np.log2(angle))),
     )
-    parameters = step.parameters(problem.walker, slope, scale)
+    parameters = step.parameters(problem, 0, slope, scale)
     rates = [found[name][g] * unit for name in RATES][: problem.m - 1]
     y, guess = (
         step.array(np.array([angle, *rates]) / scale),

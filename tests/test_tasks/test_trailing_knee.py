@@ -306,7 +306,7 @@ def test_a_knee_that_only_a_latch_holds_is_flagged_beyond_the_limit():
 def test_only_walkers_that_lock_the_knee_have_the_impulse():
     assert "unlocking_impulse_trailing" not in gait_of("C", 0.02)
     found = gaitsweep.gaits("C", 0.02, variables=["violations"])
-    assert np.isnan(found.unlocking_impulse_trailing).all()
+    assert "unlocking_impulse_trailing" not in found
     assert "trailing_knee_unlocks" not in found.violations.flag_meanings
     found = gaitsweep.gaits(C, 0.02, variables=["violations"])
     assert np.isfinite(found.unlocking_impulse_trailing[0])
