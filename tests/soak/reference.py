@@ -206,7 +206,7 @@ def _keys(table):
     """A walker's keys in decimals."""
     balls = {
         key: table[key].strip("[]").split(" +/- ")
-        for key in NUMBERS
+        for key in KEYS
         if table[key].startswith("[")
     }
     return {

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import INK
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.study import units
 
 #: End of the names of derivatives.
 _BY_KEY = "_by_key"
@@ -68,6 +67,9 @@ def sensitivities(source: Source) -> Sketch | None:
     if not source.walkers:
         return None
     name, table = next(iter(source.walkers.items()))
+    # Other pages load no module that knows keys.
+    from gaitsweep.pipeline.study import units
+
     tolerances = _Tolerances(table, units.kinds())
     grid = source.grid.isel(walker=0) if "walker" in source.grid.dims else source.grid
     data = pd.DataFrame(_changes(grid, tolerances))

@@ -71,7 +71,7 @@ const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
  */
 function storedGait({ keys, command, slope, start, exact, ...more }) {
   const walker = walkerOf(keys), state = stateOf(walker, start), y = sectionOf(walker, state), told = { ...more, slope, command: withSlope(command, slope) };
-  if (!(Number.isFinite(slope) && start[0] > 0)) return null;
+  if (!(leads(keys, slope) && start[0] > 0)) return null;
   // Where walking ends a strike only just touches, or two coincide, and Newton's method has no derivative.
   const [plain, touching] = [0, 1e-6 * start[0]].map(slack => flyStep(walker, state, slope, 0, slack));
   const [miss, least] = [plain, touching].map(({ fall, end }) => fall ? Infinity : abs(end[0] / start[0] - 1));
@@ -102,15 +102,15 @@ function gaitAtSlope(line, slope, start, more = {}) {
  * What is shown is always solved: a start that only looks like a gait is where Newton's method begins.
  */
 function gaitNear(line, slope, given) {
-  if (!given.length) { const all = Number.isFinite(slope) ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
-  const [angle] = given, place = Number.isFinite(slope) && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
+  if (!given.length) { const all = leads(line.keys, slope) ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
+  const [angle] = given, place = leads(line.keys, slope) && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
   const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {}, own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
   let exact = null;
   if (given.length > (line.keys.knees ? 3 : 2)) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
   else if ("place" in on) {
     const near = between(line.branches[on.branch], on.place).start;
     exact = gaitAtSlope(line, slope, near.map(x => x * angle / near[0]), on) ?? gaitAtSlope(line, slope, near, on);
-  } else if (Number.isFinite(slope) && angle > 0) exact = gaitGuessed(line, slope, angle);
+  } else if (leads(line.keys, slope) && angle > 0) exact = gaitGuessed(line, slope, angle);
   if (exact || !("place" in on)) return exact;
   // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
   const last = line.branches[on.branch].length - 1;
@@ -136,7 +136,7 @@ function whyNot({ at, slope, start }) {
   const line = lineAt(at), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
   if (line) {
     const slopes = line.branches.flat().map(node => node[0]);
-    if (!Number.isFinite(slope)) return "The address has no slope.";
+    if (!leads(line.keys, slope)) return "The address has no slope.";
     if (slopes.length && (slope < Math.min(...slopes) || slope > Math.max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(Math.min(...slopes), 5)} to ${brief(Math.max(...slopes), 5)} rad.`;
     return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
   }

@@ -73,7 +73,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (map) {
       const { at, shown, slope, known, command } = cellOf(map, cell), values = { ...at, slope };
       return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
-        command: known && !map.free && Number.isFinite(slope) ? withSlope(command, slope) : null };
+        command: known && !map.free && leads(keysOf(map, at), slope) ? withSlope(command, slope) : null };
     }
     const [x, y, more, ...values] = curve.rows[row], state = curve.free && curve.starts?.[row]?.slice(0, 3).join(" ");
     if (state) return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: `${withSlope(curve.command, more).replace("solve", "simulate")} --state ${state}` };

@@ -17,6 +17,8 @@ const conjugate = a => [a[0], -a[1]];
 const turned = (a, angle) => multiply(a, [cos(angle), sin(angle)]);
 // Where a slope stands among others: its logarithm; level ground and uphill come before all that lead down.
 const rank = slope => slope > 0 ? Math.log(slope) : 99 * slope - 99;
+// Whether a walker may have gaits on a slope: level ground and uphill take something that drives it.
+const leads = (keys, slope) => slope > 0 || (Number.isFinite(slope) && (keys.push_off || keys.hip_torque));
 const sum = values => values.reduce((total, value) => total + value, 0);
 
 // Links that move as one, by their places in the chain.
