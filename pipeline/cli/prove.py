@@ -83,13 +83,21 @@ def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
     slope, gait = options.slope, options.gait
     slopes.check(float(slope), may_be_level=True)
     Location("", "gait").check_names([] if gait is None else [gait], GAITS)
-    known, _ = led(options.walker, options.set)
+    known, given = led(options.walker, options.set)
     ask("check_walker", {"walker": known})
-    check_driven(*led(options.walker, options.set), float(slope))
+    check_driven(known, {k: _number(v) for k, v in given.items()}, float(slope))
     table, changes = led(options.walker, options.set, str)  # with every digit
     wanted = {"set": changes, "gait": gait, "accuracy": options.accuracy}
     answer: dict[str, Any] = ask("prove", {"walker": table, "slope": slope, **wanted})
     return answer
+
+
+def _number(value: Any) -> Any:
+    """A key's value in doubles; a text that is none, as it stands."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return value
 
 
 def _of_archive(options: argparse.Namespace) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def check_walkers(
     StudyError
         If a walker is invalid.
     """
-    checks = {}
+    checks: dict[int, dict[str, Any]] = {}
     for number, candidate, values in _corners(study):
         keys = line_of(candidate, values)["set"]
         try:
@@ -45,7 +45,10 @@ def check_walkers(
             _check_curve(study, candidate, values, top.at("options"))
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
-        checks[number] = check
+        # What the walker has at any corner, it has on some lines.
+        known = checks.get(number, check)["features"]
+        features = tuple(dict.fromkeys((*known, *check["features"])))
+        checks[number] = {**check, "features": features}
     return tuple(checks.values())
 
 

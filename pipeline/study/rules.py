@@ -201,9 +201,19 @@ def _a_grid_has_a_size(study: Study, top: Location) -> Iterator[StudyError]:
 
 def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
     """Slopes of 0 and below are those of grids of walkers that are driven."""
-    level = study.slope[slopes.is_level(study.slope)]
-    if level.size and (study.kind != "grid" or "drive" not in study.features):
-        yield top.at("axes", "slope").error(
+    axes = [axis.values for axis in study.axes if axis.name == "slope"]
+    level = [x for values in axes for x in values.tolist() if slopes.is_level(x)]
+    if not level:
+        return
+    place = top.at("axes", "slope")
+    if study.kind != "grid" or study.at:
+        what = "at values of a measure" if study.at else f"of kind `{study.kind}`"
+        yield place.error(
+            f"`slope` {slopes.BOUND} in studies {what}; got {level[0]:g}: on level ground "
+            "and uphill grids of driven walkers have gaits"
+        )
+    elif "drive" not in study.features:
+        yield place.error(
             f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
             "ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits."
         )

@@ -400,7 +400,7 @@ class Programme:
 
         missed = float(self._missed(X).max())
         size = float(np.linalg.norm(at.gradient))
-        stationarity = balance.unbalanced / size
+        stationarity = balance.unbalanced / size if size else 0.0
         return Optimum(X, at.value, missed, stationarity, tuple(limits), path, message)
 
     def _unit_of_objective(self, X: Gait) -> float:

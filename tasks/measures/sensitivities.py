@@ -110,6 +110,9 @@ def _size(name: str, walker: Walker) -> float:
         "angle": 1.0,
         "acceleration": walker.g,
     }
+    sizes["torque"] = sizes["stiffness"] = walker.total_mass * walker.g * walker.leg
+    sizes["damping"] = sizes["torque"] * walker.time_unit
+    sizes["impulse"] = walker.total_mass * walker.leg / walker.time_unit
     kind = KEYS.get(name) or ONE_LINK.get(name)
     return 1.0 if kind is None else sizes[kind]
 

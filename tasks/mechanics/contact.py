@@ -76,11 +76,9 @@ class Chain:
         self._drive(walker)
 
     def _drive(self, walker: Walker) -> None:
-        """Set what acts between the thighs, and the impulse of the push-off."""
+        """Set what acts between the thighs."""
         self.acts = walker.has_hip_torque
         weight_leg = walker.total_mass * walker.g * walker.leg
-        #: Over mass sqrt(g leg).
-        self.push = walker.push_off * walker.time_unit / (weight_leg / walker.g)
         #: Of legs without mass over their inertia, which is that of `K`.
         unit: Any = 1.0 / weight_leg
         unit_of_damping = unit / walker.time_unit

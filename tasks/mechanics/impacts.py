@@ -122,7 +122,7 @@ def _links(p: Symbols) -> list[tuple[Vector, Sym]]:
 
 
 def _pushed(momentum: list[Sym], p: Symbols, new: _Leg, old: _Leg) -> list[Sym]:
-    """Momenta and, where the trailing leg pushes off, what that adds to them."""
+    """Momenta, with what a push-off of the trailing leg adds to them."""
     if not p.pushes_off:
         return momentum
     gained = _push_off(p, new, old, len(momentum) == 3)

@@ -107,7 +107,8 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
 
 
 def _masses(leg: _Leg, massless: Marks) -> tuple[PerLane, PerLane, PerLane]:
-    """Whether the swing leg acts on the stance leg, and masses of thigh and shank.
+    """1 where the swing leg acts on the stance leg and 0 where it has no mass; and masses
+    of thigh and shank.
 
     For a massless leg only ratios of the swing leg's constants remain: a unit mass where
     the shank's was.

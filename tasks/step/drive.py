@@ -19,8 +19,8 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 SLOPE, PUSH_OFF, HIP_TORQUE = "slope", "push_off", "hip_torque"
 #: Windows in which branches are followed: of slopes [rad], impulses [mass sqrt(g leg)],
-#: as whose root angles grow, and torques [weight leg], which give a step as much as
-#: twice as large a slope.
+#: as whose root angles grow, and torques [weight leg], counted over the swing leg's
+#: inertia in `Drive`, which give a step as much as twice as large a slope.
 _WINDOWS = {
     SLOPE: (SLOPES[0], 0.7),
     PUSH_OFF: (1e-12, 2.0),
@@ -144,9 +144,7 @@ class Drive:
         return tuple(slope / 2 * self._size(walker) for slope in slopes)
 
     def _size(self, walker: Walker) -> float:
-        """What drives like a slope of 1/2, of torques: they are over the swing leg's
-        inertia.
-        """
+        """The lumped value of a torque of one weight times leg; 1 of other drives."""
         return 1 / lump(walker)["eps"] if self.key == HIP_TORQUE else 1.0
 
 

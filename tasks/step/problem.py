@@ -32,7 +32,7 @@ class Problem:
     step: StrideMap
     #: Columns of `constants` that the lanes have.
     lanes: slice | np.ndarray = slice(None)
-    #: What gaits are followed over: the slope, or the push-off at one slope.
+    #: What gaits are followed over: the slope, or push-off or torque at one slope.
     drive: Drive
 
     def __init__(self, walker: Walker, steps: int = 1, drive: Drive = OVER_SLOPE):
@@ -89,7 +89,7 @@ class Problem:
         Parameters
         ----------
         drive : ndarray, shape (n,)
-            The slope [rad], or the impulse of the push-off [mass sqrt(g leg)].
+            The slope [rad], or another drive as `Drive` counts it.
         scale : ndarray, shape (n,)
             Power of two by which angles and rates are divided.
 

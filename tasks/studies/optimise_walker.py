@@ -20,7 +20,7 @@ from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.measures.levels import measures_at
 from gaitsweep.tasks.measures.programme import SPECIAL, Optimum, Programme
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
-from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.check_optimum import check
 from gaitsweep.tasks.studies.pose_optimum import SLOPE, Box, Question, candidates
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker, WalkerError
@@ -136,6 +136,9 @@ class _Verification:
         self.keys = dict(zip(keys.names, values.tolist(), strict=True))
         self.walker = keys.walker_at(*self.keys.values())
         self.problem = Problem(self.walker)
+        if self.problem.m != programme.equations.problem.m:
+            # At the end of a range the walker may be special, with fewer coordinates.
+            self.problem = Lanes([self.walker], keys.structure)
 
     def verified(self) -> _Verified | str:
         """The gait, or why there is none."""

@@ -40,9 +40,15 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
     -------
     Problem
     float
-        In units of the leg, the walker's mass and g.
+        In units of the leg, the walker's mass and g; a torque over the swing leg's
+        inertia, too.
     """
-    turns = walker.hip_torque > 0 and not walker.massless_leg
+    # A spring that rests at an angle is one that rests with the legs together, and a
+    # constant torque.
+    torque = walker.hip_torque + walker.hip_stiffness * walker.hip_rest
+    turns = torque > 0 and not walker.massless_leg
+    if turns and not walker.push_off:
+        walker = walker.having("hip_rest", 0.0).having("hip_torque", torque)
     key = HIP_TORQUE if turns and not walker.push_off else PUSH_OFF
     drive = Drive(key, slope)
     problem = Problem(walker.having(key, 0.0), steps, drive)
@@ -50,7 +56,7 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
 
 
 def branches_of(problem: Problem) -> list[Branch]:
-    """Return all branches of gaits over the push-off, of a walker at one slope."""
+    """Return all branches of gaits over the drive, of a walker at one slope."""
     return _branches(problem.walker, problem.drive, problem.steps)
 
 

@@ -172,14 +172,24 @@ def _on_any_ground(
         slope = float(request.slope[place])
         parts.append((np.array([place]), _solve_driven(line, walker, slope, request)))
 
-    first = parts[0][1]
-    solved = {"reasons": first["reasons"]}
-    for name in first.keys() - solved.keys():
+    return _side_by_side(len(is_level), parts)
+
+
+def _side_by_side(n: int, parts: Sequence[tuple[np.ndarray, Arrays]]) -> Arrays:
+    """Points of a line, each part at some places, with the sentences of all."""
+    _, first = parts[0]
+    solved: Arrays = {}
+    for name in first.keys() - {"reasons"}:
         own = first[name]
-        solved[name] = np.empty((len(is_level), *own.shape[1:]), own.dtype)
+        solved[name] = np.empty((n, *own.shape[1:]), own.dtype)
         for places, part in parts:
             solved[name][places] = part[name]
-    return solved
+
+    sentences: list[str] = []
+    for places, part in parts:
+        solved["reason"][places] += len(sentences)
+        sentences += [str(each) for each in part["reasons"]]
+    return {**solved, "reasons": np.array(sentences)}
 
 
 def _solve_driven(
@@ -199,7 +209,7 @@ def _undriven(walker: Walker, slope: float, request: Request) -> Arrays:
     solved = nothing_solved(request.wanted.names, 1, walker.knees)
     why = (
         f"No gait at slope {slope:g}: nothing drives the walker there, neither "
-        "`push_off` nor a positive `hip_torque` on legs with mass."
+        "`push_off` nor a forward torque between the thighs of legs with mass."
     )
     return {**solved, "reasons": np.array(status.reasons(why, why))}
 
@@ -469,9 +479,10 @@ def _solve_block(
 def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     """Sentences that `reason` indexes, of one line."""
     if problem.steps > 1:
-        outside = _outside(branches, problem.steps)
+        outside = _outside(problem, branches)
         return status.reasons(outside, outside)
     lost = sorted(slope for branch in branches for slope in branch.lost())
+    lost = [at * problem.drive.unit(problem.walker) for at in lost]
     if problem.drive.at_slope is None:
         searched = f"searched from {atlases.searched(problem.walker)}"
         pieces = [list(spans(branches, label)) for label in GAITS[:2]]
@@ -485,15 +496,15 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     return status.reasons(long, short)
 
 
-def _outside(branches: list[Branch], n: int) -> str:
-    """Why no branch has a gait of n steps at some slope."""
+def _outside(problem: Problem, branches: list[Branch]) -> str:
+    """Why no branch has a gait of so many steps at some value of the drive."""
+    n, drive = problem.steps, problem.drive.key
     if not branches:
         return f"No gait of period {n} found: no flip of fewer steps begins one."
-    spans = status.ranges(
-        [(np.exp(branch.q.min()), np.exp(branch.q.max())) for branch in branches]
-    )
+    reached = [(np.exp(b.q.min()), np.exp(b.q.max())) for b in branches]
+    spans = status.ranges(in_units(problem, reached))
     limit = f"followed up to multipliers of {MAX_MULTIPLIER:g}"
-    return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
+    return f"No gait of period {n} at this {drive}: the branches found span {spans} ({limit})."
 
 
 def _prove(

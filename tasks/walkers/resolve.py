@@ -316,6 +316,12 @@ def value_of_key(line: Mapping[str, Any], key: str) -> float:
     }
     if is_one_link(given):
         derived |= {name: given.get(name, 0.0) for name in ONE_LINK}
+    elif key in ONE_LINK:
+        raise WalkerError(
+            key,
+            "two links",
+            "is a key of a leg of one link, whose table has `l`, `m` and `c`",
+        )
     return float(derived[key] if key in derived else getattr(walker, key))
 
 

@@ -72,6 +72,30 @@ def test_arrays_of_level_ground_are_the_studys():
     np.testing.assert_array_equal(found["stance_angle"].sel(gait="long"), single)
 
 
+def test_each_point_has_the_sentence_of_its_own_slope():
+    found = gaits("D", [-0.005, 0.01], push_off=0.0005, variables=["period"])
+    uphill, down = found["reason"].sel(gait="long").values.tolist()
+    sentences = found["reason_text"].values.astype(str).tolist()
+    assert "at this push_off" in sentences[uphill]
+    assert sentences[down].startswith("Converged")
+
+
+def test_a_spring_that_rests_at_an_angle_drives_as_a_torque():
+    spring = {"hip_stiffness": 0.01, "hip_rest": 0.1}
+    torque = {"hip_stiffness": 0.01, "hip_torque": 0.001}
+    by_spring, by_torque = (
+        solve("B", 0.0, **keys)["stance_angle"][0] for keys in (spring, torque)
+    )
+    assert by_spring == pytest.approx(by_torque, rel=1e-13)
+
+
+def test_a_study_has_the_variables_of_what_any_of_its_lines_has(tmp_path):
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nwalker = "B"\n[axes]\nslope = [0.01]\n'
+    path.write_text(text + "hip_stiffness = [-0.01, 0.0]\n")
+    assert "hip_torque_work" in read(path).variables
+
+
 def test_gravity_scales_no_driven_walker():
     """Stiffness and impulses do not scale with g: these walkers are not one."""
     slopes, keys = [0.01], {"hip_stiffness": 0.05}
@@ -105,5 +129,5 @@ def test_a_study_of_branches_has_no_level_ground(tmp_path):
     path = tmp_path / "s.toml"
     text = 'name = "s"\nkind = "branch"\n[walker]\nbase = "B"\npush_off = 0.1\n'
     path.write_text(text + "[axes]\nslope = [-0.01, 0.01]\n")
-    with pytest.raises(StudyError, match="grids of walkers"):
+    with pytest.raises(StudyError, match="of kind `branch`; got -0.01"):
         read(path)
