@@ -308,7 +308,7 @@ class Structure:
         )
 
 
-def general_structure(
+def _general_structure(
     kneed: bool,
     locks_trailing_knee: bool = False,
     has_hip_torque: bool = False,
@@ -331,7 +331,7 @@ def general_structure(
 
 def general_structure_of(walker: Walker) -> Structure:
     """Return the general structure of a walker, or of an array of them."""
-    return general_structure(
+    return _general_structure(
         walker.knees,
         walker.locks_trailing_knee,
         walker.has_hip_torque,
@@ -362,7 +362,7 @@ def locked(structure: Structure, parameters: ndarray) -> tuple[Structure, ndarra
     rows = [parameters[:8], of_leg]
     if structure.has_hip_torque:
         rows.append(parameters[of_knees.stop :][: len(_OF_HIP)])
-    straight = general_structure(False, has_hip_torque=structure.has_hip_torque)
+    straight = _general_structure(False, has_hip_torque=structure.has_hip_torque)
     drive = structure.between_strikes().drive
     straight = replace(straight, drive=drive)
     return straight, np.concatenate(rows)
