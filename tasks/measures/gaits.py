@@ -405,7 +405,6 @@ def steps_of(
         state * scale,
         side_by_side(times, s) - begins,
         scale,
-        single.slopes(slope),
         slope,
         after=np.roll(np.arange(s * n), -n),
     )
@@ -485,8 +484,6 @@ class Steps:
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
     scale : ndarray, shape (n,)
     slope : ndarray, shape (n,) [rad]
-    drive : ndarray, shape (n,)
-        The slope, or the impulse of the push-off [mass sqrt(g leg)].
     after : ndarray of int, shape (n,)
         The step after each: of gaits of one step, itself.
     """
@@ -499,7 +496,6 @@ class Steps:
     times: np.ndarray
     scale: np.ndarray
     slope: np.ndarray
-    drive: np.ndarray
     after: np.ndarray
 
     def measure(
@@ -556,7 +552,7 @@ class Steps:
         if "push_off" not in self.problem.features:
             return None
         end = self.y[0][self.after]
-        return push_off(self.walker, end, self.problem.impulses(self.drive))
+        return push_off(self.walker, end, self.problem.impulses(len(self.slope)))
 
     def _work_of_drive(self) -> Arrays:
         """Work of push-off and hip over each step, of a walker that has them."""
@@ -603,7 +599,7 @@ class Steps:
     def _fine(self) -> Stride | Strides:
         # Extremes need closer samples than the verification of a step: it is integrated
         # again with those.
-        parameters = self.problem.parameters(self.drive, self.scale)
+        parameters = self.problem.parameters(self.slope, self.scale)
         return self.problem.map(
             self.y / self.scale, self.times, parameters, samples=violations.SAMPLES
         )

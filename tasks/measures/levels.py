@@ -76,7 +76,7 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     -------
     dict of ndarray, shape (n,) [the walker's units]
     """
-    problem, drive = at.problem, np.exp(at.q)
+    problem, slope = at.problem, np.exp(at.q)
     walkers = problem.every_walker
     has_travel = any(name in TRAVEL for name in names)
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
@@ -85,10 +85,9 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     # Where rounding is measured, steps are evaluated in other units.
     y = at.stride.y
     scale = np.exp(at.w[0]) / y[0]
-    steps = steps_of(problem, walkers, at.stride, y, scale, at.times, drive)
+    steps = steps_of(problem, walkers, at.stride, y, scale, at.times, slope)
     measured = of_all_steps(steps.measure(needed), problem.steps)
     if has_travel:
-        slope = problem.slopes(drive)
         measured |= of_travel(walkers, slope, measured, problem.steps)
     if _RADIUS in names:
         measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)

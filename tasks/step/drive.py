@@ -85,23 +85,6 @@ class Drive:
             return drive
         return np.full(np.shape(drive), self.at_slope)
 
-    def impulses(self, walker: Walker, drive: ndarray) -> ndarray:
-        """Return the impulses of the push-off at values of the drive.
-
-        Parameters
-        ----------
-        walker : Walker or WalkerArray
-        drive : ndarray, shape (n,)
-
-        Returns
-        -------
-        ndarray, shape (n,) [mass sqrt(g leg)]
-        """
-        if self.key == PUSH_OFF:
-            return drive
-        own = walker.push_off / unit_of_impulse(walker)
-        return np.asarray(np.broadcast_to(own, np.shape(drive)))
-
     def constants(
         self, structure: Structure, constants: ndarray, drive: ndarray
     ) -> ndarray:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gaitsweep.tasks.mechanics.lumped import Structure, constants_of
-from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive
+from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive, unit_of_impulse
 from gaitsweep.tasks.step.several_steps import AnyStride, StepSequence
 from gaitsweep.tasks.step.step_map import StrideMap, stride_map
 from gaitsweep.tasks.walkers.walker import Walker
@@ -65,11 +65,11 @@ class Problem:
         """What some variables are of, as `Walker.features` has it."""
         return self.structure.features
 
-    def impulses(self, drive: np.ndarray) -> np.ndarray:
-        """Return the impulses of the push-off at values of the drive, shape (n,) [mass
-        sqrt(g leg)].
-        """
-        return self.drive.impulses(self.every_walker, drive)
+    def impulses(self, n: int) -> np.ndarray:
+        """Return the impulses of the push-off of n lanes, shape (n,) [mass sqrt(g leg)]."""
+        walker = self.every_walker
+        own = walker.push_off / unit_of_impulse(walker)
+        return np.asarray(np.broadcast_to(own, n))
 
     def driven_by(self, drive: float) -> Problem:
         """Return the problem of the walker that has a value of the drive, one for all

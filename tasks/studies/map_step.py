@@ -87,10 +87,10 @@ def _losses(
     problem: Problem, step: Stride, angle: np.ndarray, parameters: Parameters
 ) -> dict[str, float | None]:
     """Energies lost in the strikes of a step that ends at a stance angle."""
-    walker, (slope, scale) = problem.walker, parameters[:2]
+    walker, scale = problem.walker, parameters[1]
     push = None
     if problem.structure.pushes_off:
-        push = push_off(walker, angle, problem.impulses(slope))
+        push = push_off(walker, angle, problem.impulses(1))
     energy = walker.total_mass * walker.g * walker.leg
     normal, tangential = heelstrike_losses(walker, angle, step.impact * scale, push)
     knee = None
