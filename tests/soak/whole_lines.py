@@ -191,7 +191,9 @@ def _check_in_other_units(
     """
     table = walker.table()
     table |= {
-        key: table[key] * _UNITS[kind] for key, kind in KEYS.items() if kind in _UNITS
+        key: value * _UNITS[KEYS[key]]
+        for key, value in table.items()
+        if KEYS.get(key) in _UNITS
     }
     other = Lanes(resolve_many(table, {"g": np.array([table["g"]])}))
     for branch in branches:
