@@ -1,5 +1,6 @@
 """Functions of `tasks` by their names: solvers are loaded only where one is called."""
 
+import contextlib
 import importlib
 from typing import Any
 
@@ -31,3 +32,20 @@ def ask(name: str, params: dict[str, Any]) -> Any:
         if not hasattr(error, "bound"):
             raise
         raise StudyError(str(error)) from error
+
+
+#: Points, and walkers, of a question that is answered by code that is compiled quickly.
+_FEW_POINTS, _FEW_WALKERS = 1000, 8
+
+
+def for_question(
+    points: int = 1, walkers: int = 1
+) -> contextlib.AbstractContextManager[None]:
+    """Let solvers be compiled as fast as the answer to a question of so many points,
+    and walkers, is wanted; what is archived is computed without.
+    """
+    if points > _FEW_POINTS or walkers > _FEW_WALKERS:
+        return contextlib.nullcontext()
+    compact: contextlib.AbstractContextManager[None]
+    compact = resolve("gaitsweep.tasks.mechanics.kernel:compact_code")()
+    return compact

@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, states
 from gaitsweep.pipeline.study.broadcast import changes, definition
@@ -107,7 +107,9 @@ def check(
         "tolerance": _tolerance(tolerance),
         "steps": Location("", "steps").count(steps, MOST_STEPS),
     }
-    return _frame(ask("check_states", params))
+    with for_question(given.count):
+        answer = ask("check_states", params)
+    return _frame(answer)
 
 
 def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]:

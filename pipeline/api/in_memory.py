@@ -35,9 +35,9 @@ from gaitsweep.pipeline.study.model import Axis, Definition, Study, line_of
 from gaitsweep.tasks.contract.accuracy import always, is_converted
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
-#: Atlases, charts and points of short lines kept for later calls [byte]: other points
-#: are cheaper to compute again.
-_REMEMBERED = Memory(512 << 20)
+#: Atlases, charts and points of short lines kept for later calls [byte], by whether
+#: compact code has computed them: other points are cheaper to compute again.
+_REMEMBERED = {is_compact: Memory(256 << 20) for is_compact in (True, False)}
 _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
 _CHARACTERS = {"dtype": "S1"}
@@ -168,8 +168,10 @@ def gaits(
     multipliers = max((check["multipliers"] for check in answers), default=3)
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
-    found = _solve_in_units(base, lines, flat)
-    points = _in_order(found, unsolvable, base.variables, multipliers)
+    asked = sum(len(line.at) for line in lines)
+    with dispatch.for_question(asked, len(lines)):
+        found = _solve_in_units(base, lines, flat)
+        points = _in_order(found, unsolvable, base.variables, multipliers)
     features = {name for check in answers for name in check["features"]}
     kept = [
         name
@@ -505,6 +507,7 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
     study each.
     """
     left = yield from _solve_plane(base, lines)
+    _remembered().trim()
     while left:
         block = left[:_BLOCK]
         del left[:_BLOCK]
@@ -512,7 +515,7 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
         _compute(plans)
         for one, plan in zip(block, plans, strict=True):
             yield one.at, _points(plan, plan.graph.grid.chunk(0)).take(one.row)
-        _REMEMBERED.trim()
+        _remembered().trim()
 
 
 def _solve_plane(
@@ -544,13 +547,18 @@ def _solve_plane(
         rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
         at = np.concatenate([one.at for one in own])
         yield at, _points(plan, chunk).take(np.concatenate(rows))
-    _REMEMBERED.trim()
     return []
 
 
 def _plan(study: Study) -> Plan:
     """Plan of a study in memory; what failed is tried again."""
-    return Plan(study, _REMEMBERED, retry=True, in_memory=True)
+    return Plan(study, _remembered(), retry=True, in_memory=True)
+
+
+def _remembered() -> Memory:
+    """What is kept of earlier calls that were answered by the same code."""
+    is_compact = dispatch.resolve("gaitsweep.tasks.mechanics.kernel:is_compact")()
+    return _REMEMBERED[is_compact]
 
 
 def _compute(plans: list[Plan]) -> None:
@@ -574,7 +582,7 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
     points = store.points(key, graph.variables)
     if graph.method is not Method.ALONE:
         # They are cheaper to compute again than to keep.
-        _REMEMBERED.drop(key)
+        _remembered().drop(key)
     return points
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.study import broadcast, files, slopes, units
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import led
@@ -74,7 +74,9 @@ def sensitivities(
         "keys": None if keys is None else list(keys),
         "measures": None if variables is None else list(variables),
     }
-    return _dataset(ask("differentiate", asked), grid)
+    with for_question(grid.size):
+        answer = ask("differentiate", asked)
+    return _dataset(answer, grid)
 
 
 def _slopes(grid: xr.DataArray) -> np.ndarray:

@@ -115,7 +115,8 @@ def step_map(
         If the walker, the slope or the state is invalid, or the step does not end in a
         heelstrike.
     """
-    answer = dispatch.ask("step_map", _params(walker, slope, state, keys))
+    with dispatch.for_question():
+        answer = dispatch.ask("step_map", _params(walker, slope, state, keys))
     times = (
         np.nan if (t := answer[f"{name}_time"]) is None else t for name in Times._fields
     )
@@ -206,11 +207,13 @@ def simulate(
     checks = [dispatch.ask("check_walker", params)]
     asked = {**params, "steps": steps, "motion": bool(motion)}
     asked |= {"pushes": pushed, "ground": heights}
-    answer = dispatch.ask("simulate", asked)
+    with dispatch.for_question():
+        answer = dispatch.ask("simulate", asked)
     if dt is not None or samples is not None:
         step = _time_step(dt, samples, answer["period"])
         asked |= {"dt": step, "limits": bool(limits), "motion": False}
-        answer = dispatch.ask("simulate", asked)
+        with dispatch.for_question():
+            answer = dispatch.ask("simulate", asked)
     elif limits:
         raise StudyError("`limits` needs `dt` or `samples`.")
     return _dataset(answer, steps, checks)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.pipeline.dispatch import ask
+from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.errors import NoGaitError
 from gaitsweep.pipeline.study import files, slopes
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
@@ -67,7 +67,9 @@ def solve(
     params |= {"slope": slope, "all": every, "steps": steps}
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
-    return ask("solve", params)
+    with for_question():
+        answer: dict[str, Any] = ask("solve", params)
+    return answer
 
 
 def solve_at(
@@ -131,7 +133,9 @@ def solve_at(
         params["between"] = _rising(between, Location("", "between"))
 
     params |= _of_walker(definition, keys, tuned, limits)
-    return ask("solve_at", params)
+    with for_question():
+        answer: dict[str, Any] = ask("solve_at", params)
+    return answer
 
 
 def _of_walker(

@@ -4,9 +4,14 @@ SIMD lanes.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import logging
 import os
+import threading
 import time
+from collections.abc import Iterator
+from contextvars import ContextVar
 from typing import Any
 
 import heyoka as hy
@@ -42,6 +47,66 @@ LANES = int(os.environ.get("GAITSWEEP_LANES") or _register())
 _FINE = 1.75e-15
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.
 _COARSE = 1e-7
+
+
+#: Options of heyoka for compact code, which is compiled in a tenth of the time and takes
+#: two to three times as long. More optimisation costs a third more and gains a tenth.
+COMPACT: dict[str, Any] = {"compact_mode": True, "opt_level": 1}
+_compact_will_do: ContextVar[bool] = ContextVar("compact_will_do", default=False)
+#: After how many seconds somebody who waits for a compiler is told of it.
+_PATIENCE = 1.0
+
+
+def is_compact() -> bool:
+    """Whether flows are compact now."""
+    return _compact_will_do.get()
+
+
+@contextlib.contextmanager
+def compact_code() -> Iterator[None]:
+    """Let flows be compact, for questions of few points, and tell who waits for their
+    compilation.
+
+    Digits differ from those of full code by rounding, so that whatever is archived is
+    computed without.
+    """
+    token = _compact_will_do.set(True)
+    try:
+        yield
+    finally:
+        _compact_will_do.reset(token)
+
+
+class _Waiting:
+    """Tells who waits, once in a process, that equations are being compiled: after a
+    second of it in all, so that loading what was compiled before is not told.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    @contextlib.contextmanager
+    def telling(self) -> Iterator[None]:
+        """Count the time that something takes to compile."""
+        began = time.monotonic()
+        timer = threading.Timer(max(0.0, _PATIENCE - self.seconds), self._tell)
+        timer.daemon = True
+        if self.seconds < _PATIENCE:
+            timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            self.seconds += time.monotonic() - began
+
+    def _tell(self) -> None:
+        self.seconds = _PATIENCE
+        logging.getLogger("gaitsweep").warning(
+            "gaitsweep: Compiling the equations of motion, once on this computer."
+        )
+
+
+_waiting = _Waiting()
 
 
 @functools.cache
@@ -116,7 +181,12 @@ class Flow:
     """
 
     def __init__(
-        self, structure: Structure, directions: int, with_slope: bool, coarse: bool
+        self,
+        structure: Structure,
+        directions: int,
+        with_slope: bool,
+        coarse: bool,
+        compact: bool = False,
     ):
         motion = system(structure, structure.kneed, directions, with_slope)
         #: What comes after these among a walker's parameters only the strikes need.
@@ -131,6 +201,7 @@ class Flow:
             motion.equations,
             state=np.zeros((self.size, self.lanes)),
             tol=_COARSE if coarse else _FINE,
+            **(COMPACT if compact else {}),
         )
         self._parameters = motion.parameters(batch_size=LANES)
         # Views of the integrator's own memory.
@@ -246,15 +317,20 @@ def flow(
     coarse : bool
         Integrate to the search's tolerance only.
     """
+    compact = is_compact()
     structure = structure.between_strikes()
-    key = structure, directions, with_slope, coarse
+    key = structure, directions, with_slope, coarse, compact
     if key not in FLOWS:
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.
         other = (structure, directions + 1, True)
-        with compile_cache.turn(
-            repr(key),
-            (lambda: None) if with_slope or coarse else (lambda: flow(*other)),
+        telling = _waiting.telling() if compact else contextlib.nullcontext()
+        with (
+            telling,
+            compile_cache.turn(
+                repr(key),
+                (lambda: None) if with_slope or coarse else (lambda: flow(*other)),
+            ),
         ):
             FLOWS[key] = Flow(*key)
     return FLOWS[key]

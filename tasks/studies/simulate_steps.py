@@ -18,7 +18,7 @@ import heyoka as hy
 import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import system
-from gaitsweep.tasks.mechanics.kernel import prepare_compiler
+from gaitsweep.tasks.mechanics.kernel import COMPACT, prepare_compiler
 from gaitsweep.tasks.mechanics.lumped import Structure, general_structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
 from gaitsweep.tasks.step.simulate import (
@@ -421,6 +421,7 @@ class _Phase:
                 hy.t_event(q[0] - limit, direction=hy.event_direction.positive),
                 hy.t_event(q[0] + limit, direction=hy.event_direction.negative),
             ],
+            **COMPACT,
         )
 
     def integrate(

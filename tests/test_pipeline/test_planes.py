@@ -115,6 +115,11 @@ def test_the_lines_of_a_chunk_know_their_charts(tmp_path):
     ]
 
 
+def forget(monkeypatch):
+    memories = {is_compact: Memory(1 << 30) for is_compact in (True, False)}
+    monkeypatch.setattr(in_memory, "_REMEMBERED", memories)
+
+
 def test_charts_are_made_once_and_kept(tmp_path):
     """For all chunks, for another study of the same plane, and if the points are lost."""
     made = []
@@ -511,7 +516,7 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
 
 
 def test_charts_are_made_once_for_all_that_is_asked_of_a_plane(monkeypatch):
-    monkeypatch.setattr(in_memory, "_REMEMBERED", Memory(1 << 30))
+    forget(monkeypatch)
     made = Mock(side_effect=solve_planes.charts)
     monkeypatch.setattr(solve_planes, "charts", made)
     m_s, slopes = np.linspace(0.08, 0.12, 64)[:, None], np.array([0.008, 0.009, 0.01])
@@ -523,7 +528,7 @@ def test_charts_are_made_once_for_all_that_is_asked_of_a_plane(monkeypatch):
 
 
 def test_a_half_of_a_plane_that_fails_leaves_the_other_its_charts(monkeypatch):
-    monkeypatch.setattr(in_memory, "_REMEMBERED", Memory(1 << 30))
+    forget(monkeypatch)
     charts, lines, given = solve_planes.charts, solve_planes.lines, []
     low, high = {"low": [0.08], "high": [0.1]}, {"low": [0.1], "high": [0.12]}
 
@@ -575,7 +580,7 @@ def test_lines_of_a_plane_that_fail_together_are_solved_one_by_one(monkeypatch):
             raise FloatingPointError
         return lines(params, inputs)
 
-    monkeypatch.setattr(in_memory, "_REMEMBERED", Memory(1 << 30))
+    forget(monkeypatch)
     monkeypatch.setattr(solve_planes, "lines", fail)
     answer = gaitsweep.gaits(
         "B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"]

@@ -1,0 +1,84 @@
+"""Questions of few points are answered by code that is compiled quickly."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import gaitsweep
+from gaitsweep.pipeline import dispatch
+from gaitsweep.tasks.mechanics import kernel
+from gaitsweep.tasks.mechanics.kernel import compact_code
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
+
+STATE = ("stance_angle", "stance_rate", "thigh_rate", "period")
+TOLD = "gaitsweep: Compiling the equations of motion, once on this computer."
+#: What a first answer may take [s of processor time], with knees and without: a third of
+#: it on the machine where both were measured.
+FIRST = {"C": 18.0, "D": 9.0}
+
+
+def gaits_of(walker):
+    asked = {"walker": walker, "set": {}, "slope": 0.009, "all": False, "steps": 1}
+    return solve_one(asked)["gaits"]
+
+
+@pytest.mark.parametrize("walker", ["D", "E", "A", "C"])
+def test_both_codes_agree_within_their_bounds(walker):
+    with compact_code():
+        answers = gaits_of(walker)
+
+    for quick, full in zip(answers, gaits_of(walker), strict=True):
+        bound = quick["error_bound"] + full["error_bound"]
+        for name in STATE:
+            assert abs(quick[name] / full[name] - 1) <= bound
+        assert quick["multipliers"] != full["multipliers"], "both are the same code"
+
+
+def test_only_questions_of_few_points_are_answered_by_it():
+    for points, walkers, is_compact in (
+        (1, 1, True),
+        (10**4, 1, False),
+        (99, 99, False),
+    ):
+        with dispatch.for_question(points, walkers):
+            assert kernel.is_compact() == is_compact
+    assert not kernel.is_compact()
+
+
+def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel, "FLOWS", {})
+    study = {"name": "s", "walker": "D", "axes": {"slope": [0.008, 0.009]}}
+    gaitsweep.run(study, jobs=1, archive=tmp_path / "s.nc", quiet=True)
+
+    gaitsweep.gaits("D", 0.009)
+
+    assert kernel.FLOWS and all(compact for *_, compact in kernel.FLOWS)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("walker", FIRST)
+def test_a_first_answer_comes_soon_and_says_what_it_waits_for(walker, tmp_path):
+    """Nothing was compiled before: 30 s with knees by the code of archives."""
+    first, seconds = solved(walker, tmp_path)
+    assert seconds < FIRST[walker]
+    assert walker != "C" or first.stderr.count(TOLD) == 1
+
+    again, _ = solved(walker, tmp_path)
+    assert again.stdout == first.stdout
+    assert TOLD not in again.stderr
+
+
+def solved(walker, folder):
+    """What the command answers, and its processor time [s]."""
+    command = [sys.executable, "-m", "gaitsweep", "solve", "--walker", walker]
+    began = os.times()
+    answer = subprocess.run(
+        [*command, "--slope", "0.009"],
+        env={**os.environ, "GAITSWEEP_CACHE": str(folder / "cache")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return answer, os.times().children_user - began.children_user
