@@ -177,15 +177,15 @@ def _beside(branches: list[Branch], random: np.random.Generator) -> Iterator[flo
             yield slope
 
 
-def _in_other_units(walker: Walker) -> Lanes:
-    """The same walker, its lengths, masses and times in other units."""
+def _in_other_units(walker: Walker) -> dict[str, Any]:
+    """The table of the same walker, its lengths, masses and times in other units."""
     table = walker.table()
     table |= {
         key: value * _UNITS[KEYS[key]]
         for key, value in table.items()
         if KEYS.get(key) in _UNITS
     }
-    return Lanes(resolve_many(table, {"g": np.array([table["g"]])}))
+    return table
 
 
 def _check_in_other_units(
@@ -200,7 +200,8 @@ def _check_in_other_units(
     """Solve gaits and special points of the same walker in other units: slopes and
     angles are the same, times scale.
     """
-    other = _in_other_units(walker)
+    table = _in_other_units(walker)
+    other = Lanes(resolve_many(table, {"g": np.array([table["g"]])}))
     for branch in branches:
         for special in special_points(problem, branch):
             kind, at = str(special["kind"]), float(special["slope"])
