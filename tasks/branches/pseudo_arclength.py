@@ -384,7 +384,11 @@ class Tracks(ABC):
     """
 
     def __init__(
-        self, control: StepControl, Z: Coordinates, tangent: Coordinates, step: float
+        self,
+        control: StepControl,
+        Z: Coordinates,
+        tangent: Coordinates,
+        step: float | PerLane,
     ):
         n = Z.shape[1]
         self.control = control

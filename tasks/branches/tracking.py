@@ -191,7 +191,7 @@ def fall_margin(Z: Coordinates, steps: int = 1) -> ndarray:
 
 
 def follow(
-    problem: Problem, Z: Coordinates, step: float = 0.05
+    problem: Problem, Z: Coordinates, step: float | PerLane = 0.05
 ) -> list[tuple[Track, Track]]:
     """Follow branches in both directions from solved gaits.
 
@@ -201,7 +201,7 @@ def follow(
         Of n lanes.
     Z : ndarray, shape (c, n)
         Gaits.
-    step : float
+    step : float, or ndarray, shape (n,)
         Length of the first steps.
 
     Returns
@@ -217,9 +217,9 @@ def follow(
     orientation = np.zeros((len(Z), 2 * n))
     orientation[-1] = np.repeat([-1.0, 1.0], n)
     starts = lanes_of(first, lanes)
-    tracks = _Branches(
-        problem.some(lanes), starts, orientation, step, several=problem.steps > 1
-    )
+    steps = np.broadcast_to(step, n)[lanes]
+    several = problem.steps > 1
+    tracks = _Branches(problem.some(lanes), starts, orientation, steps, several)
     tracks.stop[~starts.ok] = "no start"
 
     followed = [_without_last_halved(track) for track in tracks.follow(_MAX_NODES)]
@@ -295,7 +295,7 @@ class _Branches(Tracks):
         problem: Problem,
         first: Point,
         orientation: Coordinates,
-        step: float,
+        step: float | PerLane,
         several: bool,
     ):
         first = first.oriented(orientation)

@@ -56,11 +56,9 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     begins = single if steps == 1 else _flips_of(problem, followed)
     while steps < n:
         steps *= 2
-        followed = []
-        for flip in begins:
-            begun = doubled(flip, _EXPECTED)
-            if begun and not is_known(followed, begun[0].Z[:, 0]):
-                followed += _along(problem.of_steps(steps), begun[0], begun[2], begins)
+        begun = [found for flip in begins if (found := doubled(flip, _EXPECTED))]
+        starts = [(gait, step) for gait, _, step in begun]
+        followed = _along(problem.of_steps(steps), starts, begins)
         followed += _searched(problem, branches, steps, single, followed)
         begins = _flips_of(problem, followed)
     return ranked(followed)
@@ -74,11 +72,26 @@ def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
 
 
 def _along(
-    problem: Problem, gait: Point, step: float, begins: Sequence[Evaluation]
+    problem: Problem,
+    starts: Sequence[tuple[Point, float]],
+    begins: Sequence[Evaluation],
 ) -> list[Branch]:
-    """The branch through a gait, followed both ways, in parts that walk."""
-    ((down, up),) = follow(problem, gait.Z, step)
-    return run(problem, branches_along(problem, down, up, COARSE, begins))
+    """The branches through gaits, each followed both ways side by side with the others
+    from a first step of its own, in parts that walk.
+    """
+    if not starts:
+        return []
+    Z = np.hstack([gait.Z for gait, _ in starts])
+    steps = np.array([step for _, step in starts])
+    tracks = follow(problem.some(np.zeros(len(starts), int)), Z, steps)
+
+    followed: list[Branch] = []
+    for (gait, _), (down, up) in zip(starts, tracks, strict=True):
+        # Two flips may be the ends of one branch.
+        if not is_known(followed, gait.Z[:, 0]):
+            along = branches_along(problem, down, up, COARSE, begins)
+            followed += run(problem, along)
+    return followed
 
 
 def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
@@ -115,11 +128,13 @@ def _searched(
     elif not flips and n == 2:
         slopes = _beyond_flips(problem, branches)
 
+    if not len(slopes):
+        return []
+
     followed: list[Branch] = []
-    for slope in slopes.tolist():
-        for gait in search_cycles(problem, branches, slope, n, _STARTS):
-            if abs(gait.at.multipliers[0, 0]) > MAX_MULTIPLIER:
-                continue
-            if not is_known([*known, *followed], gait.Z[:, 0]):
-                followed += _along(problem.of_steps(n), gait, _FIRST_STEP, [])
+    for gait in search_cycles(problem, branches, slopes, n, _STARTS):
+        if abs(gait.at.multipliers[0, 0]) > MAX_MULTIPLIER:
+            continue
+        if not is_known([*known, *followed], gait.Z[:, 0]):
+            followed += _along(problem.of_steps(n), [(gait, _FIRST_STEP)], [])
     return followed

@@ -52,6 +52,8 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Largest step of Newton's method by which a guess is not lost.
 _MAX_STEP = 1.0
+#: Initial states at a slope that are polished: those that return closest to themselves.
+_POLISHED = 60
 #: Most points of a branch on which no event is found.
 _MAX_POINTS = 400
 #: Distance of a gait's sections from each other, over the first angle, beyond which it
@@ -300,8 +302,8 @@ def _first_gaits(
     branches = atlases.from_arrays(atlas)
     if n == 1:
         return _first_long_gait(problem, near, branches, slope)
-    for s in slope.tolist():
-        gaits = search_cycles(problem, branches, s, n, starts)
+    for k in range(len(slope)):
+        gaits = search_cycles(problem, branches, slope[[k]], n, starts)
         if gaits:
             return gaits
     return []
@@ -328,23 +330,26 @@ def _first_long_gait(
         durations = np.diff(step.times, axis=0, prepend=0)
         guess = joined(0.0, start[None, :, None], durations[None])
         has_struck = step.outcome == STRUCK
-        gaits = _solved(problem, guess[:, has_struck], float(slopes[k]))
+        gaits = _solved(
+            problem, guess[:, has_struck], np.full(has_struck.sum(), slopes[k])
+        )
         if gaits:
             return gaits
     return []
 
 
-def _solved(problem: Problem, w: Unknowns, slope: float) -> list[Point]:
+def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
     """Distinct gaits, of exactly so many steps, to which Newton's method leads from
-    guesses (m + k, n) at one slope.
+    guesses (m + k, n) at slopes (n,).
     """
     m, n = problem.m, problem.steps
-    q = np.full(w.shape[1], np.log(slope))
+    q = np.log(slope)
     w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
     exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
     kept: list[int] = []
     for i in np.flatnonzero(converged & exact).tolist():
-        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in kept):
+        beside = [k for k in kept if q[k] == q[i]]
+        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in beside):
             kept.append(i)
     if not kept:
         return []
@@ -356,21 +361,21 @@ def _solved(problem: Problem, w: Unknowns, slope: float) -> list[Point]:
 
 
 def search_cycles(
-    problem: Problem, branches: list[Branch], slope: float, n: int, starts: int
+    problem: Problem, branches: list[Branch], slopes: Slopes, n: int, starts: int
 ) -> list[Point]:
-    """Search for the distinct gaits of exact period n at one slope, in order of their
-    largest multiplier.
+    """Search for the distinct gaits of exact period n at some slopes: those of the first
+    slope first, and of one slope in order of their largest multiplier.
 
     Parameters
     ----------
     problem : Problem
     branches : list of Branch
         The line's atlas.
-    slope : float [rad]
+    slopes : ndarray, shape (k,) [rad]
     n : int
         Number of steps after which the gaits repeat.
     starts : int
-        Initial states.
+        Initial states at each slope.
 
     Notes
     -----
@@ -378,26 +383,52 @@ def search_cycles(
     paper's walkers; those that return close to themselves after n steps are polished by
     Newton on all n sections.
     """
-    known, y = gaits_at(problem, branches, np.array([slope]), "long")
-    if not len(known):
+    guesses, slope = _nearly_returning(problem, branches, slopes, n, starts)
+    if not len(slope):
         return []
-    y = y * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))
-    walk = Walk(problem, y, np.full(starts, slope))
+    found = _solved(problem.of_steps(n), guesses, slope)
+
+    def place(gait: Point) -> tuple[int, float]:
+        nearest_slope = np.abs(np.log(slopes) - gait.Z[-1, 0]).argmin()
+        return int(nearest_slope), _largest_multiplier(gait)
+
+    return sorted(found, key=place)
+
+
+def _nearly_returning(
+    problem: Problem, branches: list[Branch], slopes: Slopes, n: int, starts: int
+) -> tuple[Unknowns, Slopes]:
+    """Guesses (m + k, j) at gaits of n steps, and their slopes (j,): those orbits of
+    each slope that return closest to themselves.
+    """
+    nothing = np.empty((0, 0)), np.empty(0)
+    known, y = gaits_at(problem, branches, slopes, "long")
+    if not len(known):
+        return nothing
+    lattice = 1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1)
+    begins = (y[:, :, None] * lattice[:, None]).reshape(problem.m, -1)
+    of_slope = np.repeat(known, starts)
+    walk = Walk(problem, begins, slopes[of_slope])
+
+    # The first step maps all initial conditions onto the strongly contracted image of
+    # the map.
     after, times = [], []
     for _ in walk.steps(n + 1):
         after.append(walk.y.copy())
         times.append(walk.times.copy())
     if not len(walk.lanes):
-        return []
+        return nothing
+    off = np.abs(after[n] - after[0]).max(axis=0)
 
-    # The first step maps all initial conditions onto the strongly contracted image of
-    # the map.
-    off = np.abs(after[n] - after[0]).max(axis=0)[walk.lanes]
-    nearest = walk.lanes[np.argsort(off, kind="stable")[:60]]
-    y = np.stack(after[:n])[..., nearest]
-    strikes = np.stack(times[1:])[..., nearest]
-    guesses = joined(0.0, y, np.diff(strikes, axis=1, prepend=0))
-    return sorted(_solved(problem.of_steps(n), guesses, slope), key=_largest_multiplier)
+    nearest = []
+    for k in known:
+        lanes = walk.lanes[of_slope[walk.lanes] == k]
+        nearest.append(lanes[np.argsort(off[lanes], kind="stable")[:_POLISHED]])
+    lanes = np.concatenate(nearest)
+    states = np.stack(after[:n])[..., lanes]
+    strikes = np.stack(times[1:])[..., lanes]
+    durations = np.diff(strikes, axis=1, prepend=0)
+    return joined(0.0, states, durations), slopes[of_slope[lanes]]
 
 
 def _largest_multiplier(gait: Point) -> float:

@@ -205,7 +205,7 @@ def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
         lambda *a, **k: corrected.append(a[1].shape[1]) or newton(*a, **k),
     )
     found = locate_cascade.search_cycles(
-        problem, from_arrays(_atlas("D", ())), 0.0126, 3, 200
+        problem, from_arrays(_atlas("D", ())), np.array([0.0126]), 3, 200
     )
     assert [gait.at.stride.steps for gait in found] == [3, 3]  # of both sides of a fold
     assert len(corrected) == 1 and corrected[0] > 2
