@@ -401,14 +401,7 @@ def _nearly_returning(
     """Guesses (m + k, j) at gaits of n steps, and their slopes (j,): those orbits of
     each slope that return closest to themselves.
     """
-    nothing = np.empty((0, 0)), np.empty(0)
-    known, y = gaits_at(problem, branches, slopes, "long")
-    if not len(known):
-        return nothing
-    lattice = 1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1)
-    begins = (y[:, :, None] * lattice[:, None]).reshape(problem.m, -1)
-    of_slope = np.repeat(known, starts)
-    walk = Walk(problem, begins, slopes[of_slope])
+    walk = _around_long_gaits(problem, branches, slopes, starts)
 
     # The first step maps all initial conditions onto the strongly contracted image of
     # the map.
@@ -417,18 +410,31 @@ def _nearly_returning(
         after.append(walk.y.copy())
         times.append(walk.times.copy())
     if not len(walk.lanes):
-        return nothing
+        return np.empty((0, 0)), np.empty(0)
     off = np.abs(after[n] - after[0]).max(axis=0)
 
     nearest = []
-    for k in known:
-        lanes = walk.lanes[of_slope[walk.lanes] == k]
+    for slope in np.unique(walk.slope[walk.lanes]):
+        lanes = walk.lanes[walk.slope[walk.lanes] == slope]
         nearest.append(lanes[np.argsort(off[lanes], kind="stable")[:_POLISHED]])
     lanes = np.concatenate(nearest)
     states = np.stack(after[:n])[..., lanes]
     strikes = np.stack(times[1:])[..., lanes]
     durations = np.diff(strikes, axis=1, prepend=0)
-    return joined(0.0, states, durations), slopes[of_slope[lanes]]
+    return joined(0.0, states, durations), walk.slope[lanes]
+
+
+def _around_long_gaits(
+    problem: Problem, branches: list[Branch], slopes: Slopes, starts: int
+) -> Walk:
+    """So many walkers around the long gait of each slope that has one."""
+    known, y = gaits_at(problem, branches, slopes, "long")
+    if not len(known):
+        return Walk(problem, np.empty((problem.m, 0)), np.empty(0))
+    lattice = 1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1)
+    states = y[:, :, None] * lattice[:, None]
+    slope = np.repeat(slopes[known], starts)
+    return Walk(problem, states.reshape(problem.m, -1), slope)
 
 
 def _largest_multiplier(gait: Point) -> float:
