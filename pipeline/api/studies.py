@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.api.gait_table import GaitTable, Walks
 from gaitsweep.pipeline.api.reports import archive_path
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
@@ -426,7 +427,7 @@ def solve(
         One row for each gait, with the columns of archives, and `multipliers` and
         `violations` as tuples; first that of the key that is varied. No row if there is
         no gait; `attrs["search"]` describes the search, `attrs["absent"]` says why
-        there is none.
+        there is none. A notebook shows the gaits' steps above it.
 
     Raises
     ------
@@ -461,4 +462,5 @@ def solve(
     frame = pd.DataFrame(rows, columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     frame.attrs["absent"] = list(answer["absent"])
-    return frame
+    whole = files.changed(definition, tuned=tuned)
+    return GaitTable.of(frame, Walks(whole, changes, steps, vary if at else "slope"))

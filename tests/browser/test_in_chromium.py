@@ -254,6 +254,21 @@ def test_a_line_is_highlighted_and_hidden_from_the_legend(visit, chains):
     assert one(browser, "#loglog .plot").get_attribute("class") == "plot"
 
 
+def test_a_line_hidden_in_one_figure_is_hidden_in_all_of_the_page(visit):
+    browser = visit("tuned-walkers")
+    legends = ask(browser, """[...document.querySelectorAll(".plot")].filter(plot => plot.querySelector(".legend"))
+        .map(plot => plot.closest("section").id)""")
+    assert len(legends) > 1
+    name = one(browser, f"#{legends[0]} .legend button:nth-child(2)").text
+    state = """[...document.querySelectorAll(".legend button")].filter(one => one.textContent === arguments[0])
+        .map(one => one.getAttribute("aria-pressed"))"""
+    browser.execute_script("document.querySelectorAll('.legend button')[1].click()")
+    assert {*browser.execute_script(f"return {state}", name)} == {"false"}
+    hidden = """[...document.querySelectorAll("svg [data-line]")].filter(one => one.style.display === "none")
+        .map(one => one.closest("section").id)"""
+    assert {*ask(browser, hidden)} == {*legends}
+
+
 def test_a_box_zooms_and_keeps_axes_and_titles_and_a_double_click_resets(visit, chains):
     browser = visit("transition", anchor="#loglog")
     plot = one(browser, "#loglog .picture svg")
