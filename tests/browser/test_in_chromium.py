@@ -256,8 +256,11 @@ def test_a_line_is_highlighted_and_hidden_from_the_legend(visit, chains):
 
 def test_a_line_hidden_in_one_figure_is_hidden_in_all_of_the_page(visit):
     browser = visit("tuned-walkers")
-    legends = ask(browser, """[...document.querySelectorAll(".plot")].filter(plot => plot.querySelector(".legend"))
-        .map(plot => plot.closest("section").id)""")
+    legends = ask(
+        browser,
+        """[...document.querySelectorAll(".plot")].filter(plot => plot.querySelector(".legend"))
+        .map(plot => plot.closest("section").id)""",
+    )
     assert len(legends) > 1
     name = one(browser, f"#{legends[0]} .legend button:nth-child(2)").text
     state = """[...document.querySelectorAll(".legend button")].filter(one => one.textContent === arguments[0])

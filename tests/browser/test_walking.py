@@ -853,9 +853,17 @@ def test_slices_lead_through_the_axes_that_maps_leave_out(walk, walking, gait):
     assert told == pytest.approx(
         {"foot mass ratio ρ": 0.11, "R": 0.2, "period T": float(at.period)}, rel=1e-3
     )
-    given = dict(pair.split("=") for pair in ask(browser, "location.hash")[1:].split("&"))
-    assert (given["R"], given["foot_mass_ratio"], given["slope"]) == ("0.2", "0.11", "0.044")
-    assert float(given["stance_angle"]) == pytest.approx(float(at.stance_angle), rel=1e-7)
+    given = dict(
+        pair.split("=") for pair in ask(browser, "location.hash")[1:].split("&")
+    )
+    assert (given["R"], given["foot_mass_ratio"], given["slope"]) == (
+        "0.2",
+        "0.11",
+        "0.044",
+    )
+    assert float(given["stance_angle"]) == pytest.approx(
+        float(at.stance_angle), rel=1e-7
+    )
     assert "--set foot_mass_ratio=0.11" in part(browser, "command").text
 
 
@@ -866,7 +874,10 @@ def test_the_address_of_a_cell_of_a_slice_leads_to_its_gait(walk):
 
     again = walk("cube", anchor=address)
 
-    assert ask(again, "location.hash").split("&stance_angle")[0] == address.split("&stance_angle")[0]
+    assert (
+        ask(again, "location.hash").split("&stance_angle")[0]
+        == address.split("&stance_angle")[0]
+    )
     assert part(again, "said").text == ""
     walk("cube", anchor=address.replace("R=0.1", "R=0.13"))
     assert part(browser, "said").text.startswith("R = 0.13 is not on the map")

@@ -338,3 +338,25 @@ def test_every_parameter_of_a_walker_is_named_once_where_it_is_measured(
     assert any(f": {plain(table['m_t'])}" in words for words in boxes)
     for one, other in itertools.combinations(boxes.values(), 2):
         assert not one.overlaps(other)
+
+
+def test_the_static_conditions_say_what_each_walker_lacks_of_them(tmp_path):
+    walkers = {
+        "upright": POINT,
+        "thigh": POINT | {"w_t": 0.001},
+        "shank": POINT | {"w_s": -0.002, "knees": True},
+    }
+    names = ", ".join(f'"{name}.toml"' for name in walkers)
+    study = f'name = "c"\nwalker = [{names}]\n[axes]\nslope = [0.01]\n'
+    source = read(write(tmp_path / "c.nc", study, {}, {}, walkers))
+
+    drawn = FIGURES["conditions"](source)
+
+    # The thighs are four fifths of the mass, the shanks one.
+    assert drawn.words[3] == (
+        "The conditions hold for upright.toml but for rounding."
+        " thigh.toml misses the first by 0.0008;"
+        " shank.toml misses the first by 0.0004 and the second by 0.002."
+    )
+    below = [axes.texts[0].get_text() for axes in drawn.panels]
+    assert below == ["cross: 0", "cross: −0.0008", "cross: 0.0004\ndashed line: 0.002"]

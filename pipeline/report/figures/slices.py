@@ -212,4 +212,3 @@ def _line(
         "ink": VARIABLES[WALKERS.get(walker, LINE)],
         "moved": moved,
     }
-
