@@ -1,7 +1,7 @@
 """Gaits as a table that draws their steps in a notebook."""
 
 import base64
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -37,7 +37,7 @@ class GaitTable(pd.DataFrame):
     """
 
     # Names that pandas takes for no columns.
-    _metadata = ["_walks"]
+    _metadata: ClassVar[list[str]] = ["_walks"]
     _walks: Walks | None = None
 
     @classmethod

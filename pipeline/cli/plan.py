@@ -47,9 +47,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
-    """Describe a plan: for each task what runs and why, what is cached, and what is not
-    requested.
-    """
+    """Describe a plan: for each task what runs and why, and what is cached."""
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
     axes, total = study.axes, counted(study.points, "point")
@@ -64,7 +62,7 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
-        yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
+        yield f"  {name:<12} per {what}: {', '.join(parts) or 'none'}"
     by_charts, by_lines = seconds_over_plane(study)
     if study.plane and by_lines < math.inf:
         keys = " and ".join(study.plane.region["keys"])
@@ -74,7 +72,6 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     if (integrated := costs.integrated(study, every, planned.graph.method)) < every:
         yield f"  integrated: about {integrated:,} points to an accuracy of {study.accuracy:g}, all others not"
     yield from (f"  note: {sentence}" for sentence in corners.notes(study))
-    yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
     yield (
         f"  about {duration(counts.seconds)} of work for one core"
         if counts.seconds
