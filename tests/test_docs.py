@@ -201,7 +201,8 @@ def test_guesses_lead_where_the_readme_says():
     guesses, long, short = map(
         int,
         re.search(
-            r"of (\d+) of them .* leads (\d+) to the long gait, (\d+) to the short", said
+            r"of (\d+) of them .* leads (\d+) to the long gait, (\d+) to the short",
+            said,
         ).groups(),
     )
     known = gaitsweep.solve("C", 0.02).set_index("gait")["stance_angle"]
@@ -218,7 +219,11 @@ def test_guesses_lead_where_the_readme_says():
             found += [known.index[(abs(known - end[0]) < 1e-6)].tolist()] * (flag == 1)
 
     assert guesses == 81
-    assert (found.count(["long"]), found.count(["short"]), len(found)) == (long, short, long + short)
+    assert (found.count(["long"]), found.count(["short"]), len(found)) == (
+        long,
+        short,
+        long + short,
+    )
 
 
 def test_the_python_shown_is_python():

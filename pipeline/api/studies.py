@@ -448,19 +448,18 @@ def solve(
     else:
         chosen = every, steps, accuracy, limits, tuned
         answer = single_point.solve(definition, fixed, changes, *chosen)
-    rows = [
-        {
-            **{
-                name: math.nan if value is None else value
-                for name, value in gait.items()
-            },
-            "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
-            "violations": tuple(gait["violations"] or ()),
-        }
-        for gait in answer["gaits"]
-    ]
-    frame = pd.DataFrame(rows, columns=answer["columns"])
+    frame = pd.DataFrame(map(_row, answer["gaits"]), columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     frame.attrs["absent"] = list(answer["absent"])
     whole = files.changed(definition, tuned=tuned)
     return GaitTable.of(frame, Walks(whole, changes, steps, vary if at else "slope"))
+
+
+def _row(gait: Mapping[str, Any]) -> dict[str, Any]:
+    """A gait as a row of a table: numbers, and tuples of multipliers and violations."""
+    known = {name: math.nan if value is None else value for name, value in gait.items()}
+    return {
+        **known,
+        "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
+        "violations": tuple(gait["violations"] or ()),
+    }

@@ -438,8 +438,8 @@ def failed_tasks(source: Source) -> Table | None:
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, one column each; a key that the study varies
-    shows its values.
+    """Parameters of the study's walkers, one column each, with what each key means; a
+    key that the study varies shows its values.
     """
     tables = source.walkers
     if not tables:
@@ -460,16 +460,23 @@ def walkers(source: Source) -> Table | None:
     rows = [
         [
             Cell(key),
+            _meaning(key),
             *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values()),
         ]
         for key in keys
     ]
     rows += [
-        [Cell(axis), *[values] * len(tables)]
+        [Cell(axis), _meaning(axis), *[values] * len(tables)]
         for axis, values in given.items()
         if axis not in keys
     ]
-    return Table("Parameters", ["key", *tables], rows)
+    heads = ["key", "meaning", *tables]
+    return Table("Parameters", heads, rows, most=MAX_COLUMNS + 1)
+
+
+def _meaning(key: str) -> Cell:
+    """What a key of a walker means; empty where its name says it."""
+    return Cell(WORDS["parameters"].get(key, ""))
 
 
 def _axis_values(values: np.ndarray) -> Cell:

@@ -54,9 +54,7 @@ def untuned(params: Mapping[str, Any]) -> str:
 def _instead(start: Walker, free: list[str]) -> str:
     """Which keys meet the conditions in place of those freed, or beside them."""
     alone = [key for key in NUMBERS if _meets(start, [key])]
-    beside = [
-        key for key in NUMBERS if key not in free and _meets(start, [*free, key])
-    ]
+    beside = [key for key in NUMBERS if key not in free and _meets(start, [*free, key])]
     ways = [
         f"{word} {' or '.join(keys)}"
         for word, keys in (("alone do", alone), ("beside it", beside))

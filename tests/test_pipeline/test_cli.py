@@ -1689,7 +1689,9 @@ def test_a_study_named_without_its_ending_and_figures_in_the_wrong_table(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    study = 'name = "mine"\nwalker = "E"\nfigures = ["loglog"]\n[axes]\nslope = [0.01]\n'
+    study = (
+        'name = "mine"\nwalker = "E"\nfigures = ["loglog"]\n[axes]\nslope = [0.01]\n'
+    )
     (tmp_path / "mine.toml").write_text(study)
 
     assert commands.main(["run", "mine"]) == 2

@@ -230,8 +230,10 @@ def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
         varied=varied,
     )
     table = html_tables.walkers(read(made))
-    assert table.heads == ["key", *names]
-    rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
+    assert table.heads == ["key", "meaning", *names]
+    meanings = {row[0].text: row[1].text for row in table.rows}
+    assert meanings["w_t"] == "mass behind the thigh" and meanings["knees"] == ""
+    rows = {row[0].text: {cell.text for cell in row[2:]} for row in table.rows}
     assert (
         rows["R"] == {"0.15, 0.3"}
         and rows["m_h"] == {"2.5"}

@@ -25,6 +25,8 @@ from gaitsweep.pipeline.report.words import fill, plain
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 #: Walkers drawn at most, and in one row.
 _MAX_WALKERS, _MAX_IN_ROW = 8, 6
+#: Angle of each leg of a walker that is drawn [rad].
+_SPREAD = 0.26
 
 
 @dataclass(frozen=True)
@@ -214,60 +216,67 @@ def walker(source: Source) -> Sketch | None:
     return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
 
+class _Mass(NamedTuple):
+    """A mass of a walker: its part, where it is as x + iy, how large, and its radius of
+    gyration.
+    """
+
+    part: str
+    at: complex
+    mass: float
+    gyration: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Its parameters by their keys; the hip has no radius of gyration."""
+        letter = self.part[0]
+        own = {f"m_{letter}": self.mass}
+        return own if self.part == "hip" else own | {f"r_{letter}": self.gyration}
+
+
+def _masses(
+    body: Body, table: Mapping[str, Any], hip: complex, angle: float
+) -> list[_Mass]:
+    """The masses of the hip and of a leg at an angle [rad]."""
+    thigh, shank = centres_of_mass(body, table, hip, angle)
+    every = [
+        _Mass(part, at, _number(table, f"m_{part[0]}"), _number(table, f"r_{part[0]}"))
+        for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip))
+    ]
+    return [one for one in every if np.isfinite(one.mass) and one.mass > 0]
+
+
 def _draw_walker(
     sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]
 ) -> None:
     """Draw one walker with its legs apart, the front leg darker."""
-    spread = 0.26
-    hip = complex(body.hip(spread))
-    height = body.height
-    ends = [body.foot(body.knee(hip, a), a) for a in (spread, -spread)]
-    ground = min(e.imag for e in ends) - body.radius
+    hip, height = complex(body.hip(_SPREAD)), body.height
+    ends = [body.foot(body.knee(hip, angle), angle) for angle in (_SPREAD, -_SPREAD)]
+    ground = min(end.imag for end in ends) - body.radius
     axes.axhline(ground, color=MUTED, lw=0.8)
     back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
-    draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
-    thigh, shank = centres_of_mass(body, table, hip, -spread)
-    total = (
-        2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h")
-        or 1.0
-    )
-    for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip)):
-        letter = part[0]
-        mass, gyration = (
-            _number(table, f"m_{letter}"),
-            _number(table, f"r_{letter}"),
-        )  # the hip has no radius
-        if not np.isfinite(mass) or mass <= 0:
-            continue
-        size = 0.11 * height * np.sqrt(mass / total)
-        axes.add_patch(
-            Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4)
-        )
-        if gyration > 0:
-            axes.add_patch(
-                Circle(
-                    (at.real, at.imag),
-                    gyration,
-                    fill=False,
-                    color=MUTED,
-                    lw=0.7,
-                    ls=(0, (2, 2)),
-                )
-            )
-        values = {f"m_{letter}": mass} | (
-            {f"r_{letter}": gyration} if part != "hip" else {}
-        )
-        rows = pd.DataFrame([{**values, "x": at.real, "y": at.imag}])
-        sketch.mark(
-            axes,
-            rows,
-            f"{name} · {part}",
-            tips={key: key for key in values},
-            x="x",
-            y="y",
-        )
+    draw_pose(axes, body, hip, (_SPREAD, -_SPREAD, -_SPREAD), back, front, 4)
+
+    links = 2 * _number(table, "m_t") + 2 * _number(table, "m_s")
+    total = links + _number(table, "m_h") or 1.0
+    for one in _masses(body, table, hip, -_SPREAD):
+        _draw_mass(axes, one, 0.11 * height * np.sqrt(one.mass / total))
+        rows = pd.DataFrame([{**one.values, "x": one.at.real, "y": one.at.imag}])
+        tips = {key: key for key in one.values}
+        sketch.mark(axes, rows, f"{name} · {one.part}", tips=tips, x="x", y="y")
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
+
+
+def _draw_mass(axes: Axes, one: _Mass, size: float) -> None:
+    """Draw a mass as a disc, and its radius of gyration as a ring."""
+    place = one.at.real, one.at.imag
+    axes.add_patch(Circle(place, size, color=LINE, alpha=0.75, lw=0, zorder=4))
+    if one.gyration > 0:
+        dashes = (0, (2, 2))
+        axes.add_patch(
+            Circle(place, one.gyration, fill=False, color=MUTED, lw=0.7, ls=dashes)
+        )
 
 
 def centres_of_mass(

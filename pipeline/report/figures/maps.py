@@ -198,11 +198,14 @@ def _draw_cell_map(
     named = (maps.down, maps.along, *maps.columns)
     fixed = {d: value for d, value in at.items() if source.grid.sizes[d] > 1}
     sketch.pieces.append(part[[*named]].assign(gait=gait, **fixed))
-    # Slices of a grid take as much room as its maps.
-    share = sketch.grid.size * (2 if axes_of(source) else 1)
-    held = cells(source, at, grids, named, share, f"{gait} step")
+    held = cells(source, at, grids, named, _share(sketch, source), f"{gait} step")
     sketch.maps.append(Panel(axes, values, held))
     return picture
+
+
+def _share(sketch: Sketch, source: Source) -> int:
+    """Among how many maps the room of a figure is shared; slices take as much as all."""
+    return int(sketch.grid.size) * (2 if axes_of(source) else 1)
 
 
 def _words_of_maps(

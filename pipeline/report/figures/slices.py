@@ -72,6 +72,8 @@ def volume(source: Source) -> dict[str, Any]:
     if not axes or not shown:
         return {}
     sizes = source.grid.sizes
+    # A large grid is read at every n-th slope.
+    whole = {**sizes, **source.outcomes.sizes}
     grid = _thinned(source.grid.sortby(axes), axes)
     axes.sort(key=lambda axis: sizes[axis])
 
@@ -91,7 +93,7 @@ def volume(source: Source) -> dict[str, Any]:
         "gaits": source.gaits,
         "quantities": [[name, _title(source, name)] for name in shown],
         "fields": encoded,
-        "every": int(np.prod([sizes[axis] for axis in axes])),
+        "every": int(np.prod([whole[axis] for axis in axes])),
         "held": int(np.prod([grid.sizes[axis] for axis in axes])),
     }
 
@@ -170,14 +172,15 @@ def _encoded(quantities: Iterator[tuple[str, _Quantity]]) -> dict[str, Any]:
     known = dict(quantities)
     present = fields.words(np.isfinite(next(iter(known.values())).values))
     for coarser in (1, 10, 100):
-        found = {}
+        found: dict[str, Any] = {}
+        characters = 0
         for name, (values, step, log) in known.items():
             own = [
                 fields.numbers(part, step * coarser, log) for part in _slices(values)
             ]
             texts = [one["text"] for one in own]
             found[name] = {"step": step * coarser, "log": log, "texts": texts}
-        characters = sum(len(text) for one in found.values() for text in one["texts"])
+            characters += sum(map(len, texts))
         if characters <= _ROOM:
             return {**found, "present": present}
     return {}
