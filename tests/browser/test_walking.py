@@ -817,7 +817,8 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
 def _choose(browser, control, value):
     """Set the control of slices with a title; its other controls stay."""
     script = """const labels = [...document.querySelectorAll(".slices label")],
-        label = labels.find(one => one.textContent.startsWith(arguments[0])), node = label.querySelector("select, input");
+        label = labels.find(one => one.textContent.startsWith(arguments[0])),
+        node = label.querySelector("select, input");
       node.value = node.type === "range" ? arguments[1] : [...node.options].findIndex(one => one.text === arguments[1]);
       node.dispatchEvent(new Event("input"));
       return label.textContent;"""

@@ -220,3 +220,25 @@ def test_what_is_not_wanted_is_in_the_record_alone(tmp_path, monkeypatch, capsys
         "scaling",
         "orbit",
     } & set(names)
+
+
+@pytest.mark.parametrize(
+    ("axes", "want", "said"),
+    [
+        ("slope = [0.01, 0.02]", 'figures = ["heatmap"]', "only slope has"),
+        ("slope = [0.01]", 'figures = ["heatmap"]', "none has"),
+        ("slope = [0.01]", 'fits = ["scaling"]', "1 slope may not be enough"),
+        ("slope = [0.01, 0.02]\nR = [0.1, 0.2]", 'figures = ["heatmap"]', ""),
+    ],
+)
+def test_a_plan_says_what_a_grid_is_too_small_for(
+    tmp_path, monkeypatch, capsys, axes, want, said
+):
+    study = f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\n{want}\n'
+    (tmp_path / "s.toml").write_text(study)
+    monkeypatch.chdir(tmp_path)
+
+    assert commands.main(["plan", "s.toml"]) == 0
+
+    told = capsys.readouterr().out
+    assert said in told and ("  note: " in told) == bool(said)

@@ -1129,7 +1129,7 @@ def _volume(tmp_path, sizes, walkers=("B",)):
     )
     coords |= {"walker": np.array(walkers, object)}
     return read(
-        write(tmp_path / "v.nc", text, grid, coords, {name: POINT for name in walkers})
+        write(tmp_path / "v.nc", text, grid, coords, dict.fromkeys(walkers, POINT))
     )
 
 

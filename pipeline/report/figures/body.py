@@ -27,6 +27,8 @@ _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 _MAX_WALKERS, _MAX_IN_ROW = 8, 6
 #: Angle of each leg of a walker that is drawn [rad].
 _SPREAD = 0.26
+#: How its legs are drawn.
+_BACK, _FRONT = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
 
 
 @dataclass(frozen=True)
@@ -246,6 +248,12 @@ def _masses(
     return [one for one in every if np.isfinite(one.mass) and one.mass > 0]
 
 
+def _total(table: Mapping[str, Any]) -> float:
+    """Mass of a walker; 1 where it has none."""
+    links = 2 * _number(table, "m_t") + 2 * _number(table, "m_s")
+    return links + _number(table, "m_h") or 1.0
+
+
 def _draw_walker(
     sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]
 ) -> None:
@@ -254,11 +262,9 @@ def _draw_walker(
     ends = [body.foot(body.knee(hip, angle), angle) for angle in (_SPREAD, -_SPREAD)]
     ground = min(end.imag for end in ends) - body.radius
     axes.axhline(ground, color=MUTED, lw=0.8)
-    back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
-    draw_pose(axes, body, hip, (_SPREAD, -_SPREAD, -_SPREAD), back, front, 4)
+    draw_pose(axes, body, hip, (_SPREAD, -_SPREAD, -_SPREAD), _BACK, _FRONT, 4)
 
-    links = 2 * _number(table, "m_t") + 2 * _number(table, "m_s")
-    total = links + _number(table, "m_h") or 1.0
+    total = _total(table)
     for one in _masses(body, table, hip, -_SPREAD):
         _draw_mass(axes, one, 0.11 * height * np.sqrt(one.mass / total))
         rows = pd.DataFrame([{**one.values, "x": one.at.real, "y": one.at.imag}])
