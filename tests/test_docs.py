@@ -22,6 +22,7 @@ import gaitsweep
 from conftest import ROOT
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.report.figures import FIGURES
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.contract.registry import OPTIONS
 
@@ -292,3 +293,15 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
         and len(names["branches"]) > 4
         and len(names["table"]) == 2
     )
+
+
+def test_every_figure_is_in_the_table_of_figures():
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    table = page.partition("## Figures\n")[2].partition("\n\n")[0]
+    named = {
+        name
+        for line in table.splitlines()
+        for name in re.findall(r"`(\w+)`", line.split("|")[1])
+    }
+    drawn_of_themselves = {"residuals", "measured"}
+    assert named == {*FIGURES} - drawn_of_themselves
