@@ -65,7 +65,12 @@ def test_every_link_of_the_index_leads_to_a_page(visit):
 
 def test_text_and_figures_follow_the_colour_scheme(visit):
     ink = "getComputedStyle(document.querySelector('.plot svg text')).fill"
-    ground = "getComputedStyle(document.body).backgroundColor"
+    # What is painted behind a figure: the first that is not transparent.
+    ground = """(() => {
+      for (let node = document.querySelector(".plot svg"); node; node = node.parentElement) {
+        const { backgroundColor } = getComputedStyle(node);
+        if (!backgroundColor.endsWith(", 0)")) return backgroundColor;
+      } })()"""
     seen = {scheme: [_lightness(ask(visit("transition", scheme=scheme), what)) for what in (ink, ground)]
             for scheme in ("light", "dark")}  # fmt: skip
     assert seen["light"][0] < 60

@@ -740,6 +740,15 @@ def test_colours_have_enough_contrast(scheme):
             assert _contrast(values[words], values[ground]) >= 4.5, (words, ground)
 
 
+def test_the_ground_of_pages_is_that_of_figures_which_follow_the_colour_scheme():
+    """A reader's own pictures alone, which are images, stand on white."""
+    style = (Path(pages.__file__).parent / "templates" / "report.css").read_text()
+
+    white = re.findall(r"([^{}]+)\{[^{}]*background: #fff\b", style)
+
+    assert [selector.strip() for selector in white] == ["img.picture"]
+
+
 def _contrast(one: str, other: str) -> float:
     """Contrast ratio of two colours (WCAG 2.1)."""
 
