@@ -171,11 +171,11 @@ def _fit(name: str, frame: pd.DataFrame) -> Table:
 
 
 def landmarks(source: Source) -> list[Table]:
-    """Landmarks that the paper prints or numbers, beside those computed and what
-    rounding allows.
+    """Landmarks that the paper prints or numbers at slopes of the study, beside those
+    computed and what rounding allows.
     """
     heads = WORDS["landmarks"]
-    frame = places.every(source, *heads)
+    frame = places.within(source, places.every(source, *heads))
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
     return (
