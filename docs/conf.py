@@ -54,6 +54,7 @@ TREE = {
         "your-own-walker",
         "conventions",
         "cluster",
+        "glossary",
     ],
     "Gallery": [
         f"gallery/{script.stem}" for script in sorted(ROOT.glob("docs/gallery/*.py"))

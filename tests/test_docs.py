@@ -2,6 +2,8 @@
 output printed beside them.
 """
 
+import contextlib
+import itertools
 import json
 import math
 import pkgutil
@@ -14,11 +16,13 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 import gaitsweep
 from conftest import ROOT
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.report.figures import FIGURES
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.contract.registry import OPTIONS
 
@@ -193,6 +197,36 @@ def test_the_readme_shows_what_the_command_prints(capsys):
         assert numbers[0] == pytest.approx(numbers[1], rel=1e-12), (line, found)
 
 
+def test_guesses_lead_where_the_readme_says():
+    said = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    guesses, long, short = map(
+        int,
+        re.search(
+            r"of (\d+) of them .* leads (\d+) to the long gait, (\d+) to the short",
+            said,
+        ).groups(),
+    )
+    known = gaitsweep.solve("C", 0.02).set_index("gait")["stance_angle"]
+    found = []
+    for angle, rate in itertools.product(
+        np.linspace(0.1, 0.5, 9), np.linspace(-2, -0.4, 9)
+    ):
+        with contextlib.suppress(gaitsweep.StudyError):  # it falls
+            end, _, flag, _ = fsolve(
+                lambda state: gaitsweep.step_map("C", 0.02, state).state - state,
+                [angle, rate, rate],
+                full_output=True,
+            )
+            found += [known.index[(abs(known - end[0]) < 1e-6)].tolist()] * (flag == 1)
+
+    assert guesses == 81
+    assert (found.count(["long"]), found.count(["short"]), len(found)) == (
+        long,
+        short,
+        long + short,
+    )
+
+
 def test_the_python_shown_is_python():
     for page in PAGES:
         for block in blocks(page.relative_to(ROOT), "python"):
@@ -259,3 +293,15 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
         and len(names["branches"]) > 4
         and len(names["table"]) == 2
     )
+
+
+def test_every_figure_is_in_the_table_of_figures():
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    table = page.partition("## Figures\n")[2].partition("\n\n")[0]
+    named = {
+        name
+        for line in table.splitlines()
+        for name in re.findall(r"`(\w+)`", line.split("|")[1])
+    }
+    drawn_of_themselves = {"residuals", "measured"}
+    assert named == {*FIGURES} - drawn_of_themselves

@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api import in_memory
+from gaitsweep.pipeline.api.gait_table import GaitTable, Walks
 from gaitsweep.pipeline.api.reports import archive_path
 from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import layout, read, unfold
@@ -426,7 +427,7 @@ def solve(
         One row for each gait, with the columns of archives, and `multipliers` and
         `violations` as tuples; first that of the key that is varied. No row if there is
         no gait; `attrs["search"]` describes the search, `attrs["absent"]` says why
-        there is none.
+        there is none. A notebook shows the gaits' steps above it.
 
     Raises
     ------
@@ -447,18 +448,18 @@ def solve(
     else:
         chosen = every, steps, accuracy, limits, tuned
         answer = single_point.solve(definition, fixed, changes, *chosen)
-    rows = [
-        {
-            **{
-                name: math.nan if value is None else value
-                for name, value in gait.items()
-            },
-            "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
-            "violations": tuple(gait["violations"] or ()),
-        }
-        for gait in answer["gaits"]
-    ]
-    frame = pd.DataFrame(rows, columns=answer["columns"])
+    frame = pd.DataFrame(map(_row, answer["gaits"]), columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     frame.attrs["absent"] = list(answer["absent"])
-    return frame
+    whole = files.changed(definition, tuned=tuned)
+    return GaitTable.of(frame, Walks(whole, changes, steps, vary if at else "slope"))
+
+
+def _row(gait: Mapping[str, Any]) -> dict[str, Any]:
+    """A gait as a row of a table: numbers, and tuples of multipliers and violations."""
+    known = {name: math.nan if value is None else value for name, value in gait.items()}
+    return {
+        **known,
+        "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
+        "violations": tuple(gait["violations"] or ()),
+    }

@@ -119,5 +119,7 @@ def _lines(claim: dict[str, Any]) -> Iterator[str]:
             if claim["interval"]
             else ""
         )
-        yield f"  number      {claim['value']:.12g}{allowed}"
-    yield f"  computed    {claim['computed']}"
+        yield f"  computed    {claim['value']:.6g}{allowed}"
+        yield f"              {claim['computed']}"
+    else:
+        yield f"  computed    {claim['computed']}"

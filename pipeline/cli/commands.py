@@ -136,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "OPENBLAS_NUM_THREADS", "1"
     )  # to start threads, which none needs, takes a tenth of a second
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
+    words = words or ["--help"]
     with report_errors(codes, "--debug" in words):
         try:
             options = parser(words).parse_args(words)

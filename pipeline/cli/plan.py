@@ -15,6 +15,7 @@ from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.study import corners
+from gaitsweep.pipeline.study.model import Study
 from gaitsweep.pipeline.terminal import counted, duration
 from gaitsweep.tasks.contract.registry import (
     FITS,
@@ -23,6 +24,9 @@ from gaitsweep.tasks.contract.registry import (
     TASKS,
     VARIABLES,
 )
+
+#: Slopes below which a plan says that a fitted law may not be found.
+_LEAST_SLOPES = 20
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,9 +51,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
-    """Describe a plan: for each task what runs and why, what is cached, and what is not
-    requested.
-    """
+    """Describe a plan: for each task what runs and why, and what is cached."""
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
     axes, total = study.axes, counted(study.points, "point")
@@ -64,7 +66,7 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
-        yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
+        yield f"  {name:<12} per {what}: {', '.join(parts) or 'none'}"
     by_charts, by_lines = seconds_over_plane(study)
     if study.plane and by_lines < math.inf:
         keys = " and ".join(study.plane.region["keys"])
@@ -73,13 +75,25 @@ def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
     if (integrated := costs.integrated(study, every, planned.graph.method)) < every:
         yield f"  integrated: about {integrated:,} points to an accuracy of {study.accuracy:g}, all others not"
-    yield from (f"  note: {sentence}" for sentence in corners.notes(study))
-    yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
+    sentences = [*corners.notes(study), *_idle(study)]
+    yield from (f"  note: {sentence}" for sentence in sentences)
     yield (
         f"  about {duration(counts.seconds)} of work for one core"
         if counts.seconds
         else "  nothing to do"
     )
+
+
+def _idle(study: Study) -> Iterator[str]:
+    """Say what a study wants of a grid that is too small for it."""
+    wide = [axis.name for axis in study.axes if len(axis) > 1]
+    if "heatmap" in study.figures and len(wide) < 2:
+        over = f"only {wide[0]} has" if wide else "none has"
+        yield f"`heatmap` needs two axes of several values, but {over}; it is not drawn."
+    slopes = sum(len(axis) for axis in study.axes if axis.name == "slope")
+    for name in ("scaling", "transition"):
+        if name in study.fits and slopes < _LEAST_SLOPES:
+            yield f"`{name}` fits laws over slopes; {counted(slopes, 'slope')} may not be enough."
 
 
 def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.cli import kinds
-from gaitsweep.pipeline.cli.walkers import table
+from gaitsweep.pipeline.cli.walkers import or_zero, table
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files
 
@@ -30,5 +30,6 @@ def _lines(answer: dict[str, Any]) -> Iterator[str]:
     for key, (old, new) in answer["moved"].items():
         yield f"# {key} changed from {old!r} to {new!r}"
     for name, before in answer["before"].items():
-        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {answer['after'][name] + 0.0:.3g} after"
+        after = or_zero(answer["after"][name])
+        yield f"# {name.replace('_', ' ')}: {or_zero(before):.3g} before, {after:.3g} after"
     yield from table("walker", answer["walker"])

@@ -9,6 +9,9 @@ from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files, toml
 
+#: Residuals of the static conditions that are rounding, in the walker's unit of length.
+_ROUNDING = 1e-15
+
 
 def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
@@ -25,6 +28,11 @@ def run(options: argparse.Namespace) -> int:
         options, walkers, [*_lines(walkers, in_full=options.name is not None), *more]
     )
     return 0
+
+
+def or_zero(residual: float) -> float:
+    """A residual of a condition; 0 where it is rounding."""
+    return residual if abs(residual) > _ROUNDING else 0.0
 
 
 def table(name: str, values: dict[str, Any]) -> Iterator[str]:
@@ -45,6 +53,6 @@ def _lines(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[st
         yield from table("walker", walker["parameters"])
         yield ""
         for key, value in walker["statics"].items():
-            yield f"{key:<16} {value + 0.0:.12g}"
+            yield f"{key:<16} {or_zero(value):.6g}"
         yield "Only a walker with zero residuals can walk at vanishing slope, and not every such walker does."
         yield "`gaitsweep tune` shows the nearest one, `gaitsweep solve` whether it walks."

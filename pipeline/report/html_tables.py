@@ -171,11 +171,11 @@ def _fit(name: str, frame: pd.DataFrame) -> Table:
 
 
 def landmarks(source: Source) -> list[Table]:
-    """Landmarks that the paper prints or numbers, beside those computed and what
-    rounding allows.
+    """Landmarks that the paper prints or numbers at slopes of the study, beside those
+    computed and what rounding allows.
     """
     heads = WORDS["landmarks"]
-    frame = places.every(source, *heads)
+    frame = places.within(source, places.every(source, *heads))
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
     return (
@@ -438,8 +438,8 @@ def failed_tasks(source: Source) -> Table | None:
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, one column each; a key that the study varies
-    shows its values.
+    """Parameters of the study's walkers, one column each, with what each key means; a
+    key that the study varies shows its values.
     """
     tables = source.walkers
     if not tables:
@@ -460,16 +460,23 @@ def walkers(source: Source) -> Table | None:
     rows = [
         [
             Cell(key),
+            _meaning(key),
             *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values()),
         ]
         for key in keys
     ]
     rows += [
-        [Cell(axis), *[values] * len(tables)]
+        [Cell(axis), _meaning(axis), *[values] * len(tables)]
         for axis, values in given.items()
         if axis not in keys
     ]
-    return Table("Parameters", ["key", *tables], rows)
+    heads = ["key", "meaning", *tables]
+    return Table("Parameters", heads, rows, most=MAX_COLUMNS + 1)
+
+
+def _meaning(key: str) -> Cell:
+    """What a key of a walker means; empty where its name says it."""
+    return Cell(WORDS["parameters"].get(key, ""))
 
 
 def _axis_values(values: np.ndarray) -> Cell:

@@ -22,7 +22,7 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report import entry, folder, html_tables, paper
 from gaitsweep.pipeline.report.extra import Picture
 from gaitsweep.pipeline.report.extra import pictures as extra_pictures
-from gaitsweep.pipeline.report.figures import Undrawn, draw, starts
+from gaitsweep.pipeline.report.figures import Undrawn, draw, slices, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.words import grouped, plain
@@ -32,7 +32,16 @@ TEMPLATES = Path(__file__).parent / "templates"
 _SCRIPTS = Path(__file__).parent / "scripts"
 
 #: Modules of the script, each of which may call those before it.
-_MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
+_MODULES = (
+    "flight",
+    "gaits",
+    "address",
+    "stage",
+    "walker",
+    "figures",
+    "slices",
+    "tables",
+)
 
 #: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger", "bundle")
@@ -203,6 +212,7 @@ def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folde
         drawings=drawings,
         undrawn=undrawn,
         pictures=pictures,
+        slices=slices.volume(source) if "heatmap" in source.figures else {},
         lines=lines,
         states=states,
         entries=[vars(_entry(source, slug, drawings, lines, files))],

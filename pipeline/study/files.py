@@ -74,6 +74,10 @@ def studies(name: Path) -> list[Path]:
         return found
     if os.path.lexists(name):  # unlike `Path.exists`, no error if it is too long
         return [name]
+    if os.path.isfile(f"{name}.toml"):
+        raise StudyError(
+            f"There is no file {clip(str(name), 200)}; did you mean `{clip(name.name, 200)}.toml`?"
+        )
     shipped: dict[str, list[Path]] = {}
     for file in sorted(_STUDIES.glob("*/*.toml")):
         for known in (file.parent, file.with_suffix("")):

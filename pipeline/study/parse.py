@@ -212,6 +212,10 @@ def _measurements(
     value: object, study: Study, location: Location
 ) -> dict[str, np.ndarray]:
     """The user's measurements, if the study names a file of them."""
+    if isinstance(value, list):
+        raise location.wrong(
+            "must be a table; names of figures belong to `[want]`", value
+        )
     if not isinstance(value, Mapping):
         raise location.wrong("must be a table", value)
     location.check_names(value, ("overlay",), "key")

@@ -51,6 +51,22 @@ def untuned(params: Mapping[str, Any]) -> str:
     )
 
 
+def _instead(start: Walker, free: list[str]) -> str:
+    """Which keys meet the conditions in place of those freed, or beside them."""
+    alone = [key for key in NUMBERS if _meets(start, [key])]
+    beside = [key for key in NUMBERS if key not in free and _meets(start, [*free, key])]
+    ways = [
+        f"{word} {' or '.join(keys)}"
+        for word, keys in (("alone do", alone), ("beside it", beside))
+        if keys
+    ]
+    return f"keys that can: {'; '.join(ways)}" if ways else "free two other keys"
+
+
+def _meets(start: Walker, free: list[str]) -> bool:
+    return bool(nearest(start, free)[2][0])
+
+
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     """Find the nearest zero-slope-capable walker: the smallest relative change of the
     freed keys.
@@ -84,7 +100,7 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
         raise WalkerError(
             "free",
             ", ".join(free),
-            "cannot meet the zero-slope conditions; free another key",
+            f"cannot meet the zero-slope conditions; {_instead(start, free)}",
         )
     tuned = Walker(
         **{**start.table(), **{k: float(value[0]) for k, value in values.items()}}

@@ -24,6 +24,9 @@ STUDIES = {
     "ratios": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.02, 0.05, 0.08, 0.11, 0.14]\n'
     "slope = { from = 0.004, to = 0.06, n = 29 }\n"
     '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
+    "cube": 'walker = "E"\n[axes]\nR = [0.0, 0.1, 0.2, 0.25]\nfoot_mass_ratio = { from = 0.02, to = 0.13, n = 12 }\n'
+    "slope = { from = 0.01, to = 0.06, n = 26 }\n"
+    '[want]\nvariables = ["stance_angle", "speed", "period", "multipliers"]\nfigures = ["heatmap"]\n',
     "design": 'kind = "design"\nwalker = "A"\n[axes]\nR = [0.15, 0.2, 0.3]\nc_t = [0.07, 0.084, 0.12]\n'
     'slope = [1e-5, 0.2]\n[want]\nfigures = ["design"]\n',
     "basin": 'kind = "basin"\nwalker = "D"\n[axes]\nslope = [0.0126]\n[want]\nfigures = ["basin"]\n'

@@ -65,7 +65,12 @@ def test_every_link_of_the_index_leads_to_a_page(visit):
 
 def test_text_and_figures_follow_the_colour_scheme(visit):
     ink = "getComputedStyle(document.querySelector('.plot svg text')).fill"
-    ground = "getComputedStyle(document.body).backgroundColor"
+    # What is painted behind a figure: the first that is not transparent.
+    ground = """(() => {
+      for (let node = document.querySelector(".plot svg"); node; node = node.parentElement) {
+        const { backgroundColor } = getComputedStyle(node);
+        if (!backgroundColor.endsWith(", 0)")) return backgroundColor;
+      } })()"""
     seen = {scheme: [_lightness(ask(visit("transition", scheme=scheme), what)) for what in (ink, ground)]
             for scheme in ("light", "dark")}  # fmt: skip
     assert seen["light"][0] < 60
@@ -252,6 +257,24 @@ def test_a_line_is_highlighted_and_hidden_from_the_legend(visit, chains):
     assert set(ask(browser, f"{shown}.map(part => part.dataset.line)")) == every
     chains(browser).move_to_element(one(browser, "h1")).perform()
     assert one(browser, "#loglog .plot").get_attribute("class") == "plot"
+
+
+def test_a_line_hidden_in_one_figure_is_hidden_in_all_of_the_page(visit):
+    browser = visit("tuned-walkers")
+    legends = ask(
+        browser,
+        """[...document.querySelectorAll(".plot")].filter(plot => plot.querySelector(".legend"))
+        .map(plot => plot.closest("section").id)""",
+    )
+    assert len(legends) > 1
+    name = one(browser, f"#{legends[0]} .legend button:nth-child(2)").text
+    state = """[...document.querySelectorAll(".legend button")].filter(one => one.textContent === arguments[0])
+        .map(one => one.getAttribute("aria-pressed"))"""
+    browser.execute_script("document.querySelectorAll('.legend button')[1].click()")
+    assert {*browser.execute_script(f"return {state}", name)} == {"false"}
+    hidden = """[...document.querySelectorAll("svg [data-line]")].filter(one => one.style.display === "none")
+        .map(one => one.closest("section").id)"""
+    assert {*ask(browser, hidden)} == {*legends}
 
 
 def test_a_box_zooms_and_keeps_axes_and_titles_and_a_double_click_resets(visit, chains):

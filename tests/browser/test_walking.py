@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep import gaits
+from gaitsweep import gaits, load
 from gaitsweep.pipeline.cli import commands
 
 pytestmark = pytest.mark.thorough
@@ -22,6 +22,7 @@ EVERY = (
     "branches",
     "map",
     "ratios",
+    "cube",
     "design",
     "basin",
     "kneed-basin",
@@ -811,3 +812,102 @@ def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
     assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
     dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")
     assert dots in (30, 31)
+
+
+def _choose(browser, control, value):
+    """Set the control of slices with a title; its other controls stay."""
+    script = """const labels = [...document.querySelectorAll(".slices label")],
+        label = labels.find(one => one.textContent.startsWith(arguments[0])),
+        node = label.querySelector("select, input");
+      node.value = node.type === "range" ? arguments[1] : [...node.options].findIndex(one => one.text === arguments[1]);
+      node.dispatchEvent(new Event("input"));
+      return label.textContent;"""
+    return browser.execute_script(script, control, value)
+
+
+def _cell(browser, place):
+    """Click the cell of a slice at a place, across and up; what is said of it."""
+    script = """const cells = [...document.querySelectorAll(".slices rect")],
+        cell = cells.find(one => one.place?.join() === arguments[0]);
+      cell.dispatchEvent(new MouseEvent("click", { bubbles: true }));
+      return document.querySelector(".slices output").textContent;"""
+    return browser.execute_script(script, ",".join(map(str, place)))
+
+
+def _numbers(told):
+    """Numbers of a sentence, by their titles."""
+    pairs = (part.split(" = ") for part in told.split(", "))
+    return {title: float(value.replace("−", "-")) for title, value in pairs}
+
+
+@pytest.mark.parametrize("gait", ["long", "short"])
+def test_slices_lead_through_the_axes_that_maps_leave_out(walk, walking, gait):
+    browser = walk("cube")
+    sweep = load(walking.parent / "cube.nc")
+    _choose(browser, "Gait", gait)
+    _choose(browser, "Quantity", "period T")
+    _choose(browser, "Across", "foot mass ratio ρ")
+    assert _choose(browser, "slope", 17).startswith("slope γ (rad) = 0.044")
+
+    told = _numbers(_cell(browser, (9, 2)))
+
+    at = sweep.sel(R=0.2, foot_mass_ratio=0.11, slope=0.044, gait=gait)
+    assert told == pytest.approx(
+        {"foot mass ratio ρ": 0.11, "R": 0.2, "period T": float(at.period)}, rel=1e-3
+    )
+    given = dict(
+        pair.split("=") for pair in ask(browser, "location.hash")[1:].split("&")
+    )
+    assert (given["R"], given["foot_mass_ratio"], given["slope"]) == (
+        "0.2",
+        "0.11",
+        "0.044",
+    )
+    assert float(given["stance_angle"]) == pytest.approx(
+        float(at.stance_angle), rel=1e-7
+    )
+    assert "--set foot_mass_ratio=0.11" in part(browser, "command").text
+
+
+def test_the_address_of_a_cell_of_a_slice_leads_to_its_gait(walk):
+    browser = walk("cube")
+    _cell(browser, (11, 1))
+    address = ask(browser, "location.hash")
+
+    again = walk("cube", anchor=address)
+
+    assert (
+        ask(again, "location.hash").split("&stance_angle")[0]
+        == address.split("&stance_angle")[0]
+    )
+    assert part(again, "said").text == ""
+    walk("cube", anchor=address.replace("R=0.2", "R=0.13"))
+    assert part(browser, "said").text.startswith("R = 0.13 is not on the map")
+
+
+def test_slices_are_cut_with_the_keyboard(walk, keys):
+    browser = walk("cube")
+    slice_ = one(browser, ".slices svg")
+    before = _numbers(one(browser, ".slices output").text)
+
+    slice_.send_keys(keys.ARROW_RIGHT)
+    slice_.send_keys(keys.ARROW_UP)
+    slice_.send_keys(keys.ENTER)
+
+    after = _numbers(one(browser, ".slices output").text)
+    assert after["slope γ (rad)"] > before["slope γ (rad)"]
+    assert f"slope={after['slope γ (rad)']:g}" in ask(browser, "location.hash")
+
+
+def test_slices_have_one_scale_of_colours_and_two_different_axes(walk):
+    browser = walk("cube")
+    bar = "[...document.querySelectorAll('.slices text')].slice(-3).map(one => one.textContent)"
+    seen = set()
+    for value in range(5):
+        _choose(browser, "foot mass ratio", value)
+        seen.add(tuple(ask(browser, bar)))
+    assert len(seen) == 1
+
+    _choose(browser, "Across", "R")
+    chosen = "[...document.querySelectorAll('.slices select')].slice(-2).map(one => one.value)"
+    assert len({*ask(browser, chosen)}) == 2

@@ -1673,3 +1673,35 @@ def test_a_tuned_walker_that_a_key_moves_off_its_conditions_is_said_to_be_no_lon
             == 0
         )
         assert ("no longer tuned" in capsys.readouterr().err) == said
+
+
+def test_gaitsweep_alone_prints_its_help(capsys):
+    with pytest.raises(SystemExit) as end:
+        commands.main([])
+
+    told = capsys.readouterr()
+    assert end.value.code == 0 and told.err == ""
+    assert told.out.startswith("usage: gaitsweep")
+    assert {*commands.COMMANDS} <= {*told.out.split()}
+
+
+def test_a_study_named_without_its_ending_and_figures_in_the_wrong_table(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    study = (
+        'name = "mine"\nwalker = "E"\nfigures = ["loglog"]\n[axes]\nslope = [0.01]\n'
+    )
+    (tmp_path / "mine.toml").write_text(study)
+
+    assert commands.main(["run", "mine"]) == 2
+    assert "did you mean `mine.toml`?" in capsys.readouterr().err
+    assert commands.main(["plan", "mine.toml"]) == 2
+    assert "names of figures belong to `[want]`" in capsys.readouterr().err
+
+
+def test_residuals_that_are_rounding_are_printed_as_zero(capsys):
+    assert commands.main(["walkers", "C"]) == 0
+    assert re.search(r"^leg_offset +0$", capsys.readouterr().out, re.M)
+    assert commands.main(["walkers", "C-printed"]) == 0
+    assert re.search(r"^shank_offset +-?0.000351\d*$", capsys.readouterr().out, re.M)

@@ -2,15 +2,19 @@
 tables.
 """
 
+import base64
 import contextlib
 import json
 import os
 import pathlib
+import pickle
+import re
 import subprocess
 import sys
 import time
 import types
 from concurrent.futures import ThreadPoolExecutor
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -110,6 +114,42 @@ def test_gaits_of_two_steps_at_one_point():
         StudyError, match=r"`steps` must be a whole number from 1 to 64; got 65"
     ):
         gaitsweep.solve("D", 0.014, steps=65)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"walker": "A", "slope": 0.02, "R": 0.25, "tuned": ["w_t"]},
+        {"walker": "D", "slope": 0.016, "steps": 2},
+        {"walker": "A", "slope": 0.02, "at": {"froude_speed": 0.2}, "vary": "m_h"},
+    ],
+)
+def test_a_notebook_shows_the_steps_of_gaits_as_pictures_that_lie_in_the_page(asked):
+    found = gaitsweep.solve(**asked)
+
+    shown = found._repr_html_()
+
+    pictures = re.findall(
+        r'<img alt="(long|short) step, (stable|unstable)" width="360"'
+        r' src="data:image/svg\+xml;base64,([^"]+)">',
+        shown,
+    )
+    assert 0 < len(pictures) == len(found)
+    for (label, stability, picture), gait in zip(
+        pictures, found.itertuples(), strict=True
+    ):
+        assert label == gait.gait and (stability == "stable") == (gait.stable == 1)
+        ElementTree.fromstring(base64.b64decode(picture))
+    assert shown.endswith(pd.DataFrame(found)._repr_html_())
+    assert "<script" not in shown and "http" not in re.sub(r"base64,[^\"]+", "", shown)
+
+
+def test_what_is_taken_from_gaits_is_an_ordinary_table():
+    found = gaitsweep.solve("D", 0.009)
+
+    assert type(found[["slope"]]) is type(found.copy()) is pd.DataFrame
+    assert pickle.loads(pickle.dumps(found))._repr_html_() == found._repr_html_()
+    assert "<img" not in gaitsweep.solve("D", 0.014, steps=2)._repr_html_()
 
 
 def test_a_loaded_grid_can_be_written(mine, tmp_path):

@@ -203,22 +203,42 @@ def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
     )
 
 
-def test_what_is_not_wanted_is_one_short_line(tmp_path, monkeypatch, capsys):
+def test_what_is_not_wanted_is_in_the_record_alone(tmp_path, monkeypatch, capsys):
     (tmp_path / "s.toml").write_text(
         LINE + '[want]\nvariables = ["period", "violations"]\nfits = ["scaling"]\n'
     )
     monkeypatch.chdir(tmp_path)
     assert commands.main(["plan", "s.toml"]) == 0
-    (line,) = [
-        line for line in capsys.readouterr().out.splitlines() if "not wanted" in line
-    ]
-    names = line.removeprefix("  not wanted: ").split(", ")
-    assert (
-        names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"]
-        and len(line) < 260
-    )
+    told = capsys.readouterr().out
+    assert "not wanted" not in told and "version" not in told
+
+    assert commands.main(["plan", "--json", "s.toml"]) == 0
+    names = json.loads(capsys.readouterr().out)[0]["not_wanted"]
+    assert names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"]
     assert {"multipliers", "energy", "proofs"} < set(names) and not {
         "violations",
         "scaling",
         "orbit",
     } & set(names)
+
+
+@pytest.mark.parametrize(
+    ("axes", "want", "said"),
+    [
+        ("slope = [0.01, 0.02]", 'figures = ["heatmap"]', "only slope has"),
+        ("slope = [0.01]", 'figures = ["heatmap"]', "none has"),
+        ("slope = [0.01]", 'fits = ["scaling"]', "1 slope may not be enough"),
+        ("slope = [0.01, 0.02]\nR = [0.1, 0.2]", 'figures = ["heatmap"]', ""),
+    ],
+)
+def test_a_plan_says_what_a_grid_is_too_small_for(
+    tmp_path, monkeypatch, capsys, axes, want, said
+):
+    study = f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\n{want}\n'
+    (tmp_path / "s.toml").write_text(study)
+    monkeypatch.chdir(tmp_path)
+
+    assert commands.main(["plan", "s.toml"]) == 0
+
+    told = capsys.readouterr().out
+    assert said in told and ("  note: " in told) == bool(said)

@@ -267,7 +267,7 @@ def test_a_denser_grid_reuses_its_atlases(toy):
         STUDY.replace("n = 200", "n = 399").replace("[0.0, 0.25]", "[0.0, 0.25, 0.5]")
     )
     plan = toy("plan", "toy.toml").stdout
-    assert "atlas        version 1  per line: 1 new, 2 cached" in plan
+    assert "atlas        per line: 1 new, 2 cached" in plan
     assert (
         "per point: 1,197 new" in plan
     )  # other slopes are other chunks, solved from the atlases that are there

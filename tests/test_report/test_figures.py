@@ -1,3 +1,4 @@
+import itertools
 import re
 import shlex
 
@@ -16,6 +17,7 @@ from gaitsweep.pipeline.report.figures import (
     draw,
     fields,
     landmarks,
+    slices,
 )
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
@@ -1100,3 +1102,76 @@ def test_a_design_map_says_where_its_best_walkers_are(sources):
         r"^Smallest slope γ \(rad\): \S+ \(.+ = .+\)\. Largest stable γ \(rad\): \S+ \(.+\)\. F",
         finding,
     )
+
+
+def _volume(tmp_path, sizes, walkers=("B",)):
+    """An archive of a grid of several axes, whose speed tells the place; the gait of the
+    first place lacks.
+    """
+    names = ("R", "slope", "c_t", "l_t", "m_t", "m_h")[: len(sizes)]
+    values = [np.linspace(0.1, 0.2, size) for size in sizes]
+    dims = ("walker", *names, "gait")
+    shape = (len(walkers), *sizes, 2)
+    angle = 0.1 + np.arange(np.prod(shape)).reshape(shape) / np.prod(shape)
+    angle.flat[0] = np.nan
+    grid = {
+        "stance_angle": (dims, angle),
+        "stance_rate": (dims, -1.5 * angle),
+        "thigh_rate": (dims, -0.5 * angle),
+        "speed": (dims, 2 * angle),
+        "status": (dims, np.isnan(angle).astype("i1")),
+    }
+    coords = dict(zip(names, values, strict=True)) | {"gait": GAITS}
+    axes = "\n".join(f"{name} = [0.1]" for name in names)
+    given = str(list(walkers)).replace("'", '"')
+    text = (
+        f'name = "v"\nwalker = {given}\n[axes]\n{axes}\n[want]\nfigures = ["heatmap"]'
+    )
+    coords |= {"walker": np.array(walkers, object)}
+    return read(
+        write(tmp_path / "v.nc", text, grid, coords, dict.fromkeys(walkers, POINT))
+    )
+
+
+def test_slices_hold_all_gaits_of_a_grid(tmp_path):
+    source = _volume(tmp_path, (9, 12, 3), ("B", "<b>"))
+
+    held = slices.volume(source)
+
+    # The longest axes last.
+    assert [axis["name"] for axis in held["axes"]] == ["c_t", "R", "slope"]
+    assert [line["at"]["walker"] for line in held["lines"]] == ["B", "<b>"]
+    assert held["quantities"][0] == ["speed", "speed v"] and held["every"] == 324
+    # In the order in which the page's script counts them; browsers read them back.
+    encoded = held["fields"]["speed"]
+    speed = source.grid["speed"].transpose(..., "R", "slope")
+    expected = [
+        speed.isel(walker=w, gait=g, c_t=c).values
+        for w, g, c in itertools.product(range(2), range(2), range(3))
+    ]
+    assert encoded["log"] and encoded["step"] == pytest.approx(1e-4)
+    assert encoded["texts"] == [
+        fields.numbers(part, encoded["step"], True)["text"] for part in expected
+    ]
+    present = held["fields"]["present"]
+    assert present["words"] == [False, True] and present["text"].startswith("00")
+
+
+@pytest.mark.parametrize("sizes", [(8, 8, 8, 8, 8, 8), (200, 90, 12)])
+def test_slices_of_a_large_grid_say_of_how_many_points_they_are(tmp_path, sizes):
+    held = slices.volume(_volume(tmp_path, sizes))
+
+    lengths = [len(axis["values"]) for axis in held["axes"]]
+    assert held["every"] == np.prod(sizes) > held["held"] == np.prod(lengths)
+    assert held["held"] <= 12_000
+    characters = sum(
+        len(text)
+        for name, field in held["fields"].items()
+        if name != "present"
+        for text in field["texts"]
+    )
+    assert characters <= 130_000
+
+
+def test_a_grid_of_two_axes_has_no_slices(tmp_path):
+    assert slices.volume(_volume(tmp_path, (5, 4))) == {}

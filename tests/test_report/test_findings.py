@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.text import Text
 
+from gaitsweep.pipeline.report import html_tables
 from gaitsweep.pipeline.report.figures import FIGURES, bifurcation
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.stability import add_borders
@@ -338,3 +339,56 @@ def test_every_parameter_of_a_walker_is_named_once_where_it_is_measured(
     assert any(f": {plain(table['m_t'])}" in words for words in boxes)
     for one, other in itertools.combinations(boxes.values(), 2):
         assert not one.overlaps(other)
+
+
+def test_the_static_conditions_say_what_each_walker_lacks_of_them(tmp_path):
+    walkers = {
+        "upright": POINT,
+        "thigh": POINT | {"w_t": 0.001},
+        "shank": POINT | {"w_s": -0.002, "knees": True},
+    }
+    names = ", ".join(f'"{name}.toml"' for name in walkers)
+    study = f'name = "c"\nwalker = [{names}]\n[axes]\nslope = [0.01]\n'
+    source = read(write(tmp_path / "c.nc", study, {}, {}, walkers))
+
+    drawn = FIGURES["conditions"](source)
+
+    # The thighs are four fifths of the mass, the shanks one.
+    assert drawn.words[3] == (
+        "The conditions hold for upright.toml but for rounding."
+        " thigh.toml misses the first by 0.0008;"
+        " shank.toml misses the first by 0.0004 and the second by 0.002."
+    )
+    below = [axes.texts[0].get_text() for axes in drawn.panels]
+    assert below == ["cross: 0", "cross: −0.0008", "cross: 0.0004\ndashed line: 0.002"]
+
+
+@pytest.mark.parametrize(
+    ("slopes", "shown"),
+    [
+        ("{ from = 0.07, to = 0.1, n = 9 }", ["flip", "loss"]),
+        ("[0.08, 0.001, 0.0001]", ["flip", "exponent"]),
+        ("0.1035", []),
+    ],
+)
+def test_landmarks_at_other_slopes_than_a_studys_are_not_on_its_page(
+    tmp_path, slopes, shown
+):
+    landmarks = {
+        "walker": ["C", "C", "C"],
+        "landmark": ["flip", "exponent", "loss"],
+        "point": ["", "", ""],
+        "printed": [0.084, 0.00015, np.nan],
+        "printed_half_unit": [0.0005, 5e-6, np.nan],
+        "slope": [0.0769, 0.00016, 0.0965],
+        "slope_low": [0.07, 1e-4, 0.09],
+        "slope_high": [0.08, 2e-4, 0.1],
+        "stance_angle": [0.44, 0.03, np.nan],
+    }
+    study = f'name = "l"\nkind = "orbit"\nwalker = "C"\n[axes]\nslope = {slopes}\n'
+    tables = {"landmarks": landmarks}
+    source = read(write(tmp_path / "l.nc", study, {}, {}, {"C": KNEED}, tables))
+
+    rows = [row for table in html_tables.landmarks(source) for row in table.rows]
+
+    assert [row[0].text for row in rows] == shown

@@ -230,8 +230,8 @@ def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
         varied=varied,
     )
     table = html_tables.walkers(read(made))
-    assert table.heads == ["key", *names]
-    rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
+    assert table.heads == ["key", "meaning", *names]
+    rows = {row[0].text: {cell.text for cell in row[2:]} for row in table.rows}
     assert (
         rows["R"] == {"0.15, 0.3"}
         and rows["m_h"] == {"2.5"}
@@ -242,6 +242,13 @@ def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
     }
     pages.write([made], tmp_path)
     assert all(name in Page(tmp_path / "s.html").text for name in names)
+
+
+def test_the_walkers_table_says_what_each_key_means(report, archives):
+    for archive in archives:
+        table = html_tables.walkers(read(archive))
+        meanings = {row[0].text: row[1].text for row in table.rows}
+        assert meanings["w_t"] == "mass behind the thigh" and meanings["knees"] == ""
 
 
 def test_numbered_figures_come_first_and_in_order(tmp_path):
@@ -731,6 +738,15 @@ def test_colours_have_enough_contrast(scheme):
     for ground in ("paper", "wash"):
         for words in ("ink", "muted", "link", "bad", *(f"line{k}" for k in range(11))):
             assert _contrast(values[words], values[ground]) >= 4.5, (words, ground)
+
+
+def test_the_ground_of_pages_is_that_of_figures_which_follow_the_colour_scheme():
+    """A reader's own pictures alone, which are images, stand on white."""
+    style = (Path(pages.__file__).parent / "templates" / "report.css").read_text()
+
+    white = re.findall(r"([^{}]+)\{[^{}]*background: #fff\b", style)
+
+    assert [selector.strip() for selector in white] == ["img.picture"]
 
 
 def _contrast(one: str, other: str) -> float:

@@ -216,7 +216,7 @@ def test_a_cell_of_a_map_has_the_key_that_both_its_axes_move(tmp_path):
     )
     assert panel["moved"] == {"w_t": [["R", "m_s"], [3.0, 4.0, 1.0, 2.0]]}
     table = html_tables.walkers(source)
-    assert {row[0].text: row[1].text for row in table.rows}["w_t"] == "by R, m_s"
+    assert {row[0].text: row[2].text for row in table.rows}["w_t"] == "by R, m_s"
 
 
 def test_a_page_holds_its_lines_and_the_index_two_of_them(tmp_path):

@@ -160,9 +160,16 @@ def test_a_study_is_told_which_key_moves_which():
     }
 
 
-def test_tune_says_when_freed_keys_cannot():
-    with pytest.raises(WalkerError, match="free another key"):
+def test_tune_says_when_freed_keys_cannot_and_which_can():
+    with pytest.raises(WalkerError, match="free two other keys"):
         tune({"walker": "physical", "free": ["m_h"]})
+
+    with pytest.raises(WalkerError, match="keys that can: beside it w_t; "):
+        tune({"walker": "physical", "free": ["R"]})
+    assert {*tune({"walker": "physical", "free": ["R", "w_t"]})["moved"]} == {
+        "R",
+        "w_t",
+    }
 
 
 RETUNED = {"base": "A", "tuned": ["w_t"]}

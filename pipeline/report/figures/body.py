@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,11 +20,15 @@ from gaitsweep.pipeline.report.figures.style import (
     SECOND,
 )
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import fill
+from gaitsweep.pipeline.report.words import fill, plain
 
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 #: Walkers drawn at most, and in one row.
 _MAX_WALKERS, _MAX_IN_ROW = 8, 6
+#: Angle of each leg of a walker that is drawn [rad].
+_SPREAD = 0.26
+#: How its legs are drawn.
+_BACK, _FRONT = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
 
 
 @dataclass(frozen=True)
@@ -214,60 +218,71 @@ def walker(source: Source) -> Sketch | None:
     return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
 
+class _Mass(NamedTuple):
+    """A mass of a walker: its part, where it is as x + iy, how large, and its radius of
+    gyration.
+    """
+
+    part: str
+    at: complex
+    mass: float
+    gyration: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Its parameters by their keys; the hip has no radius of gyration."""
+        letter = self.part[0]
+        own = {f"m_{letter}": self.mass}
+        return own if self.part == "hip" else own | {f"r_{letter}": self.gyration}
+
+
+def _masses(
+    body: Body, table: Mapping[str, Any], hip: complex, angle: float
+) -> list[_Mass]:
+    """The masses of the hip and of a leg at an angle [rad]."""
+    thigh, shank = centres_of_mass(body, table, hip, angle)
+    every = [
+        _Mass(part, at, _number(table, f"m_{part[0]}"), _number(table, f"r_{part[0]}"))
+        for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip))
+    ]
+    return [one for one in every if np.isfinite(one.mass) and one.mass > 0]
+
+
+def _total(table: Mapping[str, Any]) -> float:
+    """Mass of a walker; 1 where it has none."""
+    links = 2 * _number(table, "m_t") + 2 * _number(table, "m_s")
+    return links + _number(table, "m_h") or 1.0
+
+
 def _draw_walker(
     sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]
 ) -> None:
     """Draw one walker with its legs apart, the front leg darker."""
-    spread = 0.26
-    hip = complex(body.hip(spread))
-    height = body.height
-    ends = [body.foot(body.knee(hip, a), a) for a in (spread, -spread)]
-    ground = min(e.imag for e in ends) - body.radius
+    hip, height = complex(body.hip(_SPREAD)), body.height
+    ends = [body.foot(body.knee(hip, angle), angle) for angle in (_SPREAD, -_SPREAD)]
+    ground = min(end.imag for end in ends) - body.radius
     axes.axhline(ground, color=MUTED, lw=0.8)
-    back, front = {"color": MUTED, "lw": 1.2}, {"color": INK, "lw": 1.8}
-    draw_pose(axes, body, hip, (spread, -spread, -spread), back, front, 4)
-    thigh, shank = centres_of_mass(body, table, hip, -spread)
-    total = (
-        2 * _number(table, "m_t") + 2 * _number(table, "m_s") + _number(table, "m_h")
-        or 1.0
-    )
-    for part, at in (("thigh", thigh), ("shank", shank), ("hip", hip)):
-        letter = part[0]
-        mass, gyration = (
-            _number(table, f"m_{letter}"),
-            _number(table, f"r_{letter}"),
-        )  # the hip has no radius
-        if not np.isfinite(mass) or mass <= 0:
-            continue
-        size = 0.11 * height * np.sqrt(mass / total)
-        axes.add_patch(
-            Circle((at.real, at.imag), size, color=LINE, alpha=0.75, lw=0, zorder=4)
-        )
-        if gyration > 0:
-            axes.add_patch(
-                Circle(
-                    (at.real, at.imag),
-                    gyration,
-                    fill=False,
-                    color=MUTED,
-                    lw=0.7,
-                    ls=(0, (2, 2)),
-                )
-            )
-        values = {f"m_{letter}": mass} | (
-            {f"r_{letter}": gyration} if part != "hip" else {}
-        )
-        rows = pd.DataFrame([{**values, "x": at.real, "y": at.imag}])
-        sketch.mark(
-            axes,
-            rows,
-            f"{name} · {part}",
-            tips={key: key for key in values},
-            x="x",
-            y="y",
-        )
+    draw_pose(axes, body, hip, (_SPREAD, -_SPREAD, -_SPREAD), _BACK, _FRONT, 4)
+
+    total = _total(table)
+    for one in _masses(body, table, hip, -_SPREAD):
+        _draw_mass(axes, one, 0.11 * height * np.sqrt(one.mass / total))
+        rows = pd.DataFrame([{**one.values, "x": one.at.real, "y": one.at.imag}])
+        tips = {key: key for key in one.values}
+        sketch.mark(axes, rows, f"{name} · {one.part}", tips=tips, x="x", y="y")
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
+
+
+def _draw_mass(axes: Axes, one: _Mass, size: float) -> None:
+    """Draw a mass as a disc, and its radius of gyration as a ring."""
+    place = one.at.real, one.at.imag
+    axes.add_patch(Circle(place, size, color=LINE, alpha=0.75, lw=0, zorder=4))
+    if one.gyration > 0:
+        dashes = (0, (2, 2))
+        axes.add_patch(
+            Circle(place, one.gyration, fill=False, color=MUTED, lw=0.7, ls=dashes)
+        )
 
 
 def centres_of_mass(
@@ -286,9 +301,49 @@ def centres_of_mass(
     )
 
 
+class _Standing(NamedTuple):
+    """A walker on parallel legs, its hip above the contact: points as x + iy, that of
+    all masses too, and what its two static conditions lack.
+    """
+
+    hip: complex
+    knee: complex
+    thigh: complex
+    shank: complex
+    centre: complex
+    has_knees: bool
+
+    @classmethod
+    def of(cls, body: Body, table: Mapping[str, Any]) -> "_Standing":
+        """Where the parts of a walker are."""
+        hip = complex(body.hip(0.0))
+        thigh, shank = centres_of_mass(body, table, hip, 0.0)
+        links = [2 * _number(table, key) for key in ("m_t", "m_s")]
+        masses = np.array([*links, _number(table, "m_h")])
+        centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
+        has_knees = bool(table.get("knees"))
+        return cls(hip, body.knee(hip, 0.0), thigh, shank, centre, has_knees)
+
+    @property
+    def residuals(self) -> dict[str, float]:
+        """Distances from the line of hip and contact, and of the shank's centre of mass
+        from the line beside it through the knee; what is rounding is 0.
+        """
+        from_knee = self.shank.real - self.knee.real
+        least = 1e-15 * abs(self.hip)
+        return {
+            "centre_of_mass_from_line": _or_zero(self.centre.real, least),
+            "shank_centre_of_mass_from_knee_line": _or_zero(from_knee, least),
+        }
+
+
+def _or_zero(value: float, least: float) -> float:
+    return value if abs(value) > least else 0.0
+
+
 def conditions(source: Source) -> Sketch | None:
     """Draw the static conditions at zero slope (the paper's figure 7): legs parallel,
-    the hip above the contact.
+    the hip above the contact; below each walker, what it lacks of them.
 
     Notes
     -----
@@ -299,46 +354,75 @@ def conditions(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    sketch, rows = _sketch("conditions", bodies, 290), []
+    sketch, rows, missed = _sketch("conditions", bodies, 290), [], {}
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
-        hip = complex(body.hip(0.0))
-        knee, height = body.knee(hip, 0.0), body.height
-        thigh, shank = centres_of_mass(body, table, hip, 0.0)
-        masses = np.array(
-            [
-                2 * _number(table, "m_t"),
-                2 * _number(table, "m_s"),
-                _number(table, "m_h"),
-            ]
-        )
-        centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
-        axes.axhline(0, color=MUTED, lw=0.8)
-        axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
-        draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
-        if table.get("knees"):
-            axes.plot(
-                [knee.real, shank.real],
-                [knee.imag, shank.imag],
-                color=SECOND,
-                lw=1.2,
-                ls=(0, (4, 1.5)),
-            )
-        for at, size in ((thigh, 5), (shank, 5)):
-            axes.plot(at.real, at.imag, "o", color=LINE, ms=size, zorder=5)
-        axes.plot(centre.real, centre.imag, "P", color=INK, ms=8, mec=PAPER, zorder=6)
-        axes.set_xlim(-0.4 * height, 0.4 * height)
-        axes.set_ylim(-0.04 * height, 1.12 * height)
-        from_knee = shank.real - knee.real
-        offsets = {
-            "centre_of_mass_from_line": centre.real,
-            "shank_centre_of_mass_from_knee_line": from_knee,
-        }
-        rows.append({"walker": name, **offsets})
+        standing = _Standing.of(body, table)
+        unit = " m" if table.get("units") == "SI" else ""
+        _draw_standing(axes, body, standing)
+        _write_residuals(axes, standing, unit)
+        rows.append({"walker": name, **standing.residuals})
+        missed[name] = _missed(standing, unit)
     said = (
         "the centre of mass of {walker} lies {centre_of_mass_from_line:3} from the line"
     )
-    distances = "; ".join(fill(said, row) for row in rows)
-    return _finish(sketch, source, bodies, pd.DataFrame(rows), distances=distances)
+    return _finish(
+        sketch,
+        source,
+        bodies,
+        pd.DataFrame(rows),
+        distances="; ".join(fill(said, row) for row in rows),
+        meeting=_listed([name for name, words in missed.items() if not words]),
+        missed="; ".join(f"{name} {words}" for name, words in missed.items() if words),
+    )
+
+
+def _missed(standing: _Standing, unit: str) -> str:
+    """What a walker lacks of the conditions that hold for it, in words; empty if it meets
+    them.
+    """
+    places = ("first", "second")[: 1 + standing.has_knees]
+    lacking = [
+        f"the {place} by {plain(abs(value), 2)}{unit}"
+        for place, value in zip(places, standing.residuals.values(), strict=False)
+        if value
+    ]
+    return f"misses {_listed(lacking)}" if lacking else ""
+
+
+def _listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
+
+
+def _draw_standing(axes: Axes, body: Body, standing: _Standing) -> None:
+    """Draw one leg over the ground, the lines of both conditions and the centres of
+    mass.
+    """
+    height = body.height
+    axes.axhline(0, color=MUTED, lw=0.8)
+    axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
+    draw_leg(axes, body, standing.hip, 0.0, 0.0, color=INK, lw=1.8)
+    if standing.has_knees:
+        line = np.array([standing.knee, standing.shank])
+        axes.plot(line.real, line.imag, color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
+    for at in (standing.thigh, standing.shank):
+        axes.plot(at.real, at.imag, "o", color=LINE, ms=5, zorder=5)
+    centre = standing.centre
+    axes.plot(centre.real, centre.imag, "P", color=INK, ms=8, mec=PAPER, zorder=6)
+    axes.set_xlim(-0.4 * height, 0.4 * height)
+    axes.set_ylim(-0.22 * height, 1.12 * height)
+
+
+def _write_residuals(axes: Axes, standing: _Standing, unit: str) -> None:
+    """Write below a walker what it lacks of the conditions."""
+    names = ("cross", "dashed line")[: 1 + standing.has_knees]
+    values = standing.residuals.values()
+    lines = [
+        f"{name}: {plain(value, 2)}{unit if value else ''}"
+        for name, value in zip(names, values, strict=False)
+    ]
+    low, _ = axes.get_ylim()
+    axes.text(0.0, 0.24 * low, "\n".join(lines), ha="center", va="top", fontsize=7.5)
 
 
 def _number(table: Mapping[str, Any], key: str) -> float:

@@ -2,6 +2,9 @@
 rounding allows.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -52,6 +55,21 @@ def every(source: Source, *columns: str) -> pd.DataFrame:
         if tables
         else pd.DataFrame(columns=[*columns])
     )
+
+
+def within(source: Source, table: pd.DataFrame) -> pd.DataFrame:
+    """Landmarks whose computed or printed slope is among a study's slopes."""
+    low, high = _window(source.given("axes", "slope"))
+    is_inside = [table[name].between(low, high) for name in ("slope", "printed")]
+    return table[is_inside[0] | is_inside[1]]
+
+
+def _window(slopes: Any) -> tuple[float, float]:
+    """The least and the largest slope of an axis; all slopes where none is given."""
+    if isinstance(slopes, Mapping):
+        slopes = [slopes[end] for end in ("from", "to") if end in slopes]
+    ends = np.atleast_1d(np.array([0.0, np.inf] if slopes is None else slopes, float))
+    return float(ends.min()), float(ends.max())
 
 
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from matplotlib.patches import Rectangle
 
 from gaitsweep.pipeline.report.figures import fields
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
+from gaitsweep.pipeline.report.figures.slices import axes_of
 from gaitsweep.pipeline.report.figures.starts import START, cells, parameters
 from gaitsweep.pipeline.report.figures.style import (
     INK,
@@ -197,9 +198,14 @@ def _draw_cell_map(
     named = (maps.down, maps.along, *maps.columns)
     fixed = {d: value for d, value in at.items() if source.grid.sizes[d] > 1}
     sketch.pieces.append(part[[*named]].assign(gait=gait, **fixed))
-    held = cells(source, at, grids, named, sketch.grid.size, f"{gait} step")
+    held = cells(source, at, grids, named, _share(sketch, source), f"{gait} step")
     sketch.maps.append(Panel(axes, values, held))
     return picture
+
+
+def _share(sketch: Sketch, source: Source) -> int:
+    """Among how many maps the room of a figure is shared; slices take as much as all."""
+    return int(sketch.grid.size) * (2 if axes_of(source) else 1)
 
 
 def _words_of_maps(

@@ -2,8 +2,8 @@
 // mark and of every cell of a map, and starts along each branch.
 
 const [LINES, STATES] = ["lines", "states"].map(id => JSON.parse(document.getElementById(id)?.textContent ?? "[]"));
-// Maps of all figures, each of which adds its own.
-const MAPS = [];
+// Maps of all figures, each of which adds its own, and grids of which slices are shown.
+const MAPS = [], GRIDS = [];
 const RATES = ["stance_rate", "thigh_rate", "shank_rate"], NEAR = 0.12;
 
 const walkers = new Map();
@@ -16,6 +16,15 @@ function walkerOf(keys) {
 const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || abs(a[key] - b[key]) <= 1e-9 * abs(a[key])));
 const lineAt = at => LINES.find(line => sameLine(line.at, at));
 
+/** Line of a grid at values of its axes, from whose cells gaits start; undefined where the grid has no such values. */
+function lineOfGrid(at) {
+  for (const { axes, lines } of GRIDS) for (const own of lines) {
+    const { slope, ...fixed } = own.at, others = axes.filter(axis => axis.name !== "slope");
+    for (const { name, values } of others) fixed[name] = values.find(value => abs(value - at[name]) <= 1e-9 * abs(value));
+    if (sameLine(fixed, at)) return { ...own, at, keys: keysOf({ ...own, axes }, at), branches: [], command: own.command + others.map(({ name }) => ` --set ${name}=${at[name]}`).join("") };
+  }
+}
+
 /**
  * Selection that an address names: { at, slope, start[, free] }; null where it names a place of the page. Of what it leaves
  * out the slope is NaN, and the start is empty.
@@ -25,7 +34,7 @@ function readAddress(hash) {
   const given = new URLSearchParams(hash.replace(/^#/, "")), at = {};
   for (const [key, value] of given) if (!["slope", "stance_angle", "free", ...RATES].includes(key)) at[key] = key === "walker" ? value : Number(value);
   const slope = given.has("slope") ? Number(given.get("slope")) : NaN, start = ["stance_angle", ...RATES].filter(name => given.has(name)).map(name => Number(given.get(name)));
-  return start.every(Number.isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
+  return start.every(isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
 }
 
 /** Address of a gait, or of a motion that is none: its line, its slope and its state just after heelstrike. */
@@ -36,11 +45,11 @@ function writeAddress(gait) {
 
 /** Place on a line's branches nearest to a slope and a stance angle: { branch, at, apart }, `at` counted in nodes. */
 function placeOn(line, slope, angle) {
-  const x = rank(slope), y = Math.log(angle);
+  const x = rank(slope), y = log(angle);
   let best = null;
   line.branches.forEach((nodes, branch) => nodes.forEach((node, k) => {
-    const next = nodes[k + 1] ?? node, a = [rank(node[0]), Math.log(node[1])], d = [rank(next[0]) - a[0], Math.log(next[1]) - a[1]];
-    const size = d[0] ** 2 + d[1] ** 2, share = size ? Math.min(1, Math.max(0, ((x - a[0]) * d[0] + (y - a[1]) * d[1]) / size)) : 0;
+    const next = nodes[k + 1] ?? node, a = [rank(node[0]), log(node[1])], d = [rank(next[0]) - a[0], log(next[1]) - a[1]];
+    const size = d[0] ** 2 + d[1] ** 2, share = size ? min(1, max(0, ((x - a[0]) * d[0] + (y - a[1]) * d[1]) / size)) : 0;
     const apart = hypot(x - a[0] - share * d[0], y - a[1] - share * d[1]);
     if (!best || apart < best.apart) best = { branch, at: k + share, apart };
   }));
@@ -49,7 +58,7 @@ function placeOn(line, slope, angle) {
 
 /** Slope and start at a place of a branch, between two nodes. */
 function between(nodes, at) {
-  const k = Math.min(Math.floor(at), Math.max(0, nodes.length - 2)), share = at - k, a = nodes[k], b = nodes[k + 1] ?? a;
+  const k = min(floor(at), max(0, nodes.length - 2)), share = at - k, a = nodes[k], b = nodes[k + 1] ?? a;
   const [slope, ...start] = a.map((v, i) => v > 0 && b[i] > 0 ? v ** (1 - share) * b[i] ** share : v + share * (b[i] - v));
   return { slope, start };
 }
@@ -77,7 +86,7 @@ function storedGait({ keys, command, slope, start, exact, ...more }) {
   const [miss, least] = [plain, touching].map(({ fall, end }) => fall ? Infinity : abs(end[0] / start[0] - 1));
   if (least < 1e-7 && least < miss) return describe({ y, slope, start: state, step: touching }, walker, told);
   const found = findGait(walker, y, slope, true);
-  if (found && hypot(rank(found.slope) - rank(slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
+  if (found && hypot(rank(found.slope) - rank(slope), log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
   // Beside those ends, too, the stored state flies, and returns to itself; of another state the gait is solved.
   return miss < (exact ? 1e-6 : 1e-3) ? describe({ y, slope, start: state, step: plain }, walker, told) : null;
 }
@@ -86,7 +95,7 @@ function storedGait({ keys, command, slope, start, exact, ...more }) {
 function gaitAt(line, branch, at) {
   const { slope, start } = between(line.branches[branch], at), walker = walkerOf(line.keys);
   const found = findGait(walker, sectionOf(walker, stateOf(walker, start)), slope, true);
-  if (!found || abs(Math.log(found.y[0] / start[0])) > 0.2) return null;
+  if (!found || abs(log(found.y[0] / start[0])) > 0.2) return null;
   const shown = Number(found.slope.toPrecision(12));
   return describe(found, walker, { at: line.at, line, branch, place: at, slope: shown, command: withSlope(line.command, shown) });
 }
@@ -94,7 +103,7 @@ function gaitAt(line, branch, at) {
 /** Gait of a line at a slope, by Newton's method from a start; null where there is none beside it. */
 function gaitAtSlope(line, slope, start, more = {}) {
   const walker = walkerOf(line.keys), found = findGait(walker, sectionOf(walker, stateOf(walker, start)), slope);
-  return found && abs(Math.log(found.y[0] / start[0])) < 0.1 ? describe(found, walker, { at: line.at, line, ...more, command: withSlope(line.command, slope) }) : null;
+  return found && abs(log(found.y[0] / start[0])) < 0.1 ? describe(found, walker, { at: line.at, line, ...more, command: withSlope(line.command, slope) }) : null;
 }
 
 /**
@@ -137,7 +146,7 @@ function whyNot({ at, slope, start }) {
   if (line) {
     const slopes = line.branches.flat().map(node => node[0]);
     if (!leads(line.keys, slope)) return "The address has no slope.";
-    if (slopes.length && (slope < Math.min(...slopes) || slope > Math.max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(Math.min(...slopes), 5)} to ${brief(Math.max(...slopes), 5)} rad.`;
+    if (slopes.length && (slope < min(...slopes) || slope > max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(min(...slopes), 5)} to ${brief(max(...slopes), 5)} rad.`;
     return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
   }
   for (const map of MAPS.filter(one => !one.free)) for (const side of [map.x, map.y]) {
@@ -173,9 +182,9 @@ function freeMotion(given, { slope, start: [angle, ...rates], before }) {
 
 /** Keys of the walker of a map's cell. */
 function keysOf(panel, values) {
-  const keys = { ...panel.keys, ...values };
+  const keys = { ...panel.keys, ...values }, all = panel.axes ?? [panel.x, panel.y];
   for (const [key, [axes, list]] of Object.entries(panel.moved ?? {})) {
-    const sides = axes.map(axis => panel.x.name === axis ? panel.x : panel.y);
+    const sides = axes.map(axis => all.find(side => side.name === axis));
     keys[key] = list[sides.reduce((k, side) => k * side.values.length + side.values.findIndex(value => value >= values[side.name] - 1e-12), 0)];
   }
   delete keys.slope;
@@ -211,12 +220,12 @@ function readField({ text, step, log, words }, [rows, columns]) {
     return value % 2 ? (value + 1) / 2 : -value / 2;
   };
   const predictor = (x, n) => {
-    const known = Math.ceil(n / (2 * s)), first = Math.max(0, Math.min(Math.max(0, Math.floor(x / (2 * s)) - 3), known - 8)), at = [];
-    for (let j = first; j < Math.min(first + 8, known); j++) at.push(2 * s * j);
+    const known = ceil(n / (2 * s)), first = max(0, min(max(0, floor(x / (2 * s)) - 3), known - 8)), at = [];
+    for (let j = first; j < min(first + 8, known); j++) at.push(2 * s * j);
     const weights = at.map(a => at.reduce((w, b) => b === a ? w : w * ((x - b) / (a - b)), 1));
-    return get => Math.floor(at.reduce((total, a, k) => total + get(a) * weights[k], 0) + 0.5);
+    return get => floor(at.reduce((total, a, k) => total + get(a) * weights[k], 0) + 0.5);
   };
-  while (8 * s < Math.max(rows, columns)) s *= 2;
+  while (8 * s < max(rows, columns)) s *= 2;
   for (let i = 0; i < rows; i += 2 * s) for (let j = 0; j < columns; j += 2 * s) values[i * columns + j] = (j ? values[i * columns + j - 2 * s] : i ? values[(i - 2 * s) * columns] : 0) + residual();
   for (; s >= 1; s /= 2) {
     for (let j = s; j < columns; j += 2 * s) { const by = predictor(j, columns); for (let i = 0; i < rows; i += 2 * s) values[i * columns + j] = by(a => values[i * columns + a]) + residual(); }
@@ -258,7 +267,7 @@ function cellNamed({ at, slope, start }) {
   for (const map of MAPS.filter(one => !one.free)) {
     const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
     if (own?.start && !start.length && sameLine(own.at, at)) return [map, cell];
-    if (own?.start && sameLine(own.at, at) && hypot(rank(own.slope) - rank(slope), Math.log(own.start[0] / start[0])) < 1e-6) return [map, cell];
+    if (own?.start && sameLine(own.at, at) && hypot(rank(own.slope) - rank(slope), log(own.start[0] / start[0])) < 1e-6) return [map, cell];
   }
   return null;
 }

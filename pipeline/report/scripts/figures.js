@@ -1,7 +1,9 @@
 // Figures: values of the nearest point under the pointer, with the command that reproduces it; a click makes its gait
 // walk. Zoom, legends, pictures to save. Text only, no markup.
 
-for (const plot of document.querySelectorAll(".plot")) {
+const LEGENDS = {};
+
+for (const plot of nodesOf(".plot")) {
   const parse = name => JSON.parse(plot.querySelector(`script.${name}`)?.textContent ?? "[]");
   const series = parse("marks"), panels = parse("panels"), frames = parse("axes"), svg = plot.querySelector("svg");
   const width = Number(plot.dataset.width), height = Number(plot.dataset.height), view = { x: 0, y: 0, w: width };
@@ -40,19 +42,25 @@ for (const plot of document.querySelectorAll(".plot")) {
   }
   for (const button of buttons) {
     const line = Number(button.dataset.line);
-    for (const event of ["pointerenter", "focus"]) button.addEventListener(event, () => highlight(line));
-    for (const event of ["pointerleave", "blur"]) button.addEventListener(event, () => highlight(null));
-    button.addEventListener("click", () => {
-      if (!away.delete(line)) away.add(line);
-      button.setAttribute("aria-pressed", !away.has(line));
-      for (const part of parts) if (Number(part.dataset.line) === line) part.style.display = away.has(line) ? "none" : "";
+    button.onpointerenter = button.onfocus = () => highlight(line);
+    button.onpointerleave = button.onblur = () => highlight(null);
+    // A line that is hidden or shown is so in all figures of the page.
+    const turn = isAway => {
+      if (isAway) away.add(line); else away.delete(line);
+      button.setAttribute("aria-pressed", !isAway);
+      for (const part of parts) if (Number(part.dataset.line) === line) part.style.display = isAway ? "none" : "";
+    };
+    (LEGENDS[button.textContent] ??= []).push(turn);
+    button.onclick = () => {
+      const isAway = !away.has(line);
+      for (const act of LEGENDS[button.textContent]) act(isAway);
       highlight(line);
-    });
+    };
     // A second click within a moment shows this line alone, or all of them again.
-    button.addEventListener("dblclick", () => {
+    button.ondblclick = () => {
       const alone = buttons.every(other => other === button || away.has(Number(other.dataset.line)));
       for (const other of buttons) if (away.has(Number(other.dataset.line)) !== (other !== button && !alone)) other.click();
-    });
+    };
   }
 
   function hide() { highlight(null); dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
@@ -90,7 +98,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     put(dot, place);
     tip.hidden = false;
     const [px, py] = toPixels(place), wide = tip.offsetWidth, tall = tip.offsetHeight;
-    tip.style.left = `${Math.max(0, Math.min(px + 14, plot.clientWidth - wide))}px`;
+    tip.style.left = `${max(0, min(px + 14, plot.clientWidth - wide))}px`;
     tip.style.top = `${py > tall + 14 ? py - tall - 14 : py + 16}px`;
   }
 
@@ -115,7 +123,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     const { box } = map;
     return { map, cell: [placeIn(map.x, (x - box[0]) / (box[2] - box[0])), placeIn(map.y, (box[3] - y) / (box[3] - box[1]))] };
   }
-  const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
+  const shareOf = (side, value) => side.log ? log(value / side.limits[0]) / log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
 
   const putOn = ({ box, x, y }, at) => [box[0] + shareOf(x, at[0]) * (box[2] - box[0]), box[3] - shareOf(y, at[1]) * (box[3] - box[1])];
   // The rates of a basin of kneed walkers are those before heelstrike.
@@ -135,14 +143,14 @@ for (const plot of document.querySelectorAll(".plot")) {
       const off = ([x, y], r) => hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
       if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [gait.slope, gait.start[0]]);
     }
-    const place = (curve, r) => [rank(curve.rows[r][2]), Math.log(angles(curve)[r])];
-    const target = [rank(gait.slope), Math.log(gait.start[0])];
+    const place = (curve, r) => [rank(curve.rows[r][2]), log(angles(curve)[r])];
+    const target = [rank(gait.slope), log(gait.start[0])];
     let best = null, least = 0.08;
     for (const curve of series) {
       if (!isOf(curve)) continue;
       curve.rows.forEach((row, r) => {
         const a = place(curve, r), b = !curve.free && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
-        const share = size && size < 1 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
+        const share = size && size < 1 ? min(1, max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
         const apart = hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
         if (apart < least) { least = apart; best = [row[0] + share * (next[0] - row[0]), row[1] + share * (next[1] - row[1])]; }
       });
@@ -173,17 +181,17 @@ for (const plot of document.querySelectorAll(".plot")) {
     const { box } = one, seen = [[view.x, view.x + view.w], [view.y + tall, view.y]];
     ["x", "y"].forEach((side, k) => {
       const { limits, log } = one[side], from = k ? box[3] : box[0], to = k ? box[1] : box[2];
-      const value = pixel => { const t = Math.min(1, Math.max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
+      const value = pixel => { const t = min(1, max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
       const [low, high] = seen[k].map(value), step = niceStep((high - low) / 5), ticks = [];
       if (one[side].title) numbers.append(make("b", side, one[side].title));
       // As many digits as tell a number from the next.
-      const digits = tick => Math.min(15, Math.ceil(Math.log10(abs(tick) / step)) + 1);
-      if (log && high > 8 * low) for (let n = Math.floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
-      else for (let n = Math.ceil(low / step); n * step <= high; n++) ticks.push(n * step);
+      const digits = tick => min(15, ceil(Math.log10(abs(tick) / step)) + 1);
+      if (log && high > 8 * low) for (let n = floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
+      else for (let n = ceil(low / step); n * step <= high; n++) ticks.push(n * step);
       for (const tick of ticks) {
         const at = toPixels(putOn(one, k ? [one.x.limits[0], tick] : [tick, one.y.limits[0]]))[k];
         if (at < 0 || at > (k ? tall * scale() - 16 : plot.clientWidth)) continue;
-        numbers.appendChild(make("span", side, brief(tick, Math.max(4, digits(tick))))).style[k ? "top" : "left"] = `${at}px`;
+        numbers.appendChild(make("span", side, brief(tick, max(4, digits(tick))))).style[k ? "top" : "left"] = `${at}px`;
       }
     });
     numbers.style.height = `${tall * scale()}px`;
@@ -191,9 +199,9 @@ for (const plot of document.querySelectorAll(".plot")) {
 
   // Zoom and pan of the picture.
   function look(w, [x, y] = [view.x + view.w / 2, view.y + view.w * height / width / 2]) {
-    const next = Math.min(width, Math.max(width / 16, w)), share = next / view.w;
-    view.x = Math.min(width - next, Math.max(0, x - (x - view.x) * share));
-    view.y = Math.min(height - next * height / width, Math.max(0, y - (y - view.y) * share));
+    const next = min(width, max(width / 16, w)), share = next / view.w;
+    view.x = min(width - next, max(0, x - (x - view.x) * share));
+    view.y = min(height - next * height / width, max(0, y - (y - view.y) * share));
     view.w = next;
     svg.setAttribute("viewBox", `${view.x} ${view.y} ${next} ${next * height / width}`);
     plot.classList.toggle("zoomed", next < width);
@@ -207,7 +215,7 @@ for (const plot of document.querySelectorAll(".plot")) {
       const button = tools.appendChild(make("button", "", sign));
       button.title = words;
       button.setAttribute("aria-label", words);
-      button.addEventListener("click", act);
+      button.onclick = act;
     }
   }
   svg.addEventListener("wheel", event => {
@@ -218,7 +226,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   const fingers = new Map(), box = plot.appendChild(make("span", "box"));
   let moved = false, wanted = null;
   box.hidden = true;
-  svg.addEventListener("pointerdown", event => { fingers.set(event.pointerId, event); moved = false; });
+  svg.onpointerdown = event => { fingers.set(event.pointerId, event); moved = false; };
   addEventListener("pointermove", event => {
     const last = fingers.get(event.pointerId);
     if (!last) return;
@@ -233,9 +241,9 @@ for (const plot of document.querySelectorAll(".plot")) {
       look(view.w);
     } else if (event.pointerType === "mouse") {
       // A box drawn over the whole picture is what is seen next.
-      const [a, b] = [last, event].map(pointer), w = Math.max(abs(a[0] - b[0]), abs(a[1] - b[1]) * width / height);
+      const [a, b] = [last, event].map(pointer), w = max(abs(a[0] - b[0]), abs(a[1] - b[1]) * width / height);
       wanted = { x: (a[0] + b[0] - w) / 2, y: (a[1] + b[1] - w * height / width) / 2, w };
-      put(box, [Math.min(a[0], b[0]), Math.min(a[1], b[1])]);
+      put(box, [min(a[0], b[0]), min(a[1], b[1])]);
       box.style.width = `${abs(a[0] - b[0]) * scale()}px`;
       box.style.height = `${abs(a[1] - b[1]) * scale()}px`;
       moved = true;
@@ -250,26 +258,25 @@ for (const plot of document.querySelectorAll(".plot")) {
     wanted = null;
     box.hidden = true;
   });
-  svg.addEventListener("dblclick", () => look(width));
+  svg.ondblclick = () => look(width);
 
-  plot.addEventListener("pointermove", event => {
+  plot.onpointermove = event => {
     if (pinned || fingers.size || event.target.closest(".tools, .legend")) return;
     const item = under(event);
     if (item) show(item); else if (event.pointerType === "mouse") hide();
     plot.style.cursor = item && wishOf(item) ? "pointer" : "";
-  });
-  plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
-  plot.addEventListener("click", event => {
+  };
+  plot.onpointerleave = () => { if (!pinned) hide(); };
+  plot.onclick = event => {
     if (moved || tip.contains(event.target) || event.target.closest(".legend, .tools")) return;
     const item = under(event), wish = item && wishOf(item);
     if (item) { show(item); pinned = true; tip.classList.add("pinned"); } else hide();
     if (wish) { select(wish, { dock: true }); if (matchMedia("(max-width: 40rem)").matches) hide(); }
-  });
-  plot.addEventListener("blur", hide);
-  plot.addEventListener("keydown", event => {
-    const move = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] }[event.key];
-    // With such a key pressed, they are the browser's own: back, or the size of the page.
-    if (event.target !== plot || event.ctrlKey || event.metaKey || event.altKey) return;
+  };
+  plot.onblur = hide;
+  plot.onkeydown = event => {
+    const move = ARROWS[event.key];
+    if (event.target !== plot || isBrowsers(event)) return;
     if (event.key === "Escape") return hide();
     if (event.key === "+" || event.key === "-") return look(view.w * (event.key === "+" ? 0.625 : 1.6), at ? factsOf(at).place : undefined);
     if (event.key === "0") return look(width);
@@ -285,8 +292,8 @@ for (const plot of document.querySelectorAll(".plot")) {
     }
     if (!at) return show(series.length ? { curve: series[0], row: 0 } : { map: panels[0], cell: [0, 0] });
     const curve = series[(series.indexOf(at.curve) + move[0] + series.length) % series.length];
-    show({ curve, row: Math.max(0, Math.min(curve.rows.length - 1, at.row + move[1])) });
-  });
+    show({ curve, row: max(0, min(curve.rows.length - 1, at.row + move[1])) });
+  };
 
   for (const map of panels.slice(-1)) lead ??= map.first ? wishOf({ map, cell: map.first }) : wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
   for (const curve of series) lead ??= wishOf({ curve, row: 0 });
@@ -319,7 +326,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     image.src = asData(picture());
   }]] : []) {
     const button = make("button", "save", name);
-    button.addEventListener("click", act);
+    button.onclick = act;
     file.append(" ", button);
   }
 }

@@ -5,7 +5,7 @@
 // a complex number is a pair [re, im]. A state is the list of angles, then of their rates, of the links that move by
 // themselves: stance leg and swing leg, or stance leg, swing thigh and swing shank while the knee is free.
 
-const { abs, cos, exp, hypot, sin } = Math;
+const { isFinite } = Number, { abs, ceil, cos, exp, floor, hypot, log, max, min, sin } = Math;
 const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
 const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls", "trailing knee unlocks", "push-off slips", "takes off"];
@@ -16,9 +16,9 @@ const multiply = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 const conjugate = a => [a[0], -a[1]];
 const turned = (a, angle) => multiply(a, [cos(angle), sin(angle)]);
 // Where a slope stands among others: its logarithm; level ground and uphill come before all that lead down.
-const rank = slope => slope > 0 ? Math.log(slope) : 99 * slope - 99;
+const rank = slope => slope > 0 ? log(slope) : 99 * slope - 99;
 // Whether a walker may have gaits on a slope: level ground and uphill take something that drives it.
-const leads = (keys, slope) => slope > 0 || (Number.isFinite(slope) && (keys.push_off || keys.hip_torque));
+const leads = (keys, slope) => slope > 0 || (isFinite(slope) && (keys.push_off || keys.hip_torque));
 const sum = values => values.reduce((total, value) => total + value, 0);
 
 // Links that move as one, by their places in the chain.
@@ -171,7 +171,7 @@ function bracket(x, next, after, slack) {
   if (!dips && !rises) return null;
   let turn = 0, far = 0, rate = da;
   for (let k = 0; k < 4; k++) {
-    turn = Math.min(1, Math.max(0, turn + rate / (da - db)));
+    turn = min(1, max(0, turn + rate / (da - db)));
     [far, rate] = guard(after(turn));
   }
   if (abs(far) <= slack) return [turn, turn];
@@ -207,7 +207,7 @@ function flyPhase(chain, start, begin, slope, slack = 0) {
       return { samples, end, time: now + at };
     }
     x = next;
-    const fall = !x.every(Number.isFinite) ? "lost" : x[0] > MAX_ANGLE ? "backward" : x[0] < -MAX_ANGLE ? "forward"
+    const fall = !x.every(isFinite) ? "lost" : x[0] > MAX_ANGLE ? "backward" : x[0] < -MAX_ANGLE ? "forward"
       : now + h > MAX_TIME ? (free ? "knee" : "foot") : "";
     if (fall) {
       if (fall !== "lost") samples.push([now + h, x, derivative(chain, x, slope)]);

@@ -18,7 +18,7 @@ function sectionOf(walker, x) {
 /** A state from the angle and the rates just after heelstrike, in the walker's units; absent rates are what the impact gives. */
 function stateOf(walker, [angle, stance, thigh, shank]) {
   const rates = [stance, thigh, shank ?? thigh].slice(0, walker.kneed ? 3 : 2).map(rate => rate * walker.time);
-  if (Number.isFinite(thigh)) return Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
+  if (isFinite(thigh)) return Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
   const [unit, none] = [[1, 0], [0, 0]].map(before => strikeHeel(walker, angle, before)), k = unit.length / 2;
   return strikeHeel(walker, angle, [(rates[0] - none[k]) / (unit[k] - none[k]), 0]);
 }
@@ -31,7 +31,7 @@ function stepMap(walker, y, slope) {
 
 /** Derivative of the step map by its coordinates and, last, by ln slope: rows of four; differences, central if both fly. */
 function mapJacobian(walker, y, slope) {
-  const here = stepMap(walker, y, slope), rate = Math.max(abs(y[1]), abs(y[2])), columns = [];
+  const here = stepMap(walker, y, slope), rate = max(abs(y[1]), abs(y[2])), columns = [];
   for (let k = 0; k < 4 && here; k++) {
     let column = null;
     // Beside the ends of walking a shorter step flies, or one to one side.
@@ -75,13 +75,13 @@ function findGait(walker, start, slope0, free = false) {
     // The derivative is kept while Newton's method gains a digit with it.
     J = image && (J ?? mapJacobian(walker, y, slope));
     if (!J) return null;
-    const rate = Math.max(abs(y[1]), abs(y[2])), scale = [y[0], rate, rate], weight = free ? [1, 1e3, 1e3, 1] : [1, 1, 1, 0];
+    const rate = max(abs(y[1]), abs(y[2])), scale = [y[0], rate, rate], weight = free ? [1, 1e3, 1e3, 1] : [1, 1, 1, 0];
     const A = scale.map((size, i) => [...scale, 1].map((by, j) => ((i === j ? 1 : 0) - J[i][j]) * by / size * weight[j]));
     const residual = image.map((v, i) => (v - y[i]) / scale[i]);
     const change = (free ? leastChange(A, residual) : [...solveRows(A.map(row => row.slice(0, 3)), residual), 0]).map((c, j) => c * weight[j]);
-    const size = Math.max(...change.map(abs));
-    if (!Number.isFinite(size)) return null;
-    const damp = Math.min(1, 0.3 / size);
+    const size = max(...change.map(abs));
+    if (!isFinite(size)) return null;
+    const damp = min(1, 0.3 / size);
     y = y.map((v, i) => v + damp * change[i] * scale[i]);
     slope *= Math.exp(damp * change[3]);
     if (size < 1e-9 || (size < 1e-7 && size >= last / 2)) {
@@ -105,7 +105,7 @@ function multipliersOf(J) {
   const minor = (i, j) => J[i][i] * J[j][j] - J[i][j] * J[j][i];
   const det = J[0][0] * minor(1, 2) - J[0][1] * (J[1][0] * J[2][2] - J[1][2] * J[2][0]) + J[0][2] * (J[1][0] * J[2][1] - J[1][1] * J[2][0]);
   const c = [-det, minor(0, 1) + minor(0, 2) + minor(1, 2), -(J[0][0] + J[1][1] + J[2][2])];
-  const size = Math.max(abs(c[2]), Math.sqrt(abs(c[1])), Math.cbrt(abs(c[0]))) || 1;
+  const size = max(abs(c[2]), Math.sqrt(abs(c[1])), Math.cbrt(abs(c[0]))) || 1;
   const a = [c[0] / size ** 3, c[1] / size ** 2, c[2] / size];
   const value = z => plus(multiply(plus(multiply(plus(z, [a[2], 0]), z), [a[1], 0]), z), [a[0], 0]);
   const divide = (p, q) => { const r = multiply(p, conjugate(q)), d = q[0] ** 2 + q[1] ** 2; return d ? [r[0] / d, r[1] / d] : [0, 0]; };
@@ -173,7 +173,7 @@ function kneeTorque(walker, q, rate, acceleration, slope) {
 function violationsOf(walker, start, step, slope) {
   if (step.fall) return null;
   const worst = VIOLATIONS.map(() => 0), ratio = ([x, y]) => y > 0 ? abs(x) / y : Infinity;
-  const note = (number, amount) => { worst[number] = Math.max(worst[number], amount); };
+  const note = (number, amount) => { worst[number] = max(worst[number], amount); };
   const contact = force => {
     note(2, -force[1]);
     note(3, ratio(force));
@@ -228,7 +228,7 @@ function violationsOf(walker, start, step, slope) {
   if ((still ? lift : leaving) < 0) {
     const heights = step.phases[0].samples.slice(1).map(([, x]) => footHeight(walker, ofLinks(x.subarray(0, n))));
     const rises = heights.findIndex(height => height >= 0);
-    note(5, Math.max(0, ...heights.slice(0, rises < 0 ? undefined : rises).map(height => -height)));
+    note(5, max(0, ...heights.slice(0, rises < 0 ? undefined : rises).map(height => -height)));
   }
   if (!still && leaving < 0 && !walker.massless) {
     const [s1, s2, thigh, shank] = arms.map(arm => arm[0]), { striking } = walker;

@@ -1,12 +1,19 @@
 // Motions in time and their pictures: the walker on its slope, its phase portrait, its multipliers in the unit circle.
 
 const PICTURES = document.querySelector("svg")?.namespaceURI;
+const DEGREES = 180 / Math.PI;
+/** Whether a key is the browser's own, with another pressed: back, or the size of the page. */
+const isBrowsers = event => event.ctrlKey || event.metaKey || event.altKey;
+/** Rows down and columns to the right that a key moves by. */
+const ARROWS = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] };
+const nodesOf = selector => document.querySelectorAll(selector);
 function draw(tag, parent, attributes, text) {
   const node = document.createElementNS(PICTURES, tag);
   for (const name in attributes) node.setAttribute(name, attributes[name]);
   if (text !== undefined) node.textContent = text;
   return parent.appendChild(node);
 }
+const write = (svg, x, y, text, anchor = "start", turn = 0) => draw("text", svg, { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor, transform: `rotate(${turn} ${x} ${y})` }, text);
 function make(tag, name, text) {
   const node = document.createElement(tag);
   if (name) node.className = name;
@@ -15,10 +22,10 @@ function make(tag, name, text) {
   return node;
 }
 const minusSign = text => text.replace(/-/g, "−");
-const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(abs(value) >= 1e-4 && abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
+const brief = (value, digits = 4) => !isFinite(value) ? "–" : minusSign(abs(value) >= 1e-4 && abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
 
 /** A step of one, two or five times a power of ten, no less than a length. */
-const niceStep = rough => { const ten = 10 ** Math.floor(Math.log10(rough)); return ten * [1, 2, 5, 10].find(n => n * ten >= rough * 0.999); };
+const niceStep = rough => { const ten = 10 ** floor(Math.log10(rough)); return ten * [1, 2, 5, 10].find(n => n * ten >= rough * 0.999); };
 
 /** State of a phase at a time: its cubic Hermite polynomial between two samples. */
 function sampleAt({ samples }, t) {
@@ -26,7 +33,7 @@ function sampleAt({ samples }, t) {
   while (high - low > 1) { const middle = (low + high) >> 1; if (samples[middle][0] <= t) low = middle; else high = middle; }
   const [t0, x0, d0] = samples[low], [t1, x1, d1] = samples[high], h = t1 - t0;
   if (!(h > 0)) return x1;
-  const s = Math.min(1, Math.max(0, (t - t0) / h)), a = (2 * s - 3) * s * s + 1, b = ((s - 2) * s + 1) * s * h, c = (3 - 2 * s) * s * s, d = (s - 1) * s * s * h;
+  const s = min(1, max(0, (t - t0) / h)), a = (2 * s - 3) * s * s + 1, b = ((s - 2) * s + 1) * s * h, c = (3 - 2 * s) * s * s, d = (s - 1) * s * s * h;
   return x0.map((v, i) => a * v + b * d0[i] + c * x1[i] + d * d1[i]);
 }
 
@@ -57,13 +64,13 @@ class Motion {
   at(time) {
     const first = this.steps[0];
     if (this.repeats) {
-      const k = Math.floor(time / first.period);
+      const k = floor(time / first.period);
       return { k, step: first, t: time - k * first.period, foot: k * this.stride(first) };
     }
     while (time > this.begins.at(-1) + durationOf(this.steps.at(-1)) && this.steps.length < this.most && !this.steps.at(-1).fall) this.advance(this.steps.length);
     let k = this.steps.length - 1;
     while (k > 0 && this.begins[k] > time) k--;
-    return { k, step: this.steps[k], t: Math.min(time - this.begins[k], durationOf(this.steps[k])), foot: this.feet[k] };
+    return { k, step: this.steps[k], t: min(time - this.begins[k], durationOf(this.steps[k])), foot: this.feet[k] };
   }
   /** Time at which the motion ends; endless motions end never. */
   get end() { return this.repeats ? Infinity : this.begins.at(-1) + durationOf(this.steps.at(-1)); }
@@ -101,7 +108,7 @@ const pathOf = (points, place) => points.map((p, i) => (i ? "L" : "M") + place(p
 function makeStage(svg) {
   svg.replaceChildren();
   const world = draw("g", svg, {}), ground = draw("path", world, { stroke: "var(--muted)", "stroke-width": 1.2, fill: "none" });
-  const trail = draw("path", world, { fill: "none", stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "1 4", "stroke-linecap": "round" });
+  const trail = draw("path", world, { fill: "none", stroke: "var(--muted)", "stroke-dasharray": "1 4", "stroke-linecap": "round" });
   const said = draw("text", svg, { x: STAGE.width / 2, y: 26, "text-anchor": "middle", "font-size": 15, fill: "var(--muted)" });
   const incline = draw("text", svg, { class: "incline", x: STAGE.width - 8, y: 26, "text-anchor": "end", "font-size": 15, fill: "var(--muted)" });
   const actors = [0, 1].map(second => {
@@ -131,15 +138,15 @@ function makeStage(svg) {
       if (struck) { actor.spark.setAttribute("cx", struck[1][0]); actor.spark.setAttribute("cy", struck[1][1]); }
       if (number) return;
       word = now.step.fall && now.t >= durationOf(now.step) - 1e-9 ? FALLS[now.step.fall] : struck ? struck[0] : "";
-      world.setAttribute("transform", `rotate(${motion.slope * 180 / Math.PI} ${STAGE.width / 2} ${STAGE.floor})`);
-      const reach = STAGE.width / scale, gap = motion.repeats ? motion.stride(motion.steps[0]) : 0.25, every = gap * scale < 14 ? Math.ceil(14 / (gap * scale)) * gap : gap;
+      world.setAttribute("transform", `rotate(${motion.slope * DEGREES} ${STAGE.width / 2} ${STAGE.floor})`);
+      const reach = STAGE.width / scale, gap = motion.repeats ? motion.stride(motion.steps[0]) : 0.25, every = gap * scale < 14 ? ceil(14 / (gap * scale)) * gap : gap;
       let d = pathOf([[camera - reach, 0], [camera + reach, 0]], place);
-      for (let k = Math.floor((camera - reach) / every); k * every < camera + reach; k++) d += pathOf([[k * every, 0], [k * every, -.035]], place);
+      for (let k = floor((camera - reach) / every); k * every < camera + reach; k++) d += pathOf([[k * every, 0], [k * every, -.035]], place);
       ground.setAttribute("d", d);
       const past = [], beat = (motion.steps[0].period ?? 3) / 14;
-      for (let s = Math.max(motion.begins[0], time - 28 * beat); s < time; s += beat) past.push(pose(walker, motion.at(s)).hip);
+      for (let s = max(motion.begins[0], time - 28 * beat); s < time; s += beat) past.push(pose(walker, motion.at(s)).hip);
       trail.setAttribute("d", past.length > 1 ? pathOf(past, place) : "");
-      incline.textContent = `γ = ${brief(motion.slope, 3)} rad = ${brief(motion.slope * 180 / Math.PI, 3)}°`;
+      incline.textContent = `γ = ${brief(motion.slope, 3)} rad = ${brief(motion.slope * DEGREES, 3)}°`;
     });
     said.textContent = word;
   } };
@@ -149,9 +156,9 @@ function makeStage(svg) {
 function drawCircle(svg, gaits) {
   svg.replaceChildren();
   const centre = 110, unit = 78, add = (tag, attributes, text) => draw(tag, svg, attributes, text);
-  add("path", { d: `M12 ${centre}H208M${centre} 12V208`, stroke: "var(--rule)", "stroke-width": 1 });
+  add("path", { d: `M12 ${centre}H208M${centre} 12V208`, stroke: "var(--rule)" });
   add("circle", { cx: centre, cy: centre, r: unit, fill: "none", stroke: "var(--muted)", "stroke-width": 1.5 });
-  const say = (x, y, text, anchor = "start") => add("text", { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
+  const say = (...words) => write(svg, ...words);
   say(8, 14, "multipliers λ");
   say(212, centre + 30, "Re", "end");
   say(centre + 5, 24, "Im");
@@ -167,15 +174,15 @@ function drawCircle(svg, gaits) {
 function drawPortrait(svg, motion, ink, time, unit) {
   svg.replaceChildren();
   const curves = motion.steps.slice(0, 12).map(step => [0, 1].map(leg => step.phases.flatMap(({ samples }) => samples.map(([, x]) => [x[leg], x[x.length / 2 + leg]]))));
-  const all = curves.flat(2), ends = i => [Math.min(...all.map(p => p[i])), Math.max(...all.map(p => p[i]))], [[left, right], [low, high]] = [ends(0), ends(1)];
+  const all = curves.flat(2), ends = i => [min(...all.map(p => p[i])), max(...all.map(p => p[i]))], [[left, right], [low, high]] = [ends(0), ends(1)];
   const place = p => [18 + 184 * (p[0] - left) / (right - left || 1), 190 - 158 * (p[1] - low) / (high - low || 1)], [x0, y0] = place([0, 0]);
-  draw("path", svg, { d: `M12 ${y0}H208M${x0} 26V196`, stroke: "var(--rule)", "stroke-width": 1 });
+  draw("path", svg, { d: `M12 ${y0}H208M${x0} 26V196`, stroke: "var(--rule)" });
   for (const pair of curves) for (const points of pair) draw("path", svg, { d: pathOf(points, place), fill: "none", stroke: ink, "stroke-width": curves.length > 1 ? 1 : 1.8 });
-  const say = (x, y, text, anchor = "start") => draw("text", svg, { x, y, "font-size": 12, fill: "var(--muted)", "text-anchor": anchor }, text);
+  const say = (...words) => write(svg, ...words);
   say(8, 14, `rate of the legs (rad/${unit})`);
   say(212, 216, "angle (rad)", "end");
   // Ticks along the axes: rates in the units of time that are shown.
-  const ticks = (from, to) => { const step = niceStep((to - from) / 3), all = []; for (let n = Math.ceil(from / step); n * step <= to; n++) if (n) all.push(n * step); return all; };
+  const ticks = (from, to) => { const step = niceStep((to - from) / 3), all = []; for (let n = ceil(from / step); n * step <= to; n++) if (n) all.push(n * step); return all; };
   for (const v of ticks(left, right)) { const [x] = place([v, 0]); draw("path", svg, { d: `M${x} ${y0 - 3}v6`, stroke: "var(--muted)" }); say(x, 203, brief(v, 2), "middle"); }
   for (const v of ticks(low / time, high / time)) { const [, y] = place([0, v * time]); draw("path", svg, { d: `M${x0 - 3} ${y}h6`, stroke: "var(--muted)" }); say(x0 + 8, y + 4, brief(v, 2)); }
   const dot = draw("circle", svg, { r: 5, fill: ink, stroke: "var(--wash)", "stroke-width": 1.5 });

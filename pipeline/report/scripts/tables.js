@@ -1,7 +1,7 @@
 // Tables: a click on a heading sorts the rows; a row that is a gait makes it walk. Ledger: a filter by words and verdict.
 
 // Tables: a click on a heading sorts the rows.
-for (const table of document.querySelectorAll("table.archive")) {
+for (const table of nodesOf("table.archive")) {
   const body = table.tBodies[0];
   if (!body || body.rows.length < 3) continue;
   const exact = cell => { const data = cell.querySelector("data"); return data ? Number(data.value) : NaN; };
@@ -10,7 +10,7 @@ for (const table of document.querySelectorAll("table.archive")) {
     const button = make("button", "sort");
     button.append(...head.childNodes);
     head.append(button);
-    button.addEventListener("click", () => {
+    button.onclick = () => {
       const down = head.getAttribute("aria-sort") === "ascending";
       for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
       head.setAttribute("aria-sort", down ? "descending" : "ascending");
@@ -18,77 +18,85 @@ for (const table of document.querySelectorAll("table.archive")) {
       rows.sort((a, b) => isNaN(a[0]) || isNaN(b[0]) ? a[1].localeCompare(b[1]) || 0 : a[0] - b[0]);
       if (down) rows.reverse();
       body.append(...rows.map(row => row[2]));
-    });
+    };
   });
 }
 
 // All columns of a table and all digits of its numbers, on request.
-for (const scroll of document.querySelectorAll(".scroll")) {
+for (const scroll of nodesOf(".scroll")) {
   const numbers = [...scroll.querySelectorAll("data")].filter(data => data.value.length > data.textContent.length), more = scroll.querySelectorAll("th.more").length;
   if (!more && !numbers.length) continue;
   const button = make("button", "save", `All ${more ? "columns and " : ""}digits`), texts = numbers.map(data => data.textContent);
   button.setAttribute("aria-pressed", false);
-  button.addEventListener("click", () => {
+  button.onclick = () => {
     const whole = scroll.classList.toggle("whole");
     button.setAttribute("aria-pressed", whole);
     numbers.forEach((data, k) => { data.textContent = whole ? minusSign(data.value) : texts[k]; });
-  });
+  };
   scroll.after(button);
 }
 
 // Rows of gaits that this page can start: a button in the first cell.
-for (const row of document.querySelectorAll("tr[data-gait]")) {
+for (const row of nodesOf("tr[data-gait]")) {
   const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.start[0]) : null;
   if (!place || place.apart > NEAR) continue;
   const button = make("button", "walk-it", "▸");
   button.title = "Show this gait walking";
   button.setAttribute("aria-label", `Show the gait at slope ${wish.slope} walking`);
   row.cells[0].prepend(button, " ");
-  row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
+  row.onclick = event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); };
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
-    Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(rank(detail.slope) - rank(wish.slope), Math.log(detail.start[0] / wish.start[0])) < 1e-3));
+    Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(rank(detail.slope) - rank(wish.slope), log(detail.start[0] / wish.start[0])) < 1e-3));
 }
 
 // Ledger: on a narrow screen claims are folded.
 document.querySelector("main").classList.add("folding");
-for (const claim of document.querySelectorAll(".claim")) {
+for (const claim of nodesOf(".claim")) {
   const button = make("button", "unfold", "▾");
   button.ariaLabel = `Show claim ${claim.id}`;
   button.setAttribute("aria-expanded", false);
-  button.addEventListener("click", () => button.setAttribute("aria-expanded", claim.classList.toggle("open")));
+  button.onclick = () => button.setAttribute("aria-expanded", claim.classList.toggle("open"));
   claim.querySelector("h3").append(button);
 }
 
 // Commands: a button copies one.
-for (const code of document.querySelectorAll("pre > code, .command > code, .how > code")) {
+for (const code of nodesOf("pre > code, .command > code, .how > code")) {
   const button = make("button", "copy", "Copy"), place = code.closest("pre") ?? code;
-  button.addEventListener("click", () => {
+  button.onclick = () => {
     getSelection().selectAllChildren(code);
     button.textContent = document.execCommand("copy") ? "Copied" : "Selected";
     setTimeout(() => { button.textContent = "Copy"; }, 1500);
-  });
+  };
   if (place === code) code.after(button); else place.before(button);
 }
 
-// Ledger: filter by words and verdict.
-for (const form of document.querySelectorAll(".filter:not(.search)")) {
-  form.hidden = false;
-  const claims = [...document.querySelectorAll(".claim")], said = form.querySelector("[role=status]");
+/** Show those of some entries that hold all words of a form, and whatever else it asks for; `tell` is told how many. */
+function filterBy(form, entries, isWanted, tell) {
   const apply = () => {
-    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean), verdict = form.elements.verdict.value;
+    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean);
     let count = 0;
-    for (const claim of claims) {
-      const text = claim.textContent.toLowerCase();
-      claim.hidden = !(words.every(word => text.includes(word)) && (!verdict || claim.dataset.verdict === verdict));
-      count += !claim.hidden;
+    for (const entry of entries) {
+      const text = entry.textContent.toLowerCase();
+      entry.hidden = !(words.every(word => text.includes(word)) && isWanted(entry, words));
+      count += !entry.hidden;
     }
-    for (const family of document.querySelectorAll(".family")) family.hidden = !family.querySelector(".claim:not([hidden])");
-    said.textContent = words.length || verdict ? `${count} of ${claims.length} claims` : "";
+    tell(count, words, form.querySelector("[role=status]"));
   };
+  form.hidden = false;
   for (const event of ["input", "change"]) form.addEventListener(event, apply);
   form.addEventListener("submit", event => event.preventDefault());
-  // On the way back to a page the browser restores the words and the verdict.
+  // On the way back to a page the browser restores the words.
   addEventListener("pageshow", apply);
+  return apply;
+}
+
+// Ledger: filter by words and verdict.
+for (const form of nodesOf(".filter:not(.search)")) {
+  const claims = [...nodesOf(".claim")], { verdict } = form.elements;
+  const apply = filterBy(form, claims, claim => !verdict.value || claim.dataset.verdict === verdict.value, (count, words, said) => {
+    for (const family of nodesOf(".family")) family.hidden = !family.querySelector(".claim:not([hidden])");
+    said.textContent = words.length || verdict.value ? `${count} of ${claims.length} claims` : "";
+  });
   // A link leads to a claim whatever the filter.
   addEventListener("hashchange", () => {
     const claim = claims.find(one => "#" + one.id === location.hash);
@@ -97,24 +105,10 @@ for (const form of document.querySelectorAll(".filter:not(.search)")) {
 }
 
 // Index: a search over the titles, findings and claims of all pages.
-for (const form of document.querySelectorAll(".search")) {
-  const entries = [...document.querySelectorAll("#found li")], list = document.getElementById("found"), said = form.querySelector("[role=status]");
-  form.hidden = false;
-  const apply = () => {
-    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean);
-    let count = 0;
-    for (const entry of entries) {
-      const text = entry.textContent.toLowerCase();
-      entry.hidden = !words.length || !words.every(word => text.includes(word));
-      count += !entry.hidden;
-    }
-    list.hidden = !count;
-    said.textContent = words.length ? `${count} found` : "";
-  };
-  form.addEventListener("input", apply);
-  form.addEventListener("submit", event => event.preventDefault());
-  addEventListener("pageshow", apply);
-}
+for (const form of nodesOf(".search")) filterBy(form, nodesOf("#found li"), (_, words) => words.length, (count, words, said) => {
+  document.getElementById("found").hidden = !count;
+  said.textContent = words.length ? `${count} found` : "";
+});
 
 // On paper everything is unfolded but where the archive comes from.
-addEventListener("beforeprint", () => document.querySelectorAll("details:not(#provenance)").forEach(details => { details.open = true; }));
+addEventListener("beforeprint", () => nodesOf("details:not(#provenance)").forEach(details => { details.open = true; }));

@@ -11,7 +11,7 @@ let lead;
 
 function tellPage(gait) { document.dispatchEvent(new CustomEvent("gait", { detail: gait })); }
 
-if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
+if (panel && LINES.length + nodesOf("script.panels").length) {
   panel.hidden = false;
   const find = name => panel.querySelector(`[data-part=${name}]`), button = name => panel.querySelector(`[data-do=${name}]`);
   const stage = makeStage(find("walk"));
@@ -43,7 +43,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   }
   function tick(stamp) {
     if (!playing) return;
-    const passed = Math.min(0.1, (stamp - (before || stamp)) / 1000);
+    const passed = min(0.1, (stamp - (before || stamp)) / 1000);
     before = stamp;
     drawn++;
     panel.dataset.frames = drawn;
@@ -72,7 +72,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   function facts() {
     find("units").parentElement.hidden = gait.walker.keys.units !== "SI";
     const u = units(), list = make("dl"), { walker, step } = gait, angle = gait.start[0];
-    list.append(...[["slope γ", gait.slope], ["stance angle θ*", angle]].flatMap(([name, x]) => row(name, brief(x, 6), `rad = ${brief(x * 180 / Math.PI, 4)}°`)));
+    list.append(...[["slope γ", gait.slope], ["stance angle θ*", angle]].flatMap(([name, x]) => row(name, brief(x, 6), `rad = ${brief(x * DEGREES, 4)}°`)));
     if (!step.fall) {
       const length = motion.stride(step);
       list.append(...row("period T", brief(step.period * u.time, 6), u.s), ...row("step length", brief(length * u.length, 4), u.l), ...row("mean speed", brief(length / step.period * u.speed, 4), u.v));
@@ -157,7 +157,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   let wanted = null;
   function slideTo(place) {
     if (wanted === null) requestAnimationFrame(() => {
-      const nodes = gait.line.branches[gait.branch], found = gaitAt(gait.line, gait.branch, Math.min(nodes.length - 1, Math.max(0, wanted)));
+      const nodes = gait.line.branches[gait.branch], found = gaitAt(gait.line, gait.branch, min(nodes.length - 1, max(0, wanted)));
       wanted = null;
       if (found) { say(""); show(found, { keep: true }); } else say("No gait was found at this place of the branch.");
     });
@@ -174,7 +174,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (free || !line || name.length !== 1) return [];
     const lines = family.sort((a, b) => a.at[name] - b.at[name]), up = label === "long" ? 1 : -1;
     // Of another line the gait of nearly that slope whose angle is the larger, or the smaller, as the label says.
-    const far = node => 4 * abs(rank(node[0]) - rank(slope)) - up * Math.max(-1, Math.min(1, Math.log(node[1] / start[0])));
+    const far = node => 4 * abs(rank(node[0]) - rank(slope)) - up * max(-1, min(1, log(node[1] / start[0])));
     const nodes = lines.map(one => one.branches.flat().reduce((best, node) => far(node) < far(best) ? node : best));
     return [{ name: name[0], values: lines.map(one => one.at[name]), at: lines.indexOf(line), angle: i => nodes[i][1], wish: i => ({ at: lines[i].at, slope: nodes[i][0], start: nodes[i].slice(1) }) }];
   }
@@ -197,15 +197,15 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   }
   /** Stance angles along a key: archived gaits, their polynomial of the least squares, and the largest error it makes. */
   function alongKey(side) {
-    const chart = find("curve"), found = side ? side.values.map((value, i) => [side.log ? Math.log(value) : value, side.angle(i), i]).filter(([, angle]) => angle > 0) : [], n = found.length;
+    const chart = find("curve"), found = side ? side.values.map((value, i) => [side.log ? log(value) : value, side.angle(i), i]).filter(([, angle]) => angle > 0) : [], n = found.length;
     chart.replaceChildren();
     chart.style.display = n > 3 ? "" : "none";
     find("fit").textContent = "";
     if (n < 4) return;
-    const xs = found.map(([x]) => x), ys = found.map(([, y]) => y), [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)], degree = Math.min(7, n - 2);
+    const xs = found.map(([x]) => x), ys = found.map(([, y]) => y), [left, right, low, high] = [min(...xs), max(...xs), min(...ys), max(...ys)], degree = min(7, n - 2);
     const basis = x => { const u = 2 * (x - left) / (right - left) - 1, all = [1, u]; while (all.length <= degree) all.push(2 * u * all.at(-1) - all.at(-2)); return all.slice(0, degree + 1); };
     const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
-    const value = x => sum(basis(x).map((b, i) => b * share[i])), error = Math.max(...xs.map((x, k) => abs(value(x) - ys[k])));
+    const value = x => sum(basis(x).map((b, i) => b * share[i])), error = max(...xs.map((x, k) => abs(value(x) - ys[k])));
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
     // A poor polynomial would mislead: then the dots stand alone.
     const isClose = error < 0.01 * high;
@@ -256,9 +256,9 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (motion.repeats) return;
     motion.advance(60);
     const walked = motion.steps.filter(step => !step.fall), last = motion.steps.at(-1), angles = walked.map(step => step.end[0]), aim = gait.free ? gait.near : gait.start[0];
-    const low = Math.min(...angles, aim ?? Infinity, gait.start[0]), high = Math.max(...angles, aim ?? 0, gait.start[0]), y = value => 52 - 44 * (value - low) / (high - low || 1);
-    const x = k => 6 + 228 * k / Math.max(12, angles.length);
-    if (aim) draw("path", chart, { d: `M4 ${y(aim)}H236`, stroke: "var(--muted)", "stroke-dasharray": "3 3", "stroke-width": 1 });
+    const low = min(...angles, aim ?? Infinity, gait.start[0]), high = max(...angles, aim ?? 0, gait.start[0]), y = value => 52 - 44 * (value - low) / (high - low || 1);
+    const x = k => 6 + 228 * k / max(12, angles.length);
+    if (aim) draw("path", chart, { d: `M4 ${y(aim)}H236`, stroke: "var(--muted)", "stroke-dasharray": "3 3" });
     angles.forEach((angle, k) => draw("circle", chart, { cx: x(k + 1), cy: y(angle), r: 2.4, fill: inkOf(gait) }));
     if (last.fall) draw("text", chart, { x: x(angles.length + 1), y: 56, "font-size": 15, fill: "var(--bad)" }, "✕");
     const after = angles.length, word = n => `${n} step${n > 1 ? "s" : ""}`;
@@ -273,7 +273,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   }
 
   select = (wish, options = {}) => {
-    const line = wish.at && lineAt(wish.at), named = wish.start && !wish.free && !line && cellNamed(wish);
+    const own = wish.at && lineAt(wish.at), named = wish.start && !wish.free && !own && cellNamed(wish), line = own ?? (wish.at && !named && lineOfGrid(wish.at));
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
     const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
@@ -287,20 +287,20 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     return found;
   };
 
-  find("units").addEventListener("change", () => { facts(); portrait(); frame(); });
-  find("slide").addEventListener("input", event => slideTo(Number(event.target.value)));
-  find("scrub").addEventListener("input", event => {
+  find("units").onchange = () => { facts(); portrait(); frame(); };
+  find("slide").oninput = event => slideTo(Number(event.target.value));
+  find("scrub").oninput = event => {
     play(false);
     const now = motion.at(time);
     time += Number(event.target.value) * durationOf(now.step) - now.t;
     frame();
-  });
-  const skip = share => { play(false); time = Math.max(motion.begins[0], time + share * durationOf(motion.at(time).step)); frame(); };
+  };
+  const skip = share => { play(false); time = max(motion.begins[0], time + share * durationOf(motion.at(time).step)); frame(); };
   const along = by => { if (!find("along").hidden) slideTo((wanted ?? gait.place) + by); };
   const clicks = { play: () => play(!playing), close: () => dock(false), push: () => push(1), pull: () => push(-1), reset: () => show(gait), step: () => skip(1 / 24) };
-  for (const name in clicks) button(name).addEventListener("click", clicks[name]);
+  for (const name in clicks) button(name).onclick = clicks[name];
   panel.addEventListener("keydown", event => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (isBrowsers(event)) return;
     const typed = event.target.matches("input, select"), act = { " ": () => play(!playing), ".": () => skip(1 / 24), ",": () => skip(-1 / 24), ArrowRight: () => along(1), ArrowLeft: () => along(-1),
       p: () => push(1), P: () => push(-1), r: () => show(gait) }[event.key];
     if (!act || (typed && !["p", "P", "r"].includes(event.key)) || (event.key === " " && event.target.matches("button"))) return;
